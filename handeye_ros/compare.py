@@ -151,7 +151,8 @@ def _ball(stations: ComparedStations) -> tuple[Array, Array]:
             if isinstance(f, Arc)]
     poses = stations.problem.poses[[i for i, _ in arcs]]
     T_plane_base = se3.inverse(poses @ stations.estimate.X)
-    centre = se3.apply(T_plane_base, stations.estimate.state[None, :3])[:, 0]
+    T_base_sphere = stations.estimate.state[:16].reshape(4, 4)
+    centre = se3.apply(T_plane_base, T_base_sphere[None, :3, 3])[:, 0]
     return poses, jing2020.ball_centres(
         np.array([arc.centre for _, arc in arcs]), np.array([arc.radius for _, arc in arcs]),
         radius, np.where(centre[:, 1] < 0, -1.0, 1.0))

@@ -9,6 +9,7 @@ x, z and radius.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 import math
 
@@ -19,7 +20,6 @@ from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
 from handeye_ros.profiles.ransac import circles_among
 from handeye_ros.profiles.segment import MOST_NOISE, noise_level, returned, without_clutter
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dgesv
 
 SMALLEST_RADIUS, LARGEST_RADIUS = 1e-4, 0.5  # of the arc of a sphere of unknown radius (m)
@@ -29,7 +29,7 @@ TOLERANCE_SIGMAS = 6.0
 FIT_WIDTHS, REFIT_WIDTHS = (3.0, 2.0, 1.0, 1.0), (2.0, 1.0)  # of successive fits, in tolerances
 FEWEST_FITTED = 5  # fewest points for another fit of a circle
 # noise over assumed noise that starts a new search; searches at most
-NOISE_RATIO, MOST_SEARCHES = 2.0, 4
+NOISE_RATIO, MOST_SEARCHES = 2.0, 5
 RIM_INCIDENCE = 0.5  # an arc that ends at a larger angle of incidence (rad) ends at its rim
 RIM_WIDTH = 0.24  # angle of the arc before its rim that is not used (rad)
 RIM_COSINE = 0.5  # smallest cosine of the incidence of a usable point: the rim is bad
@@ -42,6 +42,7 @@ LEAST_ROUNDNESS = 2.0  # smallest ratio of the squares of two lines to those of 
 LINE_POINTS = 4  # fewest points of each line
 JUDGED_POINTS = 128  # points of an arc, at most, that the corner test uses
 CONVERGED_STEP = 1e-6  # step of a converged fit, as a share of the radius
+SCATTERED = 'too few points, or only scattered ones, on an arc of the sphere in the profile'
 TINY = 1e-30
 
 
@@ -58,21 +59,18 @@ def arc_features(points: Array, config: Config) -> tuple[Arc]:
     # speckle that is correlated over some columns does not show in the noise level
     noise = max(noise_level(valid[:, 1], config.noise.sensor), config.noise.sensor / 2)
     radius, reason = config.target.radius, ''
-    limits = (SMALLEST_RADIUS, LARGEST_RADIUS)
-    if radius > 0:
-        limits = SMALLEST_SHARE * radius, (LARGEST_SHARE + 0.1) * radius
-    for circle in circles_among(valid, *limits, TOLERANCE_SIGMAS * noise):
+    smallest, largest = ((SMALLEST_SHARE * radius, (LARGEST_SHARE + 0.1) * radius) if radius > 0
+                         else (SMALLEST_RADIUS, LARGEST_RADIUS))
+    for circle in circles_among(valid, smallest, largest, TOLERANCE_SIGMAS * noise):
         try:
-            return (_arc(valid, *_on_arc(valid, circle, noise, config), config),)
+            return (_arc(*_on_arc(valid, circle, noise, config), config),)
         except FeatureError as error:
             reason = reason or str(error)
     if radius > 0 and not reason:
-        try:
+        with suppress(FeatureError):
             arc_features(points, replace(config, target=replace(config.target, radius=0.0)))
             reason = ('the profile shows an arc, but not of a sphere of target.radius '
                       f'{mm(radius)}: correct it, or set it to 0, and it is estimated')
-        except FeatureError:
-            pass
     raise FeatureError(reason or 'no arc of the sphere in the profile')
 
 
@@ -113,17 +111,39 @@ def off_circle(points: Array, circle: Array) -> Array:
     return np.asarray(np.sqrt(x * x + z * z) - circle[2])
 
 
-def _on_arc(points: Array, circle: Array, noise: float, config: Config
-            ) -> tuple[NDArray[np.intp], float]:
+def _on_arc(points: Array, circle: Array, noise: float, config: Config) -> tuple[Array, float]:
     """
-    Return the columns of the points (n, 2) on an arc near a circle, and their noise.
+    Return the points (k, 2) of an arc near a circle, of all (n, 2), and their noise.
 
-    noise_level does not see noise that is correlated over some columns and larger than configured.
-    Then only the part of an arc that happens to lie near the circle would be found. So the noise
-    is that of all points between its ends.
+    Circles are fitted to nearer and nearer points. noise_level does not see noise that is
+    correlated over some columns and larger than configured, and then only the part of an arc that
+    happens to lie near the circle would be found. So the noise is that of all points between its
+    ends, and if it is larger the search goes on with it.
+
+    Few returns come from near a rim, and then none. The angle at which they end depends on the
+    tilt across the profile, which is unknown; so the end of the arc is used instead.
     """
-    columns = _refitted(points, circle, TOLERANCE_SIGMAS * noise, FIT_WIDTHS)
+    widths: Sequence[float] = FIT_WIDTHS
+    columns, (x, z) = np.empty(0, dtype=np.intp), points.T.copy()
     for _ in range(MOST_SEARCHES):
+        for width in widths:
+            if len(columns) >= FEWEST_FITTED:
+                circle = fit_circle(points.take(columns, axis=0), steps=1)
+            along, away = x - circle[0], z - circle[1]
+            distance = np.sqrt(along * along + away * away)
+            on = np.abs(distance - circle[2]) < width * TOLERANCE_SIGMAS * noise
+            # the light falls on one side of a ball only
+            towards = away if away @ on > 0 else -away
+            on &= towards > 0
+            columns = np.flatnonzero(on & (towards > RIM_COSINE * distance))
+            if len(columns) < FEWEST_FITTED:
+                raise FeatureError(SCATTERED)
+        turn = np.arctan2(along, towards)
+        ends, turn = np.sort(turn[on]), turn[columns]
+        stray = len(ends) // 200
+        first, last = ends[stray], ends[-1 - stray]
+        columns = columns[~((turn < first + RIM_WIDTH) & (first < -RIM_INCIDENCE)
+                            | (turn > last - RIM_WIDTH) & (last > RIM_INCIDENCE))]
         if len(columns) < FEWEST_FITTED:
             break
         circle = fit_circle(points.take(columns, axis=0), steps=1)
@@ -132,50 +152,17 @@ def _on_arc(points: Array, circle: Array, noise: float, config: Config
         scale = SIGMA_OF_MEDIAN * float(np.partition(off, middle)[middle])
         if not NOISE_RATIO * noise < scale < MOST_NOISE * config.noise.sensor:
             break
-        noise = scale
-        columns = _refitted(points, circle, TOLERANCE_SIGMAS * noise, REFIT_WIDTHS)
-    return columns, noise
+        noise, widths = scale, REFIT_WIDTHS
+    if len(columns) < config.sampling.min_points or (
+            len(columns) < SMALLEST_DENSITY * (columns[-1] - columns[0] + 1)):
+        raise FeatureError(SCATTERED)
+    return points.take(columns, axis=0), noise
 
 
-def _refitted(points: Array, circle: Array, tolerance: float, widths: Sequence[float]
-              ) -> NDArray[np.intp]:
-    """
-    Return the columns of the points (n, 2) on a circle refitted to them, without its rims.
-
-    widths: of successive fits, in tolerances: nearer points are used for the next circle. Few
-    returns come from near a rim, and then none. The angle at which they end depends on the tilt
-    across the profile, which is unknown; so the end of the arc is used instead.
-    """
-    columns, (x, z) = np.empty(0, dtype=np.intp), points.T.copy()
-    for width in widths:
-        if len(columns) >= FEWEST_FITTED:
-            circle = fit_circle(points.take(columns, axis=0), steps=1)
-        along, away = x - circle[0], z - circle[1]
-        distance = np.sqrt(along * along + away * away)
-        on = np.abs(distance - circle[2]) < width * tolerance
-        # the light falls on one side of a ball only
-        towards = away if away @ on > 0 else -away
-        on &= towards > 0
-        columns = np.flatnonzero(on & (towards > RIM_COSINE * distance))
-        if len(columns) < FEWEST_FITTED:
-            return columns
-    turn = np.arctan2(along, towards)
-    ends, turn = np.sort(turn[on]), turn[columns]
-    stray = len(ends) // 200
-    first, last = ends[stray], ends[-1 - stray]
-    rim = (turn < first + RIM_WIDTH) & (first < -RIM_INCIDENCE)
-    return np.asarray(columns[~(rim | ((turn > last - RIM_WIDTH) & (last > RIM_INCIDENCE)))])
-
-
-def _arc(points: Array, columns: NDArray[np.intp], noise: float, config: Config) -> Arc:
-    """Return the arc of some columns of points; raises FeatureError when it is none."""
-    min_points, radius = config.sampling.min_points, config.target.radius
-    if len(columns) < min_points:
-        raise FeatureError(f'fewer than {min_points} points on an arc of the sphere')
-    if len(columns) < SMALLEST_DENSITY * (columns[-1] - columns[0] + 1):
-        raise FeatureError('no arc of the sphere in the profile, only scattered points')
-    most = POINTS_OF_SWEEP if config.sampling.moving else NORMAL_POINTS
-    arc = normal_points(points.take(columns, axis=0), most)
+def _arc(points: Array, noise: float, config: Config) -> Arc:
+    """Return the arc of points (n, 2) on a circle; raises FeatureError when it is none."""
+    radius = config.target.radius
+    arc = normal_points(points, POINTS_OF_SWEEP if config.sampling.moving else NORMAL_POINTS)
     if 0 < LARGEST_SHARE * radius < arc.radius or arc.radius < SMALLEST_SHARE * radius:
         raise FeatureError(f'the arc in the profile has a radius of {arc.radius * 1e3:.1f} mm, '
                            f'which does not fit the sphere of {mm(radius)}')
@@ -193,29 +180,24 @@ def _arc(points: Array, columns: NDArray[np.intp], noise: float, config: Config)
 
 def _is_corner(arc: Arc) -> bool:
     """
-    Return whether two straight lines fit the points of an arc about as well as a circle.
+    Return whether two straight lines fit the ordered points of an arc about as well as a circle.
 
     A circle in a corner, or through two surfaces, also has many points near it. But two lines do
     not fit a true arc, whose halves are curved.
     """
     some = arc.raw[::-(-len(arc.raw) // JUDGED_POINTS)]
     off, (x, z) = off_circle(some, arc.circle), (some - arc.centre).T
-    to_x, to_z = np.array([x.sum(), z.sum()]) / max(math.hypot(x.sum(), z.sum()), TINY)
-    u, v = to_x * z - to_z * x, to_x * x + to_z * z
-    order = u.argsort()
-    u, v = u[order], v[order] - v.mean()
-    sums = np.array([np.ones(len(u)), u, v, u * u, u * v, v * v]).cumsum(axis=1)
+    sums = np.array([np.ones(len(x)), x, z, x * x, x * z, z * z]).cumsum(axis=1)
     first = sums[:, LINE_POINTS - 1:-LINE_POINTS]
     squares = _squares_of_lines(first) + _squares_of_lines(sums[:, -1:] - first)
     return bool(squares.min() < LEAST_ROUNDNESS * (off @ off))
 
 
 def _squares_of_lines(sums: Array) -> Array:
-    """Return the summed squares (k,) about fitted lines; sums: of 1, u, v, uu, uv and vv."""
-    n, u, v, uu, uv, vv = sums
-    uu, uv, vv = np.maximum(uu - u * u / n, TINY), uv - u * v / n, vv - v * v / n
-    slope = uv / uu
-    return np.asarray((vv - slope * uv) / (1 + slope * slope))
+    """Return the summed squares (k,) about fitted lines; sums: of 1, x, z, xx, xz and zz."""
+    n, x, z, xx, xz, zz = sums
+    xx, xz, zz = xx - x * x / n, xz - x * z / n, zz - z * z / n
+    return np.asarray((xx + zz) / 2 - np.hypot((xx - zz) / 2, xz))
 
 
 def normal_points(raw: Array, most: int = NORMAL_POINTS) -> Arc:
@@ -226,19 +208,16 @@ def normal_points(raw: Array, most: int = NORMAL_POINTS) -> Arc:
     parts of the arc, so they are not taken for noise that averages out.
     """
     circle = fit_circle(raw)
-    x, z = (raw - circle[:2]).T
-    middle = math.atan2(z.mean(), x.mean())
-    turn = np.arctan2(z * math.cos(middle) - x * math.sin(middle),
-                      x * math.cos(middle) + z * math.sin(middle))
+    away = (raw - circle[:2]) @ [1, 1j]
+    middle = away.mean() / abs(away.mean())
+    turn, off = np.angle(away / middle), off_circle(raw, circle)
     order = turn.argsort()
-    residual = off_circle(raw, circle)[order]
     bins = min(most, len(raw) // 3)
-    radius, count = bin_means(residual, bins)
-    turn = bin_means(turn[order], bins)[0] + middle
-    points = circle[:2] + (circle[2] + radius)[:, None] * np.column_stack(
-        [np.cos(turn), np.sin(turn)])
-    std = np.sqrt(_variance(residual, radius, len(raw) / bins) * len(raw) / bins / count)
-    return Arc(points, std, circle[:2], float(circle[2]), raw)
+    (turn, count), (radius, _) = (bin_means(values[order], bins) for values in (turn, off))
+    place = (circle[2] + radius) * middle * np.exp(1j * turn)
+    variance = _variance(off[order], radius, len(raw) / bins) * len(raw) / bins / count
+    return Arc(circle[:2] + np.column_stack([place.real, place.imag]), np.sqrt(variance),
+               circle[:2], float(circle[2]), raw)
 
 
 def _variance(residual: Array, of_bins: Array, size: float) -> float:

@@ -10,8 +10,6 @@ One profile shows the shape only roughly; all samples share it (sampling/edge_sh
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from handeye_ros.data import Array
 import numpy as np
 
@@ -32,37 +30,18 @@ LEAST_LIKELY = -100.0  # smallest log likelihood of a shape that matters
 TINY = 1e-30  # smallest information, for points that all lie on the face
 
 
-def visible_extent(radius: float, depth: float) -> float:
-    """Return the extent outwards of a rounding that is visible down to a depth."""
-    depth = min(max(depth, 0.0), radius)
-    return float(np.sqrt(depth * (2 * radius - depth)))
-
-
-@dataclass(frozen=True)
-class EndRounding:
+def rounding_of(u: Array, v: Array, end: float, pitch: float, noise: float
+                ) -> tuple[float, Array, tuple[float, float], float]:
     """
-    The rounding at the end of a face in one profile.
-
-    depth: of its end (m)
-    shape_log_odds: (k + 1,) log likelihoods of roundings with the k TRIED_RADII, and of a bevel,
-        0 for the best
-    middle: (out, below) of the part of the rounding that is located best (m)
-    middle_std: 1 sigma of its outward position for a given radius. The steepest points have most
-        weight, so the middle hardly depends on the best radius.
-    """
-
-    depth: float
-    shape_log_odds: Array
-    middle: tuple[float, float]
-    middle_std: float
-
-
-def rounding_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> EndRounding:
-    """
-    Return the rounding at an end of a face.
+    Return the rounding at an end of a face in one profile.
 
     u (n,): outwards along the face; v (n,): below it; end: u of its end; pitch: of the points
     along it; noise: 1 sigma of v (m). Roundings and bevels are weighted by their likelihoods.
+
+    Returned: depth of its end (m); log likelihoods (k + 1,) of roundings with the k TRIED_RADII,
+    and of a bevel, 0 for the best; (out, below) of the part of the rounding that is located best
+    (m), and 1 sigma of its outward position for a given radius. The steepest points have most
+    weight, so this part hardly depends on the best radius.
     """
     begin, slope, weights, misfit = _fitted_shapes(u, v, pitch, noise)
     depths = _depths_of_end(np.maximum(end - begin, 0.0))[:, 0]
@@ -70,23 +49,13 @@ def rounding_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> E
     shapes = np.append(likely[ROUNDED], np.log(np.exp(likely[BEVELLED]).mean()))
     share = np.exp(likely) * PRIOR
     best = int(likely[ROUNDED].argmax())
-    middle, middle_std = _middle(float(begin[best, 0]), float(TRIED_RADII[best, 0]), slope[best],
-                                 weights[best])
-    return EndRounding(float(share @ depths / share.sum()), shapes - shapes.max(), middle,
-                       middle_std)
-
-
-def _middle(begin: float, radius: float, slope: Array, weights: Array
-            ) -> tuple[tuple[float, float], float]:
-    """
-    Return the part (out, below) of a rounding that is located best, and 1 sigma outwards.
-
-    slope, weights: (n,) of the rounding at the points: what is steep locates it.
-    """
-    steep = weights * slope ** 2
+    steep = weights[best] * slope[best] ** 2
     information = max(float(steep.sum()), TINY)
-    sine = float(steep @ (slope / np.sqrt(1 + slope ** 2))) / information
-    return ((begin + radius * sine, radius * (1 - (1 - sine ** 2) ** 0.5)), information ** -0.5)
+    sine = float(steep @ (slope[best] / np.sqrt(1 + slope[best] ** 2))) / information
+    radius = float(TRIED_RADII[best, 0])
+    middle = float(begin[best, 0]) + radius * sine, radius * (1 - (1 - sine ** 2) ** 0.5)
+    return (float(share @ depths / share.sum()), shapes - shapes.max(), middle,
+            information ** -0.5)
 
 
 def _fitted_shapes(u: Array, v: Array, pitch: float, noise: float

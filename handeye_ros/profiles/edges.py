@@ -59,6 +59,7 @@ RIM_SHARE, LONGEST_RIM = 4, 3  # last points of a bent end that are not used: 1 
 LOST_STD = 0.17  # 1 sigma of an edge due to lost points, in columns
 LAST_POINTS = 3  # last points that give the depth of an end
 MIXED_POINTS = 2  # most points between two levels that are only mixed at the edge
+BOW_SIGMAS = 3.0  # least bow of a face that counts
 BOW_REACH = 2.5  # spreads of its points up to which the bow of a face goes on (1.7: its ends)
 LONGEST_RAMP = 16  # points between two levels: a wider transition is a surface
 RAMP_STD = 0.1  # 1 sigma of the edge within a wide transition, over its width
@@ -86,12 +87,7 @@ class FaceEnd:
     @cached_property
     def beyond(self) -> list[Segment]:
         """Return the pieces that reach beyond the end, whether they overlap it or not."""
-        return [other for other in self.segments if other.last > self.column]
-
-    @property
-    def column(self) -> int:
-        """Return the last column of the segment."""
-        return self.segment.last
+        return [other for other in self.segments if other.last > self.segment.last]
 
     def lost(self, first: int, last: int) -> int:
         """Return the number of columns without a return, from the first to before the last."""
@@ -113,7 +109,7 @@ class FaceEnd:
         The origin is the point of the face line at the segment's last point.
         """
         segment, near = self.segment, self.near_sign
-        x, first = self.points.item(self.column, 0), self.points.item(segment.first, 0)
+        x, first = (self.points.item(column, 0) for column in (segment.last, segment.first))
         along = np.array([1.0, segment.slope]) / math.hypot(1.0, segment.slope)
         below = near * np.array([along[1], -along[0]])
         return np.array([[x, segment.height(x)], math.copysign(1.0, x - first) * along, below])
@@ -134,7 +130,14 @@ class FaceEnd:
 
     @cached_property
     def _parabola(self) -> tuple[float, float, float]:
-        return self.segment.parabola(self.points)
+        """Return middle, spread (along x) and RMS height of the bow of the face, 0 if not sure."""
+        x, z = self.points.take(self.segment.straight, axis=0).T
+        middle, spread = float(x.mean()), float(x.std())
+        shape = bent((x - middle) / spread)
+        square = float(shape @ shape)
+        height = float((z - self.segment.height(x)) @ shape) / square
+        return middle, spread, height * (
+            height ** 2 * square > (BOW_SIGMAS * self.segment.noise) ** 2)
 
     def edge(self, place: float, std: float, ending: str) -> EdgePoint:
         """Return the edge point on the face, at a place (m) outwards from the origin."""
@@ -183,11 +186,11 @@ def edge_at(end: FaceEnd) -> EdgePoint:
         ending = 'roof' if corner else _ending_before(end, next_surface, end_columns)
     elif not marks_lost:
         ending = 'open'
-    elif end.lost(end.column + 1, size) >= GAP_COLUMNS:
+    elif end.lost(end.segment.last + 1, size) >= GAP_COLUMNS:
         ending = 'gap'
     else:
         raise NoEdgeError('at the border of the field of view')
-    room = min(end.column, size - 1 - end.column) * end.pitch
+    room = min(end.segment.last, size - 1 - end.segment.last) * end.pitch
     if marks_lost and room < VIEW_MARGIN:
         raise NoEdgeError(
             f'{room * 1e3:.1f} mm from the end of the view, where its edge may be cut off (move '
@@ -210,11 +213,11 @@ def _ending_before(end: FaceEnd, next_surface: Segment, end_columns: NDArray[np.
     start, least = next_surface.first, smallest_step(end, next_surface)
     rise = end.rise_of(start)
     if rise < -least:
-        last = int(end_columns[-1]) if len(end_columns) else end.column
+        last = int(end_columns[-1]) if len(end_columns) else end.segment.last
         return 'shadow' if end.lost(last, start) >= GAP_COLUMNS else 'step'
     if rise <= least:
         raise NoEdgeError('where its surface goes on at nearly the same height')
-    if abs(end.points[start, 0] - end.points[end.column, 0]) > SHADOW_SLOPE * rise:
+    if abs(end.points[start, 0] - end.points[end.segment.last, 0]) > SHADOW_SLOPE * rise:
         return 'gap'
     raise NoEdgeError('at something nearer')
 
@@ -255,15 +258,12 @@ def _corner(end: FaceEnd, other: Segment, end_columns: NDArray[np.intp]) -> Edge
         raise NoEdgeError('at something nearer')
     # offset errors of both lines, extrapolated to their crossing; a steep surface that is noisier
     # than the face has an additional error of that size
-    steep = max(b.noise ** 2 - a.noise ** 2, 0.0) ** 0.5
-    std = math.hypot(_std_at(a, x, end.points), _std_at(b, x, end.points), steep)
-    return end.edge(place, std / abs(a.slope - b.slope) * math.hypot(1.0, a.slope), 'roof')
-
-
-def _std_at(segment: Segment, x: float, points: Array) -> float:
-    """Return 1 sigma of the range of a segment's line at x."""
-    xs = points[segment.columns, 0]
-    return float(segment.noise * np.sqrt((1 + ((x - xs.mean()) / xs.std()) ** 2) / len(xs)))
+    stds = [max(b.noise ** 2 - a.noise ** 2, 0.0) ** 0.5]
+    for line in (a, b):
+        xs = end.points[line.columns, 0]
+        stds.append(line.noise * math.sqrt((1 + ((x - xs.mean()) / xs.std()) ** 2) / len(xs)))
+    std = math.hypot(*stds) / abs(a.slope - b.slope) * math.hypot(1.0, a.slope)
+    return end.edge(place, std, 'roof')
 
 
 def _end_columns(end: FaceEnd) -> NDArray[np.intp]:
@@ -273,11 +273,11 @@ def _end_columns(end: FaceEnd) -> NDArray[np.intp]:
     The surface may turn away from the sensor, up to the slope from which light returns. One wrong
     point does not end it.
     """
-    at = int(end.returns.searchsorted(end.column))
+    at = int(end.returns.searchsorted(end.segment.last))
     ahead = end.returns[at:at + FURTHER_COLUMNS + 2].tolist()
-    columns, skipped = [end.column], False
-    for column, after in pairwise([*ahead[1:], end.column]):
-        if column - end.column > FURTHER_COLUMNS:
+    columns, skipped = [end.segment.last], False
+    for column, after in pairwise([*ahead[1:], end.segment.last]):
+        if column - end.segment.last > FURTHER_COLUMNS:
             break
         if _follows(end, columns[-1], column):
             columns.append(column)
@@ -336,8 +336,8 @@ def _edge_before_drop(end: FaceEnd, end_columns: NDArray[np.intp], ground: Segme
     Return the end of a plate before a drop, the end columns included.
 
     It lies between the last point of the plate and the next one that is not mixed of both sides,
-    or, where a sensor makes a ramp of the drop, where that is half way down. ground: the surface
-    seen below, or None.
+    or, where a sensor makes a ramp of the drop, where that is half way down. A bent end has a
+    depth, an arc and odds of its shapes. ground: the surface seen below, or None.
     """
     plate = np.concatenate([end.segment.columns[-LAST_POINTS:], end_columns])
     u, v = end.outwards_and_below(plate)
@@ -353,28 +353,16 @@ def _edge_before_drop(end: FaceEnd, end_columns: NDArray[np.intp], ground: Segme
     edge = end.edge(place, std, ending)
     if v[-LAST_POINTS:].mean() < BENT_END_SIGMAS * noise / LAST_POINTS ** 0.5:
         return edge
-    return _with_bent_end(edge, place, last - flat, end, end_columns)
-
-
-def _with_bent_end(edge: EdgePoint, place: float, length: float, end: FaceEnd,
-                   end_columns: NDArray[np.intp]) -> EdgePoint:
-    """
-    Return the edge of a bent end, with its depth and its arc.
-
-    How far the end is from the edge is determined later, from all samples (see
-    sampling/edge_shapes.py). place: of the edge, length: of what is not flat (m).
-    """
-    # the last points of a bent end are the worst
-    noise = end.segment.noise
+    # how far a bent end is from the edge is determined later, from all samples (see
+    # sampling/edge_shapes.py); its last points are the worst
     before = end.segment.columns[-max(2 * len(end_columns), SHORTEST_ROUNDING):]
     inner = end_columns[:len(end_columns) - min(len(end_columns) // RIM_SHARE, LONGEST_RIM)]
     u, v = end.outwards_and_below(np.concatenate([before, inner]))
-    bend = rounding_of(u, v, place, end.pitch, noise)
+    depth, shapes, (out, below), arc_std = rounding_of(u, v, place, pitch, noise)
     # an end that goes down but not outwards is no bend, but a hardly visible wall
-    depth = min(bend.depth, STEEPEST_ROUNDING * length + FLAT_SIGMAS * noise)
-    (out, below), (_, outwards, downwards) = bend.middle, end.frame
-    return replace(edge, drop=depth * downwards, shape_log_odds=bend.shape_log_odds,
-                   arc_std=bend.middle_std,
+    depth = min(depth, STEEPEST_ROUNDING * (last - flat) + FLAT_SIGMAS * noise)
+    _, outwards, downwards = end.frame
+    return replace(edge, drop=depth * downwards, shape_log_odds=shapes, arc_std=arc_std,
                    arc_offset=(out - place) * outwards + below * downwards)
 
 

@@ -51,9 +51,6 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
     Raises FeatureError when there is no face with an edge in the profile.
     """
     segments = straight_segments(points, config.noise.sensor, config.sampling.min_points)
-    if not segments:
-        raise FeatureError(f'no straight face of {config.sampling.min_points} points or more in '
-                           'the profile')
     best, face, edges, reasons = 0.0, segments[0], list[EdgePoint](), list[str]()
     # the longest first: most of the others then cannot be preferred, whatever their edges are
     for ends in ends_of_segments(segments, points, config):
@@ -98,9 +95,6 @@ def plane_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
     nor looked for. Raises FeatureError.
     """
     segments = straight_segments(points, config.noise.sensor, config.sampling.min_points)
-    if not segments:
-        raise FeatureError('no straight piece of '
-                           f'{config.sampling.min_points} points or more in the profile')
     longest = sorted(segments, key=lambda s: -len(s.columns))[:MOST_SURFACES]
     return tuple(face_line(segment, points, config.sampling.moving) for segment in longest
                  if len(segment.columns) >= SMALLEST_SURFACE * len(longest[0].columns))
@@ -114,22 +108,25 @@ def corner_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
     form the edge: a block on a table also makes a groove. Pairs whose shorter face is longest come
     first. Raises FeatureError where no two faces meet.
     """
-    min_points = config.sampling.min_points
-    segments = straight_segments(points, config.noise.sensor, min_points)
+    segments = straight_segments(points, config.noise.sensor, config.sampling.min_points)
     if len(segments) < 2:
-        raise FeatureError(f'{len(segments)} straight faces of {min_points} points or more in the '
-                           'profile: both faces of the edge must be in view')
+        raise FeatureError('only one straight face in the profile: both faces of the edge must be '
+                           'in view')
     pairs = [pair for pair in combinations(segments, 2) if _meet(*pair, points)]
     if not pairs:
         raise FeatureError(f'no two of the {len(segments)} straight pieces in the profile meet in '
                            f'an edge of more than {np.degrees(SMALLEST_CORNER_ANGLE):.0f} degrees')
-    shorter = [min(len(segment.columns) for segment in pair) for pair in pairs]
-    order = sorted(range(len(pairs)), key=lambda k: -shorter[k])[:MOST_CORNERS]
-    best = [pairs[k] for k in order if shorter[k] >= SMALLEST_CORNER * max(shorter)]
-    lines = {segment: face_line(segment, points, config.sampling.moving)
-             for pair in best for segment in pair}
+    pairs.sort(key=_shorter, reverse=True)
+    best = [pair for pair in pairs[:MOST_CORNERS]
+            if _shorter(pair) >= SMALLEST_CORNER * _shorter(pairs[0])]
     return tuple(line for pair in best for line in sorted(
-        (lines[segment] for segment in pair), key=lambda line: float(line.centre[0])))
+        (face_line(segment, points, config.sampling.moving) for segment in pair),
+        key=lambda line: float(line.centre[0])))
+
+
+def _shorter(pair: tuple[Segment, Segment]) -> int:
+    """Return the number of points of the shorter of two pieces."""
+    return min(len(segment.columns) for segment in pair)
 
 
 def _meet(a: Segment, b: Segment, points: Array) -> bool:

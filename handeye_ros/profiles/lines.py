@@ -10,9 +10,7 @@ smooth shape.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 import math
 
 from handeye_ros.data import Array, EdgePoint, FaceLine
@@ -40,8 +38,8 @@ def face_line(segment: Segment, points: Array, moving: bool) -> FaceLine:
     bins, count = bin_means(measured, BIN_COUNT if n >= BIN_COUNT * FEWEST_POINTS else min(
         most, n))
     centre = np.array([middle, segment.height(middle)])
-    return _line(centre, segment.slope, std * length, bins,
-                 (segment.noise / length) ** 2 * len(count) / n, most)
+    return line_of_bins(centre, segment.slope, std * length, bins,
+                        (segment.noise / length) ** 2 * len(count) / n, most)
 
 
 def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoint:
@@ -57,29 +55,8 @@ def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoi
     return replace(edge, std=float(std), std_across=float(across))
 
 
-def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatter: float
-                  ) -> FaceLine:
-    """
-    Return one line from those of several profiles of a stop.
-
-    centre (2,), slope: of the combined line; scatter: 1 sigma of the lines' offsets (m). Errors
-    that repeat in every profile, such as speckle, do not average out.
-    """
-    size = min(len(line.bins) for line in lines)
-    same = [line for line in lines if len(line.bins) == size]
-    each, n = np.array([line.bins for line in same]), len(same)
-    across = (each - centre) @ np.array([-slope, 1.0]) / np.hypot(1.0, slope)
-    white_var = (float(across.var(axis=0, ddof=1).mean()) if n > 1 else
-                 float(np.mean([line.std ** 2 for line in same])) * size)
-    spread = float(np.median([line.spread for line in lines]))
-    line = _line(centre, slope, spread, each.mean(axis=0), white_var / n)
-    shared = max(scatter ** 2 / n - line.std ** 2, 0.0)  # a robot that shakes moves all alike
-    return replace(line, std=float(np.sqrt(line.std ** 2 + shared)),
-                   points_std=np.sqrt(line.points_std ** 2 + shared))
-
-
-def _line(centre: Array, slope: float, spread: float, bins: Array, white_var: float,
-          most: int = NORMAL_POINTS) -> FaceLine:
+def line_of_bins(centre: Array, slope: float, spread: float, bins: Array, white_var: float,
+                 most: int = NORMAL_POINTS) -> FaceLine:
     """
     Return the line with bins (m, 2), and at most so many normal points.
 
@@ -99,16 +76,10 @@ def _line(centre: Array, slope: float, spread: float, bins: Array, white_var: fl
 
 def bin_means(values: Array, bins: int) -> tuple[Array, NDArray[np.intp]]:
     """Return the means (k, ...) of equal bins of values (n, ...), and the bin sizes (k,)."""
-    first, count = _bins(len(values), bins)
+    first = np.arange(bins) * len(values) // bins
+    count = np.append(first[1:], len(values)) - first
     total = np.add.reduceat(values, first)
     return total / (count if values.ndim == 1 else count[:, None]), count
-
-
-@lru_cache(1000)  # sizes of profiles
-def _bins(size: int, bins: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first rows of equal bins, and their sizes."""
-    first = np.linspace(0, size, bins, endpoint=False).astype(int)
-    return first, np.diff(first, append=size)
 
 
 def variance_of_bins(bins: Array, white_var: float) -> float:

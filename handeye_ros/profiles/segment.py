@@ -15,6 +15,7 @@ import math
 from typing import Any
 
 from handeye_ros.data import Array
+from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.ransac import dominant_line, NARROWEST_LINE
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,6 @@ CLUTTER_JUMPS = 0.1  # largest share of jumps from point to point in a profile w
 NEIGHBOURS_EACH_SIDE, FEWEST_NEIGHBOURS = 5, 4
 END_POINTS = 5  # points of a group whose mean shows a bent end
 ROUNDED_SIGMAS = 3.0
-BOW_SIGMAS = 3.0  # least bow of a face that counts
 BENT_SHARE = 6  # a bent end has at most one part in so many of the points
 
 
@@ -60,19 +60,6 @@ class Segment:
     def crossing(self, other: Segment) -> float:
         """Return x where the line crosses that of another segment, of another slope."""
         return (other.offset - self.offset) / (self.slope - other.slope)
-
-    def parabola(self, points: Array) -> tuple[float, float, float]:
-        """
-        Return middle, spread (along x) and RMS height of its bow over the line, see bent.
-
-        The height is 0 unless it is significant.
-        """
-        x, z = points.take(self.straight, axis=0).T
-        middle, spread = float(x.mean()), float(x.std())
-        shape = bent((x - middle) / spread)
-        square = float(shape @ shape)
-        height = float((z - self.height(x)) @ shape) / square
-        return middle, spread, height * (height ** 2 * square > (BOW_SIGMAS * self.noise) ** 2)
 
     def reversed(self, size: int) -> Segment:
         """Return the segment in the reversed profile of so many columns."""
@@ -129,7 +116,8 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
     """
     Return the straight pieces of a profile, in the order of its columns.
 
-    points: (n, 2); noise: configured range noise (1 sigma); min_points: fewest of a piece.
+    points: (n, 2); noise: configured range noise (1 sigma); min_points: fewest of a piece. Raises
+    FeatureError without any.
     """
     columns = without_clutter(returned(points), points, noise)
     x, z = points.take(columns, axis=0).T.copy()
@@ -160,6 +148,9 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
                 found = fitted(free[near])
         segments += found
         free = free[~near]
+    if not segments:
+        raise FeatureError(f'no straight piece of {min_points} points or more in the profile, so '
+                           'no face')
     return sorted(segments, key=lambda s: s.first)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array, EdgePoint, Feature, Sample
-from handeye_ros.profiles.edge_rounding import TRIED_RADII, visible_extent
+from handeye_ros.profiles.edge_rounding import TRIED_RADII
 import numpy as np
 
 SHARP_DEPTH = 2.5e-5  # largest depth of ends that count as sharp (m)
@@ -19,6 +19,7 @@ SHAPE_STD = 0.2  # relative 1 sigma of a radius or a bevel's legs: it may be an 
 SLANT_STD = 0.1  # 1 sigma of the log radius of one end: an oblique laser sees an ellipse
 OBLIQUE_STD = 0.03  # 1 sigma of an edge over the radius: an oblique laser sees an ellipse
 DEPTH_STD = 1.5e-5  # 1 sigma of the depth of an end (m)
+LEAST_DEPTH = 1e-6  # of the middle of an arc (m)
 
 
 @dataclass(frozen=True)
@@ -91,44 +92,31 @@ def _radius(log_odds: Array) -> tuple[float, float]:
 
 
 def _moved(feature: Feature, shape: EdgeShape) -> Feature:
-    """Return a feature with its edge point moved to the intersection of face and wall."""
+    """
+    Return a feature with its edge point moved to the intersection of face and wall.
+
+    Of a rounding the middle of the visible arc is extrapolated to the wall: it is measured, so the
+    result is on the wall for any crossing angle of the laser. Of a bevel, or a barely visible
+    rounding, the end is. A bevel returns light as a whole or not at all; it is as wide as deep.
+    """
     if not isinstance(feature, EdgePoint) or feature.ending == 'roof':
         return feature
-    if not shape.size:
-        return replace(feature, drop=np.zeros(2))
-    if shape.is_round and 0 < feature.arc_std < shape.size:
-        return _from_arc(feature, shape)
-    return _from_end(feature, shape)
-
-
-def _from_arc(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
-    """
-    Return the edge of a rounding: the middle of the visible arc, extrapolated to the wall.
-
-    The middle is measured, so the result is on the wall for any crossing angle of the laser.
-    """
-    radius, back = shape.size, float(edge.arc_offset @ edge.direction)
-    below = edge.arc_offset - back * edge.direction
-    depth = min(max(float(np.hypot(*below)), 1e-6), radius)
-    out = visible_extent(radius, depth)
-    std = np.sqrt(edge.std ** 2 + edge.arc_std ** 2 + (OBLIQUE_STD * radius) ** 2)
-    return replace(edge, point=edge.point + (back + radius - out) * edge.direction, drop=below,
-                   std=float(std), shape_std=shape.relative_std * radius * (1 - depth / out))
-
-
-def _from_end(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
-    """
-    Return the edge of a bevel or a barely visible rounding: the end, extrapolated to the wall.
-
-    A bevel returns light as a whole or not at all; it is as wide as it is deep.
-    """
-    size, depth = shape.size, min(max(edge.drop_depth, DEPTH_STD), shape.size)
+    edge, size = feature, shape.size
+    if not size:
+        return replace(edge, drop=np.zeros(2))
+    back, drop, least, std = 0.0, edge.drop, DEPTH_STD, 0.0
+    from_arc = shape.is_round and 0 < edge.arc_std < size
+    if from_arc:
+        back, least, std = float(edge.arc_offset @ edge.direction), LEAST_DEPTH, edge.arc_std
+        drop = edge.arc_offset - back * edge.direction
+    depth = min(max(float(np.hypot(*drop)), least), size)
     if shape.is_round:
-        out = visible_extent(size, depth)
-        by_depth, share = (size - depth) / out * DEPTH_STD, 1 - depth / out
+        out = float(np.sqrt(depth * (2 * size - depth)))
+        share = 1 - depth / out
+        std = std if from_arc else (size - depth) / out * DEPTH_STD
     else:
         share = float(np.clip(1.5 - 2 * depth / size, 0.0, 1.0))
-        out, by_depth = (1 - share) * size, 0.0
-    std = np.sqrt(edge.std ** 2 + by_depth ** 2 + (OBLIQUE_STD * size) ** 2)
-    return replace(edge, point=edge.point + (size - out) * edge.direction, std=float(std),
+        out = (1 - share) * size
+    return replace(edge, point=edge.point + (back + size - out) * edge.direction, drop=drop,
+                   std=float(np.sqrt(edge.std ** 2 + std ** 2 + (OBLIQUE_STD * size) ** 2)),
                    shape_std=shape.relative_std * size * share)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
@@ -30,7 +31,7 @@ from handeye_ros.data import (
 )
 from handeye_ros.errors import FeatureError, mm, UnusableMessageError
 from handeye_ros.profiles.arcs import normal_points, off_circle
-from handeye_ros.profiles.lines import combined_line, on_line
+from handeye_ros.profiles.lines import line_of_bins, on_line
 from handeye_ros.sampling.stops import decoded, evenly, evenly_chosen, Stop
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.sampling.trajectory import trajectory_of
@@ -70,11 +71,10 @@ def _pass_of(stop: Stop, config: Config) -> Sample:
     """Return the middle sample of a pass, with those of its profiles; raises FeatureError."""
     # of a stored pass some may lie beyond its poses, with another time_offset
     profiles = [p for p in stop.profiles if stop.start <= p.stamp <= stop.end]
-    chosen = decoded(evenly(profiles, MOST_OF_PASS), config)
-    shown, reasons = _features_of_each(chosen, config)
-    if 2 * len(shown) < MOST_OF_PASS < len(profiles):
-        chosen = decoded(evenly(profiles, 2 * MOST_OF_PASS), config)
-        shown, reasons = _features_of_each(chosen, config)
+    for most in (MOST_OF_PASS, 2 * MOST_OF_PASS):
+        shown, reasons = _features_of_each(decoded(evenly(profiles, most), config), config)
+        if 2 * len(shown) >= MOST_OF_PASS or most >= len(profiles):
+            break
     if not shown:
         raise FeatureError(reasons[-1]) if reasons else _no_profiles(stop, config)
     T = interpolate(stop.poses, [profile.stamp for profile, _ in shown])
@@ -115,12 +115,10 @@ def _centroid(profile: Profile) -> Array:
 
 def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
     """Return the features of a target with edges, with the opposite profile.range_sign."""
-    if not targets.target_for(config).essential:
-        return ()
-    try:
-        return features_of(profile, flipped_range(config))
-    except FeatureError:
-        return ()
+    if targets.target_for(config).essential:
+        with suppress(FeatureError):
+            return features_of(profile, flipped_range(config))
+    return ()
 
 
 def _features_of_each(profiles: Sequence[Profile], config: Config
@@ -145,10 +143,8 @@ def combined_features(profiles: Sequence[Profile], config: Config
     shown, reasons = _features_of_each(profiles, config)
     if not shown or 2 * len(shown) < len(profiles):
         raise FeatureError(Counter(reasons).most_common(1)[0][0])
-    target = targets.target_for(config)
     return ([profile for profile, _ in shown],
-            combine([features for _, features in shown],
-                    1 if target.essential else len(target.kinds)))
+            combine([features for _, features in shown], targets.target_for(config).face_count))
 
 
 def combine(found: Sequence[tuple[Feature, ...]], lines_per_group: int = 1) -> tuple[Feature, ...]:
@@ -212,7 +208,7 @@ def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
     """
     Return one line from those of the profiles of a stop; its std includes their scatter.
 
-    Raises FeatureError.
+    Errors that repeat in every profile, such as speckle, do not average out. Raises FeatureError.
     """
     centres = np.array([line.centre for line in lines])
     slopes = np.array([line.direction[1] / line.direction[0] for line in lines])
@@ -220,10 +216,20 @@ def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
     heights = centres[:, 1] + slopes * (x - centres[:, 0])
     good = _near_median(heights, 6.0, 6 * float(np.mean([line.std for line in lines])),
                         'how high the face is')
-    slope = float(slopes[good].mean())
-    scatter = heights[good].std(ddof=1) / np.hypot(1.0, slope) if good.sum() > 1 else 0.0
-    return combined_line([line for line, g in zip(lines, good, strict=True) if g],
-                         np.array([x, heights[good].mean()]), slope, float(scatter))
+    lines = [line for line, g in zip(lines, good, strict=True) if g]
+    slope, centre = float(slopes[good].mean()), np.array([x, heights[good].mean()])
+    size = min(len(line.bins) for line in lines)
+    same = [line for line in lines if len(line.bins) == size]
+    each, n = np.array([line.bins for line in same]), len(same)
+    across = (each - centre) @ np.array([-slope, 1.0]) / np.hypot(1.0, slope)
+    white_var = (float(across.var(axis=0, ddof=1).mean()) if n > 1 else same[0].std ** 2 * size)
+    spread = float(np.median([line.spread for line in lines]))
+    combined = line_of_bins(centre, slope, spread, each.mean(axis=0), white_var / n)
+    # a robot that shakes moves all points of a profile alike
+    scatter = heights[good].std(ddof=1) / np.hypot(1.0, slope) if len(lines) > 1 else 0.0
+    shared = max(float(scatter) ** 2 / n - combined.std ** 2, 0.0)
+    return replace(combined, std=float(np.sqrt(combined.std ** 2 + shared)),
+                   points_std=np.sqrt(combined.points_std ** 2 + shared))
 
 
 def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
@@ -247,23 +253,17 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     # a robot that stands still repeats the rounding to a column, and mixed and lost points pull
     # the edge inwards in every profile: that does not average out
     std = np.hypot(single, scatter / min(n, MOST_INDEPENDENT) ** 0.5)
-    return EdgePoint(points[good].mean(axis=0), direction, float(std), expected, ending,
-                     np.median([e.drop for e in edges], axis=0),
-                     *_combined_ends(points, edges, good))
-
-
-def _combined_ends(points: Array, edges: Sequence[EdgePoint], good: NDArray[np.bool_]
-                   ) -> tuple[Array, Array, float]:
-    """Return shapes, arc and arc_std of edges at points (n, 2) if most of them are rounded."""
-    bent = good & [len(edge.shape_log_odds) > 0 for edge in edges]
-    if 2 * bent.sum() <= good.sum():
-        return np.empty(0), np.zeros(2), 0.0
-    used = [edge for edge, chosen in zip(edges, bent, strict=True) if chosen]
-    middles = points[bent] + [edge.arc_offset for edge in used]
-    times = min(len(used), MOST_INDEPENDENT)
-    shapes = np.mean([edge.shape_log_odds for edge in used], axis=0) * times
-    std = float(np.median([edge.arc_std for edge in used])) / times ** 0.5
-    return shapes - shapes.max(), middles.mean(axis=0) - points[good].mean(axis=0), std
+    combined = EdgePoint(points[good].mean(axis=0), direction, float(std), expected, ending,
+                         np.median([e.drop for e in edges], axis=0))
+    bent = [e for e, g in zip(edges, good, strict=True) if g and len(e.shape_log_odds)]
+    if 2 * len(bent) <= good.sum():
+        return combined
+    times = min(len(bent), MOST_INDEPENDENT)
+    shapes = np.mean([e.shape_log_odds for e in bent], axis=0) * times
+    middle = np.mean([e.point + e.arc_offset for e in bent], axis=0)
+    return replace(combined, shape_log_odds=shapes - shapes.max(),
+                   arc_offset=middle - combined.point,
+                   arc_std=float(np.median([e.arc_std for e in bent])) / times ** 0.5)
 
 
 def _near_median(values: Array, times: float, least: float, what: str) -> NDArray[np.bool_]:
@@ -286,8 +286,8 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     centres = np.array([a.centre for a in arcs])
     middle = np.median([a.circle for a in arcs], axis=0)
     # a short arc determines its centre worse than the position of its points
-    away = np.array([_scatter(a, middle) for a in arcs])
-    scatter = float(np.median([_scatter(a, a.circle) for a in arcs]))
+    away = np.array([rms(off_circle(a.raw, middle)) for a in arcs])
+    scatter = float(np.median([rms(off_circle(a.raw, a.circle)) for a in arcs]))
     good = away < min(LARGEST_DISAGREEMENT, scatter + max(3.0 * scatter, SMALLEST_DISAGREEMENT))
     if good.sum() < LEAST_AGREEING * len(arcs):
         raise _disagreeing('where the sphere is',
@@ -296,11 +296,6 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     arc = normal_points(np.concatenate(used))
     # for the residuals: 0.8 MB of a sample at most
     return replace(arc, raw=arc.raw[evenly_chosen(len(arc.raw), 50_000)])
-
-
-def _scatter(arc: Arc, circle: Array) -> float:
-    """Return the RMS distance of the points of an arc from a circle."""
-    return rms(off_circle(arc.raw, circle))
 
 
 def _disagreeing(what: str, apart: float) -> FeatureError:

@@ -27,24 +27,17 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.estimation.search import shortlisted
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.starts import (
-    frames_along,
-    hemisphere,
-    linear_candidates,
+    fitting_first,
+    swept,
     with_few_stations,
+    with_one_piece,
 )
-from handeye_ros.targets.target import FACE, FaceTarget, xyz
+from handeye_ros.targets.target import FACE, ProfileTarget, xyz
 import numpy as np
-from numpy.typing import NDArray
 
 EDGE_Y, EDGE_Z = 1, 2
-KINDS = ('face', 'edge', 'edge_z')
-NORMALS = np.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, 1.0]])
-DIRECTION_COUNT = 400
 CANDIDATE_COUNT = 24
-MIN_SAMPLES = 7
-NEAR_SHARE = 0.7
 SAME_FACE = 0.25  # rad: largest angle between the faces of two stations about the edge
-CONDITIONS_OF_EDGE = 2  # of one edge point
 # of ends, by their number in observations: 1 corner, 2 step, 3 nothing beyond
 END_GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in ENDINGS)])
 
@@ -58,41 +51,22 @@ def _face_angles(observations: Observations, p: Array, state: Array) -> Array:
     return np.asarray(np.where((y == 0) & (z == 0), np.pi / 2, np.arctan2(z, y)))
 
 
-def _typical_distance(problem: Problem, estimate: Estimate) -> float:
-    """Return the distance (m) from the line within which most stations have an edge point."""
-    edge = problem.observations.select(problem.observations.kind == EDGE_Y)
-    away = _away(edge.in_base(problem.poses, estimate.X), estimate.state)
-    nearest = np.full(len(problem.poses), np.inf)
-    np.minimum.at(nearest, edge.station, away)
-    return float(np.quantile(nearest[np.isfinite(nearest)], NEAR_SHARE))
-
-
-def _away(p: Array, state: Array) -> Array:
-    """Return the distances (m,) from the line of points (m, 3) in base."""
-    T = state.reshape(4, 4)
-    return np.asarray(np.linalg.norm(((p - T[:3, 3]) @ T[:3, :3])[:, 1:], axis=1))
-
-
-def line_candidates(problem: Problem) -> list[Estimate]:
-    """Return the best linear solutions over a sweep of the direction of the line."""
+def line_starts(problem: Problem) -> list[Estimate]:
+    """Return starts of a problem whose edge points are all on the line."""
     obs = problem.observations
     part = replace(problem, observations=obs.select(obs.kind == EDGE_Y))
-    return linear_candidates(part, frames_along(hemisphere(DIRECTION_COUNT)), slice(1, 3),
-                             CANDIDATE_COUNT)
+    return shortlisted(problem, swept(part, [0, 1, 2], slice(1, 3), CANDIDATE_COUNT))
 
 
 def _with_face(problem: Problem, estimate: Estimate) -> Estimate:
     """Return the estimate with the target's z along the normal of the most frequent face."""
-    T = estimate.state.reshape(4, 4)
     p = problem.points_in_base(estimate.X)
-    angle = 2 * _face_angles(problem.observations, p, estimate.state)
-    near = np.cos(angle[:, None] - angle) > np.cos(2 * SAME_FACE)
-    middle = angle[np.argmax(near.sum(axis=1))]
-    chosen = angle[np.cos(angle - middle) > np.cos(2 * SAME_FACE)]
-    middle = np.angle(np.exp(1j * chosen).sum()) / 2
-    y, z = np.cos(middle), np.sin(middle)
-    turn = np.array([[1.0, 0, 0], [0, y, -z], [0, z, y]])
-    return replace(estimate, state=se3.transform(T[:3, :3] @ turn, T[:3, 3]).ravel())
+    # a face is the same after half a turn
+    faces = np.exp(2j * _face_angles(problem.observations, p, estimate.state))
+    near = (faces[:, None] * faces.conj()).real > np.cos(2 * SAME_FACE)
+    turn = np.angle(faces[near[near.sum(axis=1).argmax()]].sum()) / 2
+    T_turn = se3.transform(se3.exp_rotation(np.array([turn, 0.0, 0.0])), np.zeros(3))
+    return replace(estimate, state=(estimate.state.reshape(4, 4) @ T_turn).ravel())
 
 
 def one_end(problem: Problem) -> Iterator[list[Problem]]:
@@ -101,44 +75,31 @@ def one_end(problem: Problem) -> Iterator[list[Problem]]:
 
     If a face has several visible ends, it is unknown which one is the edge. Nearly all stations
     see a corner as a corner, whatever else ends a face (the sensor's reach, a step): first there
-    are problems with one kind of end each, the most frequent first, then those with all. If a
-    station shows several of them, those of either side of the face follow.
+    are problems with one kind of end each, the most frequent first, then those with all; of either
+    side of the face where a station shows several.
     """
-    obs, n = problem.observations, len(problem.poses)
-    face = obs.kind == FACE
-    group = np.where(face, 0, END_GROUPS[obs.ending])
-    total, count = (np.bincount(obs.station[face], weights, n)
-                    for weights in (obs.points[face, 0], None))
-    left = obs.points[:, 0] < (total / np.maximum(count, 1))[obs.station]
-    stations = [len(np.unique(obs.station[group == k])) for k in range(END_GROUPS.max() + 1)]
-    present = [k for k in np.argsort(stations)[::-1].tolist() if k and stations[k]]
-    for choices in ([group == k for k in present] if len(present) > 1 else [], [~face]):
-        parts = []
-        for chosen in choices:
-            several = face.any() and (
-                np.bincount(obs.station[chosen]).max(initial=0) > CONDITIONS_OF_EDGE)
-            parts += [_part(problem, chosen & side)
-                      for side in ((True, left, ~left) if several else (True,))]
-        yield [part for part in parts if part is not None]
+    edges = replace(problem, observations=problem.observations.select(
+        problem.observations.kind != FACE))
+    obs, end = edges.observations, LINE.pieces(edges.observations)
+    group, side = np.zeros((2, len(edges.poses), int(end.max()) + 1))
+    group[obs.station, end], side[obs.station, end] = END_GROUPS[obs.ending], obs.outward[:, 0]
+    stations = [int((group == k).any(axis=1).sum()) for k in range(1, END_GROUPS.max() + 1)]
+    present = [group == k + 1 for k in np.argsort(stations)[::-1] if stations[k]]
+    for choices in (present[:len(present) * (len(present) > 1)], [group > 0]):
+        yield with_one_piece(edges, end, [np.where(chosen, rank, np.nan)
+                                          for chosen in choices for rank in (side, -side)])
 
 
-def _part(problem: Problem, chosen: NDArray[np.bool_]) -> Problem | None:
-    """Return the problem of chosen observations (m,), None if too few stations have any."""
-    part = replace(problem, observations=problem.observations.select(chosen))
-    stations = np.unique(part.observations.station)
-    everything = chosen[problem.observations.kind != FACE].all()
-    return part.subset(stations) if len(stations) >= MIN_SAMPLES or everything else None
-
-
-class Line(FaceTarget):
+class Line(ProfileTarget):
     """One straight edge: every edge point lies on one line of the base frame."""
 
     name = 'line'
-    kinds = KINDS
+    kinds = ('face', 'edge', 'edge_z')
     labels, moves = ('y', 'z', 'rx', 'ry', 'rz'), (1, 2, 3, 4, 5)
+    normals = np.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, 1.0]])
     extract = staticmethod(face_features)
     essential = ('edge',)
-    min_samples = MIN_SAMPLES
+    min_samples = 7
     edge_kinds = (EDGE_Y, EDGE_Z)
 
     def starts(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
@@ -146,17 +107,9 @@ class Line(FaceTarget):
         target = whole.config.target
         alone = replace(whole.config, target=replace(target, use_face=False))
         problem = with_few_stations(replace(whole, config=alone), rng)
-        for parts in one_end(problem):
-            starts = (e for half in parts for e in shortlisted(half, line_candidates(half)))
-            for e in sorted(starts, key=lambda estimate: _typical_distance(problem, estimate)):
-                yield _with_face(whole, e) if target.use_face else e
-
-    def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
-                         ) -> tuple[Array, Array, Array]:
-        """Return the distances from the line in y and z, or from the face."""
-        normals = NORMALS[kind]
-        g = (local * normals).sum(axis=-1)
-        return g, np.broadcast_to(normals, local.shape), np.empty((*g.shape, 0))
+        for e in fitting_first(problem, (
+                [e for part in parts for e in line_starts(part)] for parts in one_end(problem))):
+            yield _with_face(whole, e) if target.use_face else e
 
     def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
         """Return that the turn about the line is none, without a face."""
@@ -170,7 +123,8 @@ class Line(FaceTarget):
         Of several edge points of a station, only the nearest to the line is used. A station that
         shows another face (the edge of a block has two) takes part with its edge point alone.
         """
-        edge, away = observations.kind != FACE, _away(p, state)
+        edge, T = observations.kind != FACE, state.reshape(4, 4)
+        away = np.linalg.norm(((p - T[:3, 3]) @ T[:3, :3])[:, 1:], axis=1)
         nearest = np.full(observations.station.max() + 1, np.inf)
         np.minimum.at(nearest, observations.station[edge], away[edge])
         with_face = np.zeros(len(nearest), dtype=bool)

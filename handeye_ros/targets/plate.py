@@ -26,38 +26,35 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.plane import PLANE
 from handeye_ros.targets.starts import some_stations
-from handeye_ros.targets.target import FACE, FaceTarget
+from handeye_ros.targets.target import FACE, ProfileTarget
 import numpy as np
 from numpy.typing import NDArray
 
 P, Q, P_FAR, Q_FAR = range(1, 5)
 OUTWARD = np.array([[0, 0], [0, -1.0], [-1.0, 0], [0, 1.0], [1.0, 0]])  # by kind, in the face
 KINDS = ('face', 'p', 'q', 'p_far', 'q_far')
-LABELS = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'size_p', 'size_q', 'edge_angle')
 SIZE, ANGLE = slice(16, 18), 18  # of the target's state, after its pose
 GATE_RATIO = 10.0  # an edge point this many times further from its edge than most is not used
 SMALLEST_GATE = 1e-3
 SMALLEST_SIZE = 0.02  # of a plate: an end nearer to one of its edges is another object
 SURE_SHARE = 0.3  # of the edge points are surely on an edge of the plate
 
-DIRECTION_COUNT = 120  # tried, over a quarter turn
+DIRECTION_COUNT = 240  # tried, over a whole turn
 VOTER_COUNT = 24  # points that this search uses
 
 
-def state_of_plate(T_base_target: Array, config: Config) -> Array:
-    """Return the values (19,) that describe a plate as configured, at a pose (4, 4)."""
-    return np.concatenate([T_base_target.ravel(), config.target.size or (0.0, 0.0), [np.pi / 2]])
-
-
 def _edge_points(observations: Observations, p: Array, state: Array
-                 ) -> tuple[NDArray[np.intp], Array]:
-    """Return the rows (k,) of edge points, and the directions (k, 2) outwards from the face."""
-    rows = np.flatnonzero(observations.kind != FACE)
-    T = state[:16].reshape(4, 4)
+                 ) -> tuple[NDArray[np.intp], Array, Array]:
+    """Return the rows (k,) of edge points, their places, and directions outwards (k, 2)."""
+    T, face = state[:16].reshape(4, 4), observations.kind == FACE
     flat = ((p - T[:3, 3]) @ T[:3, :3])[:, :2]
-    outward = flat[rows] - _face_centres(observations, flat, rows)
+    rows, n = np.flatnonzero(~face), observations.station[-1] + 1
+    total = np.zeros((n, 2))
+    np.add.at(total, observations.station[face], flat[face])
+    centre = total / np.maximum(np.bincount(observations.station[face], minlength=n), 1)[:, None]
+    outward = flat[rows] - centre[observations.station[rows]]
     outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
-    return rows, outward
+    return rows, flat[rows], outward
 
 
 def _gate(distance: Array) -> float:
@@ -68,15 +65,18 @@ def _gate(distance: Array) -> float:
 
 def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> Estimate:
     """Return an estimate of the plate in an estimated plane."""
-    observations = problem.observations
-    T_base_plane = _facing_sensor(problem, plane)
-    p = problem.points_in_base(plane.X)
-    flat = ((p - T_base_plane[:3, 3]) @ T_base_plane[:3, :3])[:, :2]
-    edge = np.flatnonzero(observations.kind != FACE)
-    corner, turn = _two_lines(flat[edge], rng)
-    inward = _face_centres(observations, flat, edge) - flat[edge]
-    T_plane_target = _oriented(flat[edge] - corner, inward, corner, turn)
-    return Estimate(plane.X, state_of_plate(T_base_plane @ T_plane_target, problem.config))
+    T = plane.state.reshape(4, 4)
+    looking = (problem.poses[:, :3, :3] @ plane.X[:3, 2]).mean(axis=0)
+    if T[:3, 2] @ looking * problem.config.profile.range_sign > 0:  # z towards the sensor
+        T = T @ np.diag([1.0, -1.0, -1.0, 1.0])
+    _, points, outward = _edge_points(
+        problem.observations, problem.points_in_base(plane.X), T.ravel())
+    corner, turn = _two_lines(points, outward, rng)
+    R = np.eye(3)
+    R[:2, :2] = _rotation(turn)
+    T_base_target = T @ se3.transform(R, np.append(corner, 0.0))
+    return Estimate(plane.X, np.concatenate([
+        T_base_target.ravel(), problem.config.target.size or (0.0, 0.0), [np.pi / 2]]))
 
 
 def _turned_around_corner(estimate: Estimate) -> Estimate:
@@ -87,74 +87,39 @@ def _turned_around_corner(estimate: Estimate) -> Estimate:
     return Estimate(estimate.X, np.append((T @ turned).ravel(), estimate.state[16:]))
 
 
-def _facing_sensor(problem: Problem, plane: Estimate) -> Array:
-    """Return the plane's frame with z towards the sensor."""
-    T = plane.state.reshape(4, 4)
-    looking = (problem.poses[:, :3, :3] @ plane.X[:3, 2]).mean(axis=0)
-    looking *= problem.config.profile.range_sign
-    flip = np.diag([1.0, -1.0, -1.0, 1.0]) if T[:3, 2] @ looking > 0 else np.eye(4)
-    return T @ flip
-
-
-def _face_centres(observations: Observations, flat: Array, rows: NDArray[np.intp]) -> Array:
-    """Return the centre (k, 2) of the face line in the station of each row."""
-    face = observations.kind == FACE
-    count = np.bincount(observations.station[face], minlength=observations.station[-1] + 1)
-    total = np.zeros((len(count), 2))
-    np.add.at(total, observations.station[face], flat[face])
-    return (total / np.maximum(count, 1)[:, None])[observations.station[rows]]
-
-
-def _oriented(points: Array, inward: Array, corner: Array, turn: float) -> Array:
-    """Return T_plane_target (4, 4): of four quarter turns the one with the face at x, y > 0."""
-    best, best_votes = np.eye(4), -1
-    for quarter in range(4):
-        R = _rotation(turn + quarter * np.pi / 2)
-        local, to_face = points @ R, inward @ R
-        off = np.abs(local).min(axis=1)  # points on neither line do not vote
-        on_p = np.abs(local[:, 1]) < np.abs(local[:, 0])
-        inside = np.where(on_p, to_face[:, 1], to_face[:, 0]) > 0
-        votes = int((inside & (off <= _gate(off))).sum())
-        if votes > best_votes:
-            R3 = np.eye(3)
-            R3[:2, :2] = R
-            best, best_votes = se3.transform(R3, np.append(corner, 0.0)), votes
-    return best
-
-
-def _two_lines(points: Array, rng: np.random.Generator) -> tuple[Array, float]:
+def _two_lines(points: Array, outward: Array, rng: np.random.Generator) -> tuple[Array, float]:
     """
     Return corner (2,) and direction (rad) of the best two perpendicular lines through points.
 
-    points: (m, 2). All directions, and all pairs of points for the lines, are tried. The cost of a
-    point is its distance to the nearer line, limited.
+    The face is at x, y > 0. points, outward: (m, 2). All directions, and all pairs of points for
+    the lines, are tried. The cost of a point is its distance to the nearer line that the face is
+    inside of, limited.
     """
-    voters = points[some_stations(len(points), VOTER_COUNT, rng)]
-    angles = np.linspace(0.0, np.pi / 2, DIRECTION_COUNT, endpoint=False)
-    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
-    u, v = c * voters[:, 0] + s * voters[:, 1], c * voters[:, 1] - s * voters[:, 0]
-    limit = 0.03 * float(np.ptp(voters, axis=0).max() + 1e-9)
-    to_q, to_p = (np.minimum(np.abs(w.T[:, :, None] - w), limit).astype(np.float32)
-                  for w in (u, v))  # (point, angle, line through)
-    total = np.zeros((*u.shape, len(voters)), dtype=np.float32)
-    for of_q, of_p in zip(to_q, to_p, strict=True):
-        total += np.minimum(of_q[:, :, None], of_p[:, None])
+    some = some_stations(len(points), VOTER_COUNT, rng)
+    limit = 0.03 * float(np.ptp(points[some], axis=0).max() + 1e-9)
+    turns = np.linspace(0.0, 2 * np.pi, DIRECTION_COUNT, endpoint=False)
+    R = np.moveaxis(_rotation(turns), -1, 0)
+    local, inside = points[some] @ R, outward[some] @ R < 0
+    off = np.where(inside[:, None], np.abs(local[:, None] - local[:, :, None]), limit)
+    off = np.minimum(off, limit).astype(np.float32)  # (direction, line through, point, axis)
+    total = np.zeros(off.shape[:3], dtype=np.float32)
+    for point in range(len(some)):
+        total += np.minimum(off[:, :, None, point, 0], off[:, None, :, point, 1])
     k, i, j = np.unravel_index(int(np.argmin(total)), total.shape)
-    turn = float(angles[k])
-    return _rotation(turn) @ np.array([u[k, i], v[k, j]]), turn
+    return R[k] @ np.array([local[k, i, 0], local[k, j, 1]]), float(turns[k])
 
 
-def _rotation(turn: float) -> Array:
-    """Return the (2, 2) rotation by an angle."""
+def _rotation(turn: Any) -> Array:
+    """Return the (2, 2) rotation by an angle, or those of several (2, 2, k)."""
     return np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
 
 
-class Plate(FaceTarget):
+class Plate(ProfileTarget):
     """A plate: two straight edges with a common corner, and the face between them."""
 
     name = 'plate'
     kinds = KINDS
-    labels = LABELS
+    labels = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'size_p', 'size_q', 'edge_angle')
     moves = range(6)
     extract = staticmethod(face_features)
     essential = KINDS[1:]
@@ -209,7 +174,7 @@ class Plate(FaceTarget):
         An edge is possible if the face is on its right side and the laser crosses it steeply
         enough. Points far from all edges are not used, such as ends at the limit of the range.
         """
-        rows, outward = _edge_points(observations, p, state)
+        rows, _, outward = _edge_points(observations, p, state)
         kinds = np.array([P, Q] + ([P_FAR, Q_FAR] if config.target.size else []))
         distance = np.array([np.abs(self.conditions(
             p[rows], np.full(len(rows), k), state, config).g) for k in kinds])
@@ -232,7 +197,7 @@ class Plate(FaceTarget):
 
         observations, p: all of these stations; where several points agree, it is another edge.
         """
-        rows, outward = _edge_points(observations, p, state)
+        rows, _, outward = _edge_points(observations, p, state)
         size, texts = config.target.size, []
         for kind, axis, opposite in ((Q_FAR, 0, Q), (P_FAR, 1, P), (Q, 0, Q_FAR), (P, 1, P_FAR)):
             if opposite in (P_FAR, Q_FAR) and not size:

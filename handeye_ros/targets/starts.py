@@ -1,24 +1,82 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Starts of the targets: some stations, one piece of each profile, and a linear sweep."""
+"""
+Starts of the targets: some stations, one piece of each profile, and a linear sweep.
+
+A piece is what may be the target in a profile, of which only one is: a surface, a pair of faces,
+an end of a face.
+"""
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.problem import Estimate, Observations, Problem
+from handeye_ros.estimation.problem import Estimate, Observations, Problem, UNUSED
+from handeye_ros.estimation.search import distinct
 import numpy as np
 from numpy.typing import NDArray
 
 GUESS_STATIONS = 40  # more only take longer
 SAME_SURFACE = 3e-4  # m: largest distance between pieces of one surface
+NEAR_SHARE = 0.7  # of the stations
+AS_NEAR = 2.0  # ratio to the smallest distance of a start, up to which their order decides
+DIRECTION_COUNT = 400  # that a sweep tries
+TINY = 1e-30  # m^2
 
 
 def with_few_stations(problem: Problem, rng: np.random.Generator) -> Problem:
     """Return the problem with at most GUESS_STATIONS stations, to search for a start."""
     return problem.subset(some_stations(len(problem.poses), GUESS_STATIONS, rng))
+
+
+def some_stations(count: int, most: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Return at most `most` of count stations, ascending."""
+    return np.sort(rng.permutation(count)[:most])
+
+
+def fitting_first(problem: Problem, rounds: Iterable[Iterable[Estimate]]) -> Iterator[Estimate]:
+    """Yield the starts of each round: first those that most stations of the problem fit."""
+    known: list[Estimate] = []
+    for found in rounds:
+        starts = [*known, *found]
+        new = [k for k in distinct(np.array([start.X for start in starts])) if k >= len(known)]
+        away = {k: _typical_distance(problem, starts[k]) for k in new}
+        yield from (starts[k] for k in sorted(
+            new, key=lambda k: away[k] > AS_NEAR * min(away.values())))
+        known = starts
+
+
+def _typical_distance(problem: Problem, estimate: Estimate) -> float:
+    """Return the RMS distance (m) from the target within which most stations have a piece."""
+    p, target = problem.points_in_base(estimate.X), problem.target
+    kind = target.reassign(problem.observations, p, estimate.state, problem.config).kind
+    used, n = kind != UNUSED, len(problem.poses)
+    squares = target.conditions(p[used], kind[used], estimate.state, problem.config).g ** 2
+    station = problem.observations.station[used]
+    mean = np.bincount(station, squares, n) / np.maximum(np.bincount(station, minlength=n), 1)
+    return float(np.quantile(mean, NEAR_SHARE) ** 0.5)
+
+
+def with_one_piece(problem: Problem, piece: NDArray[np.intp], choices: Iterable[Array]
+                   ) -> list[Problem]:
+    """
+    Return problems with one piece per station, one problem for each choice that differs.
+
+    piece: (m,) the piece of each observation; choices: ranks (n, k) of the pieces at each station,
+    of which the least is chosen, NaN where it may not be. Stations without one are dropped, and
+    problems with too few stations while others have more.
+    """
+    obs = problem.observations
+    chosen = [np.where(np.isnan(ranks).all(axis=1), -1,
+                       np.where(np.isnan(ranks), np.inf, ranks).argmin(axis=1))
+              for ranks in choices]
+    most = max((int((each >= 0).sum()) for each in chosen), default=0)
+    return [replace(problem, observations=obs.select(each[obs.station] == piece)).subset(
+                np.flatnonzero(each >= 0))
+            for each in {each.tobytes(): each for each in chosen}.values()
+            if (each >= 0).sum() >= min(problem.target.min_samples, most)]
 
 
 def nearest_piece(observations: Observations, piece: NDArray[np.intp], squares: Array
@@ -30,8 +88,7 @@ def nearest_piece(observations: Observations, piece: NDArray[np.intp], squares: 
     """
     number, total = (sums_by_piece(observations, piece, values)
                      for values in (np.ones(len(piece)), squares))
-    mean = np.divide(total, number, out=np.full(total.shape, np.inf), where=number > 0)
-    away = np.sqrt(mean)
+    away = np.sqrt(np.where(number > 0, total / np.maximum(number, 1), np.inf))
     near = away <= away.min(axis=1, keepdims=True) + SAME_SURFACE
     return np.asarray(near.argmax(axis=1)[observations.station] == piece)
 
@@ -43,24 +100,14 @@ def sums_by_piece(observations: Observations, piece: NDArray[np.intp], values: A
     return np.asarray(np.bincount(group, values, shape[0] * shape[1]).reshape(shape), float)
 
 
-def with_one_piece(problem: Problem, piece: NDArray[np.intp],
-                   choices: Iterable[tuple[Array, NDArray[np.bool_]]]) -> list[Problem]:
-    """
-    Return problems with one piece per station, one problem for each choice that differs.
-
-    piece: (m,) the piece of each observation; choices: ranks (n, k) of the pieces at each station,
-    of which the least is chosen, and which pieces (n, k) may be. Stations without one are dropped.
-    """
-    obs = problem.observations
-    chosen = [np.where(able.any(axis=1), np.where(able, rank, np.inf).argmin(axis=1), -1)
-              for rank, able in choices]
-    return [replace(problem, observations=obs.select(each[obs.station] == piece)).subset(
-        np.flatnonzero(each >= 0)) for each in {each.tobytes(): each for each in chosen}.values()]
-
-
-def some_stations(count: int, most: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Return at most `most` of count stations, ascending."""
-    return np.sort(rng.permutation(count)[:most])
+def lines_of_pieces(observations: Observations, piece: NDArray[np.intp]
+                    ) -> tuple[Array, Array, Array]:
+    """Return the middle x and z, and the slope (stations, pieces) of lines; NaN without a line."""
+    x, z = observations.points.T
+    n, x, z, xx, xz = (sums_by_piece(observations, piece, values)
+                       for values in (np.ones(len(x)), x, z, x * x, x * z))
+    n[n == 0] = np.nan
+    return x / n, z / n, (xz - x * z / n) / np.maximum(xx - x * x / n, TINY)
 
 
 def hemisphere(count: int) -> Array:
@@ -79,44 +126,39 @@ def frames_along(x: Array) -> Array:
     return np.stack([x, np.cross(z, x), z], axis=2)
 
 
-def linear_candidates(problem: Problem, frames: Array, across: slice, count: int
-                      ) -> list[Estimate]:
+def swept(problem: Problem, axes: list[int], across: slice, count: int) -> list[Estimate]:
     """
-    Return the best estimates of targets whose points lie at one place across given directions.
+    Return the best linear solutions for a line or a plane, over a sweep of its direction.
 
-    frames: (k, 3, 3) rotations of the target that are tried; across: which of its axes W the
-    points have a common coordinate along. Then W' (R (x r1 + z r3 + t) + a - c) = 0 is linear in
-    r1, r3, t and c. Solutions with small residuals, and with r1 and r3 near orthonormal, come
-    first.
+    axes: order of the axes of a frame whose first one is along the direction; across: the axes W
+    along which its points have the same coordinates c. Then W' (R (x r1 + z r3 + t) + a) = c is
+    linear in r1, r3, t and c. Solutions with small residuals, and with r1 and r3 near orthonormal,
+    come first.
     """
-    obs, W = problem.observations, frames[:, :, across]
-    R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
-    middle = problem.poses[:, :3, 3].mean(axis=0)
-    x, z = obs.points.T[:, :, None, None]
+    frames = frames_along(hemisphere(DIRECTION_COUNT))[:, :, axes]
+    T, W = problem.poses[problem.observations.station], frames[:, :, across]
+    R, a, middle = T[:, :3, :3], T[:, :3, 3], problem.poses[:, :3, 3].mean(axis=0)
+    x, z = problem.observations.points.T[:, :, None, None]
     # in the base: derivatives (m, 3, 9) of the points by r1, r3 and t, and what they must add to
     known = np.concatenate([x * R, z * R, R, (middle - a)[:, :, None]], axis=2)
     m, (k, _, q) = len(known), W.shape
     along = (np.swapaxes(W, 1, 2)[:, None] @ known).reshape(k, m * q, 10)
     A = np.concatenate([along[..., :9], np.tile(-np.eye(q), (k, m, 1))], axis=2)
     b = along[..., 9:]
-    # least squares of each frame; what the points do not show, such as r3 of one height, is 0
+    # least squares of each; what the points do not show, such as r3 of one height, is 0
     transposed = np.swapaxes(A, 1, 2)
     N = transposed @ A
     scale = np.sqrt(np.einsum('kii->ki', N))[..., None]
     scaled = N / scale / np.swapaxes(scale, 1, 2) + 1e-12 * np.eye(9 + q)
     solved = np.linalg.solve(scaled, transposed @ b / scale) / scale
     rms = np.sqrt(((A @ solved - b) ** 2).mean(axis=(1, 2)))
-    r1, r3, c = solved[:, :3, 0], solved[:, 3:6, 0], solved[:, 9:]
+    r1, r3, t, c = np.split(solved[..., 0], [3, 6, 9], axis=1)
     defect = (np.abs((r1 ** 2).sum(1) - 1) + np.abs((r3 ** 2).sum(1) - 1)
               + np.abs((r1 * r3).sum(1)))
     best = np.argsort(rms / 1e-3 + defect)[:count]
-    T = se3.transform(frames[best], middle + (W[best] @ c[best])[..., 0])
-    return [Estimate(*each) for each in zip(nearest_transform(solved[best, :, 0]),
-                                            T.reshape(-1, 16), strict=True)]
-
-
-def nearest_transform(x: Array) -> Array:
-    """Return the transforms (..., 4, 4) nearest to r1, r3, t of linear solutions (..., 9+)."""
-    U, _, Vt = np.linalg.svd(x[..., :6].reshape(*x.shape[:-1], 2, 3), full_matrices=False)
-    r1, r3 = np.moveaxis(U @ Vt, -2, 0)
-    return se3.transform(np.stack([r1, np.cross(r3, r1), r3], axis=-1), x[..., 6:9])
+    U, _, Vt = np.linalg.svd(np.stack([r1, r3], axis=1)[best], full_matrices=False)
+    r1, r3 = np.moveaxis(U @ Vt, 1, 0)
+    X = se3.transform(np.stack([r1, np.cross(r3, r1), r3], axis=-1), t[best])
+    place = middle + (W[best] @ c[best, :, None])[..., 0]
+    states = se3.transform(frames[best], place).reshape(-1, 16)
+    return [Estimate(*each) for each in zip(X, states, strict=True)]

@@ -5,24 +5,24 @@ What targets share.
 
 A new target is a subclass of Target (estimation/target.py) in one file: the features of a profile
 that show it, the conditions of their points in the target's frame, which moves and measures of it
-are unknown, and a start. Here are its observations, the classes of targets, and the systematic
-errors that targets of faces have in common: set-back of faces, shapes of edges, flatness, range at
-grazing incidence.
+are unknown, and a start. Here are its observations, what all targets do with their pose, and the
+systematic errors that those of faces have in common: set-back of faces, shapes of edges, flatness,
+range at grazing incidence.
 """
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, EdgePoint, ENDINGS, FaceLine, Feature, Sample
+from handeye_ros.data import Arc, Array, EdgePoint, ENDINGS, FaceLine, Sample
 from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
-from handeye_ros.estimation.problem import Linear, Observations
+from handeye_ros.estimation.problem import Linear, Observations, UNUSED
 from handeye_ros.estimation.target import Conditions, Target
+from handeye_ros.targets.starts import nearest_piece
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,24 +67,23 @@ class ObservationRows:
         return Observations(*map(np.concatenate, zip(*self.parts, strict=True)))
 
 
-def add_face(rows: ObservationRows, station: int, line: FaceLine, error: int, kind: int
-             ) -> None:
-    """Append the normal points of a face line, or two decorrelated points where it has none."""
-    across = np.array([-line.direction[1], line.direction[0]])
-    points, std = line.points, line.points_std
-    if not len(points):
-        points = line.centre + np.outer([-1.0, 1.0], line.spread * line.direction)
-        std = np.full(2, line.std * 2 ** 0.5)
-    factor = np.zeros((len(points), 2, 2))
-    factor[:, :, 0] = std[:, None] * across
-    rows.add(station, points, kind, factor, error)
-
-
 def edge_error_factor(edge: EdgePoint) -> Array:
     """Return the factor (2, 2) of an edge point's covariance."""
     along = edge.direction
     across = np.array([-along[1], along[0]])
     return np.column_stack([along * edge.std, across * edge.std_across])
+
+
+def _normal_points(feature: FaceLine | Arc) -> tuple[Array, Array]:
+    """Return the points (k, 2) of a line or an arc, and 1 sigma across it at each (k, 2)."""
+    if isinstance(feature, Arc):
+        across = feature.points - feature.centre
+        return feature.points, (feature.std / np.linalg.norm(across, axis=1))[:, None] * across
+    points, std = feature.points, feature.points_std
+    if not len(points):  # only the line is known: two decorrelated points
+        points = feature.centre + np.outer([-1.0, 1.0], feature.spread * feature.direction)
+        std = np.full(2, feature.std * 2 ** 0.5)
+    return points, np.outer(std, [-feature.direction[1], feature.direction[0]])
 
 
 def xyz(point: Array) -> dict[str, float]:
@@ -93,45 +92,38 @@ def xyz(point: Array) -> dict[str, float]:
 
 
 class ProfileTarget(Target):
-    """A target of which each feature that a profile shows gives conditions."""
-
-    def observe(self, samples: Sequence[Sample]) -> Observations:
-        """Return the conditions of the features of samples; labels are assigned later."""
-        rows = ObservationRows()
-        for station, sample in enumerate(samples):
-            for i, feature in enumerate(sample.features):
-                self.add(rows, station, feature, i)
-        return rows.observations()
-
-    @abstractmethod
-    def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
-        """Append the conditions of a feature, number: its index in the sample."""
-
-
-class FaceTarget(ProfileTarget):
     """
-    A target of faces and edges: a pose, followed by measures in its state (..., 16 + j).
+    A target that profiles show: a pose, followed by measures in its state (..., 16 + j).
 
     moves: which of x y z rx ry rz, along and about its own axes, are parameters; the others leave
         it the same. The measures are parameters after them.
+    normals: (kinds, 3) of the surfaces through the origin that the conditions of each kind are of
     edge_kinds: of the conditions of one edge point
     several_in_view: whether a profile may show several surfaces, or pairs of them, of which one is
         the target
     """
 
     moves: ClassVar[Sequence[int]]
+    normals: ClassVar[Array]
     edge_kinds: tuple[int, ...] = ()
     face_count = 1
     several_in_view = False
 
-    def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
-        """Append the conditions of a face line or an edge point."""
-        if isinstance(feature, FaceLine):
-            add_face(rows, station, feature, ERRORS_PER_FEATURE * number, number % self.face_count)
-        elif isinstance(feature, EdgePoint):
-            for kind in self.edge_kinds:
-                rows.add(station, self.edge_place(feature)[None], kind,
-                         edge_error_factor(feature)[None], ERRORS_PER_FEATURE * number, feature)
+    def observe(self, samples: Sequence[Sample]) -> Observations:
+        """Return the conditions of the features of samples; labels are assigned later."""
+        rows = ObservationRows()
+        for station, sample in enumerate(samples):
+            for number, feature in enumerate(sample.features):
+                error = ERRORS_PER_FEATURE * number
+                if isinstance(feature, EdgePoint):
+                    for kind in self.edge_kinds:
+                        rows.add(station, self.edge_place(feature)[None], kind,
+                                 edge_error_factor(feature)[None], error, feature)
+                else:
+                    points, across = _normal_points(feature)
+                    rows.add(station, points, number % max(self.face_count, 1),
+                             np.stack([across, np.zeros_like(across)], axis=-1), error)
+        return rows.observations()
 
     def edge_place(self, edge: EdgePoint) -> Array:
         """Return the point (2,) that is on the edge."""
@@ -145,14 +137,17 @@ class FaceTarget(ProfileTarget):
         """Return whether a station shows several surfaces or pairs of them."""
         return self.several_in_view and bool(self.pieces(observations).any())
 
-    @abstractmethod
     def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
                          ) -> tuple[Array, Array, Array]:
         """
         Return the conditions g (..., m) of points (..., m, 3) in the target's frame.
 
-        And their derivatives by the points, (..., m, 3), and by the measures, (..., m, j).
+        And their derivatives by the points, (..., m, 3), and by the measures, (..., m, j). Here
+        the distances from its surfaces, of a target without measures.
         """
+        normals = self.normals[kind]
+        g = (local * normals).sum(axis=-1)
+        return g, np.broadcast_to(normals, local.shape), np.empty((*g.shape, 0))
 
     def axes(self, R: Array) -> Array:
         """Return the axes (..., 3, 3), in the columns, of the moves of a target turned by R."""
@@ -165,7 +160,9 @@ class FaceTarget(ProfileTarget):
         R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
         g, by_local, by_measures = self.local_conditions(offset @ R, kind, state[..., 16:])
         dg_dp, axes = by_local @ np.swapaxes(R, -1, -2), self.axes(R)
-        wrt_pose = np.concatenate([-dg_dp @ axes, -np.cross(offset, dg_dp) @ axes], axis=-1)
+        wrt_pose = -dg_dp @ axes
+        if max(self.moves) > 2:
+            wrt_pose = np.concatenate([wrt_pose, -np.cross(offset, dg_dp) @ axes], axis=-1)
         return Conditions(g, dg_dp, np.concatenate(
             [wrt_pose[..., list(self.moves)], by_measures], axis=-1))
 
@@ -174,10 +171,18 @@ class FaceTarget(ProfileTarget):
         T = state[..., :16].reshape(*state.shape[:-1], 4, 4)
         moves, axes = np.zeros((*delta.shape[:-1], 6)), self.axes(T[..., :3, :3])
         moves[..., list(self.moves)] = delta[..., :len(self.moves)]
-        step = np.concatenate([np.einsum('...ij,...j->...i', axes, part)
-                               for part in (moves[..., :3], moves[..., 3:])], axis=-1)
-        pose = se3.perturb(T, step).reshape(*state.shape[:-1], 16)
+        step = axes[..., None, :, :] @ moves.reshape(*delta.shape[:-1], 2, 3, 1)
+        pose = se3.perturb(T, step.reshape(moves.shape)).reshape(*state.shape[:-1], 16)
         return np.concatenate([pose, state[..., 16:] + delta[..., len(self.moves):]], axis=-1)
+
+    def reassign(self, observations: Observations, p: Array, state: Array, config: Config
+                 ) -> Observations:
+        """Return the observations with one piece per station: the first of the near ones."""
+        if not self.ambiguous(observations):
+            return observations
+        squares = self.conditions(p, observations.kind, state, config).g ** 2
+        chosen = nearest_piece(observations, self.pieces(observations), squares)
+        return replace(observations, kind=np.where(chosen, observations.kind, UNUSED))
 
     def blocks(self, linear: Linear) -> Blocks:
         """Yield the blocks of the ends of faces, of their flatness, and of grazing light."""

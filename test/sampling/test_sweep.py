@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 import math
+from typing import Any
 
 from cells import settings_of, squared_error
 from handeye_ros import pipeline, se3
@@ -211,8 +212,8 @@ def test_a_start_with_the_edges_of_another_plate_is_not_the_last(
     """A start is found with few edges, among which ends of other objects may agree."""
     found, wrong = plate._two_lines, iter([np.array([0.04, 0.0])])
 
-    def two_lines(points: Array, rng: np.random.Generator) -> tuple[Array, float]:
-        corner, turn = found(points, rng)
+    def two_lines(*of_points: Any) -> tuple[Array, float]:
+        corner, turn = found(*of_points)
         return corner + plate._rotation(turn) @ next(wrong, np.zeros(2)), turn
     monkeypatch.setattr(plate, '_two_lines', two_lines)
     made = simulate(sweep('plate', 0.02), np.random.default_rng(0))

@@ -83,7 +83,7 @@ def at_truth(made: Cell) -> Estimate:
     radius = getattr(made.scenario.target, 'radius', 0.0)
     targets = {'plate': np.append(T.ravel(), [0.0, 0.0, np.pi / 2]),
                'line': T.ravel(), 'plane': T.ravel(),
-               'sphere': np.append(T[:3, 3], radius),
+               'sphere': np.append(T.ravel(), radius),
                'wedge': np.append(T.ravel(), WEDGE_TURNS)}
     return Estimate(made.truth.T_flange_sensor, targets[made.problem.target.name])
 
