@@ -303,7 +303,7 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
     gain, r = np.asarray(np.linalg.pinv(J), dtype=float), r[:, 0]
     left, E_left = r - J @ (gain @ r), E - J @ (gain @ E)  # what the shape does not take up
     claim = scipy.linalg.block_diag(root_of(C), np.eye(robot.shape[1]))
-    _, _, claimed_square = _likeliest(E_left @ claim, left, np.ones(len(claim)))
+    _, _, claimed_square = likeliest(E_left @ claim, left)
     freedom, size = max(len(r) - len(gain), 1), np.abs(distances)
     scatter = Scatter(len(r), float(size.mean()), float(size.std()), rms(size), float(size.max()),
                       float(chi2_sf(claimed_square, freedom)))
@@ -340,8 +340,8 @@ def _calibration_error(left: Array, E_left: Array, values: _Values, freedom: int
     A = np.vstack([E_left, -values.wrt_error])
     b = np.append(left, values.deviation)
     prior = np.append(LARGEST_ERROR ** -2.0, np.ones(A.shape[1] - 6))
-    errors, covariance, square = _likeliest(A, b, prior)
-    _, _, square_without = _likeliest(A[:, 6:], b, prior[6:])
+    errors, covariance, square = likeliest(A, b, prior)
+    _, _, square_without = likeliest(A[:, 6:], b, prior[6:])
     error = errors[:6]
     square -= float(error ** 2 @ prior[:6])
     freedom = max(freedom + len(values.deviation) - 6, 1)
@@ -350,13 +350,13 @@ def _calibration_error(left: Array, E_left: Array, values: _Values, freedom: int
             float(chi2_sf((square_without - square) / factor, 6)))
 
 
-def _likeliest(A: Array, b: Array, prior: Array) -> tuple[Array, Array, float]:
+def likeliest(A: Array, b: Array, prior: Array | float = 1.0) -> tuple[Array, Array, float]:
     """
     Return the x of least |b - A x|^2 + x' diag(prior) x, its covariance, and this sum.
 
     A: (m, u), b: (m,), white; prior: (u,) information.
     """
-    covariance = np.asarray(np.linalg.inv(A.T @ A + np.diag(prior)), dtype=float)
+    covariance = np.asarray(np.linalg.inv(A.T @ A + prior * np.eye(A.shape[1])), dtype=float)
     explained = A.T @ b
     x = covariance @ explained
     return x, covariance, float(b @ b - explained @ x)
