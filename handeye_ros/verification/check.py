@@ -58,9 +58,6 @@ SURE_CHANGE_SIGMAS = 4.0  # sigmas of a change of the time offset
 SMALLEST_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
 MOVE_SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
 TURN_LEVER = 0.1  # m: a scale over it is that of a turn
-SMOOTH_ANGLE, SMOOTH_DISTANCE = 1.5, 0.9  # rad, m: over which an error of the robot is alike
-# times as far; bench/verify.py --check: one joint's error reaches further
-SMOOTH_FACTORS = (1.0, 2.0)
 MOST_ITERATIONS = 6
 NAMED_FROM = 0.95  # probability with which one cause, or some together, are named
 KEPT_SAMPLES = 30  # samples of a sweep: neighbours share the errors of the robot
@@ -346,16 +343,13 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
 def _robot_likelihood(comparison: _Comparison) -> float:
     """Return the log likelihood of pose errors, smooth over the poses or white."""
     problem, wrt_pose = comparison.linear.problem, comparison.whiten(comparison.linear.wrt_pose)
-    T, station = problem.robot_poses, problem.observations.station
-    away = np.linalg.norm(T[:, None, :3, 3] - T[None, :, :3, 3], axis=-1) / SMOOTH_DISTANCE
-    cosine = (np.einsum('aij,bij->ab', T[:, :3, :3], T[:, :3, :3]) - 1) / 2
-    square = away ** 2 + 2 * (1 - cosine) / SMOOTH_ANGLE ** 2  # of the chord: positive definite
-    kernels = *(np.exp(-0.5 * square / times ** 2) for times in SMOOTH_FACTORS), np.eye(len(T))
-    errors = [(wrt_pose[:, :, None] * root_of(kernel)[station][:, None]).reshape(len(station), -1)
-              for kernel in kernels]
+    alike = np.abs(problem.smooth_error_basis @ problem.smooth_error_basis.T)
+    # the root of four is alike over twice the distance, as one joint's error reaches further
+    roots = [root_of(kernel)[problem.observations.station] for kernel in (
+        alike, alike ** 0.25, np.eye(len(problem.poses)))]
     return _log_mean([_log_likelihood(comparison.residuals, np.hstack([
-        comparison.errors, each * np.repeat(_move_sigmas(scale), len(T))]))
-        for scale in MOVE_SCALES for each in errors])
+        comparison.errors, (sized[:, :, None] * root[:, None]).reshape(len(sized), -1)]))
+        for sized in (wrt_pose * _move_sigmas(scale) for scale in MOVE_SCALES) for root in roots])
 
 
 def _smallest_shifts(comparison: _Comparison, name: str) -> tuple[Array, Array]:
