@@ -320,15 +320,14 @@ class PosePairs(PairedRows):
         # angles of the flange as other controllers mean them, of the same columns first
         used = table.notation('flange', self.config.target.angles)
         columns = used.columns('flange')
-        for name, notation in sorted(NOTATIONS.items(),
-                                     key=lambda one: one[1].labels != used.labels):
-            names = notation.columns('flange')
-            if used.angle and notation.angle:
-                yield Misreading(
-                    f'the flange written as {name}', f'set target.angles to {name}' + (
-                        '' if names == columns else f' and name the columns {", ".join(names)}'),
-                    self.of(table.renamed(dict(zip(columns, names, strict=True))),
-                            with_values(self.config, {'target.angles': name})))
+        others = {name: notation.columns('flange') for name, notation in NOTATIONS.items()
+                  if used.angle and notation.angle}
+        for name, names in sorted(others.items(), key=lambda one: one[1] != columns):
+            yield Misreading(
+                f'the flange written as {name}', f'set target.angles to {name}' + (
+                    '' if names == columns else f' and name the columns {", ".join(names)}'),
+                self.of(table.renamed(dict(zip(columns, names, strict=True))),
+                        with_values(self.config, {'target.angles': name})))
 
     def require_determined(self) -> None:
         """Raise DataError for few poses, and for poses that turn about one axis or none."""

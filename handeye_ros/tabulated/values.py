@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, KW_ONLY
 import math
 from pathlib import Path
@@ -158,34 +159,33 @@ def calibrate(problem: TableProblem) -> Calibration:
 
 
 def solve(problem: TableProblem) -> TableAnswer:
-    """Return the answer of values that agree; raises DataError, which names a misreading."""
+    """
+    Return the answer of values that agree; raises DataError.
+
+    It names a misreading that explains the values, if all that do so give the same answer.
+    """
     misfit = math.inf
     try:
         problem.require_determined()
         answer = problem.solve()
-        misfit = answer.misfit
         if answer.agrees:
             return answer
+        misfit = answer.misfit
         turned = f' and {degrees(answer.angle_rms)}' if answer.angle_rms else ''
-        raise DataError(
+        refusal = DataError(
             f'no transform brings all samples together: the {answer.used.sum()} of '
             f'{len(answer.used)} that agree best differ by {mm(answer.residual_rms)}{turned} RMS: '
             f'{problem.check}', reason='misfit')
     except DataError as error:
-        raise _misreading(problem, misfit) or error from None
-
-
-def _misreading(problem: TableProblem, before: float) -> DataError | None:
-    """Return what to say if other readings explain values of a misfit before (m), all alike."""
+        refusal = error
     explaining = list[tuple[Array, str]]()
     for words, remedy, values in problem.misreadings:
-        try:
+        with suppress(DataError):
             values.require_determined()
             answer = values.solve()
-        except DataError:
-            continue
-        if answer.agrees and answer.misfit < CLEAR_SHARE * before:
-            explaining.append((answer.X, f'the values contradict each other, but with {words} '
-                               f'they agree to {mm(answer.misfit)}: {remedy}'))
-    alike = explaining and all(np.allclose(X, explaining[0][0], atol=1e-9) for X, _ in explaining)
-    return DataError(explaining[0][1], reason='convention') if alike else None
+            if answer.agrees and answer.misfit < CLEAR_SHARE * misfit:
+                explaining.append((answer.X, f'the values contradict each other, but with {words} '
+                                   f'they agree to {mm(answer.misfit)}: {remedy}'))
+    if explaining and all(np.allclose(X, explaining[0][0], atol=1e-9) for X, _ in explaining):
+        raise DataError(explaining[0][1], reason='convention')
+    raise refusal
