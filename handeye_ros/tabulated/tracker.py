@@ -46,7 +46,7 @@ PARTS = ('arc', 'line', 'face_c', 'face_d', *SWEPT_PARTS)  # all but the mean of
 UNKNOWNS = 28  # that fits to the points of the parts have
 IN_ORDER = 0.9  # share of the way along arc and line that leads forward, at least
 LARGEST_TURN = 0.35  # largest angle between the sweep (by the ball) and the line (rad)
-LARGEST_RMS, LARGEST_OF_ROW = 3.0, 10.0  # sigmas of the reflectors of a part, of each of them
+LARGEST_RMS, LARGEST_OF_ROW = 3.0, 10.0  # sigmas of the points of a part, of a row of the file
 NOISE_DRAWS, SEED = 100, 0  # of the noise, for the covariance
 # of the sweep
 RIDGE_ANGLE = 0.35  # smallest angle between two faces that meet (rad)
@@ -165,17 +165,18 @@ class TrackerSession(TableProblem):
         chain, reflector = self.chain(self.measured), self.config.tracker.noise
         noise, off, wrong = {'ball': reflector}, list[float](), list[tuple[float, str]]()
         for part, away in self.distances(chain).items():
-            pieces = [piece for piece in self.pieces if piece.part == part]
+            pieces, is_swept = [p for p in self.pieces if p.part == part], part in SWEPT_PARTS
             of_part = [rms(of_piece) for of_piece in np.split(
                 away, np.cumsum([len(piece.points) for piece in pieces])[:-1])]
-            off, noise[part] = off + of_part, rms(away)
-            if part not in SWEPT_PARTS:  # of which a single profile matters little
-                noise[part] = max(noise[part], reflector)
-                # the distance of a reflector from a swept face has the noise of both instruments
-                stated = math.hypot(reflector, self.config.noise.sensor * part.startswith('face'))
-                wrong += [(of_row, f'{part} of row {piece.sample}, by {mm(of_row)}')
-                          for piece, of_row in zip(pieces, of_part, strict=True)
-                          if max(of_row / LARGEST_OF_ROW, rms(away) / LARGEST_RMS) > stated]
+            off, noise[part] = off + of_part, max(rms(away), 0.0 if is_swept else reflector)
+            # the distance of a reflector from a swept face has the noise of both instruments
+            stated = math.hypot(0.0 if is_swept else reflector,
+                                0.0 if part in ('arc', 'line') else self.config.noise.sensor)
+            limit = math.inf if is_swept else LARGEST_OF_ROW  # a single profile matters little
+            what = f'{part} of {"profile" if is_swept else "row"}'
+            wrong += [(of_row, f'{what} {piece.sample}, by {mm(of_row)}')
+                      for piece, of_row in zip(pieces, of_part, strict=True)
+                      if max(of_row / limit, rms(away) / LARGEST_RMS) > stated]
         if wrong:
             raise DataError(
                 f'the points contradict each other, most of all {max(wrong)[1]}: measure again or '

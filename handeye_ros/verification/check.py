@@ -343,10 +343,11 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
 def _robot_likelihood(comparison: _Comparison) -> float:
     """Return the log likelihood of pose errors, smooth over the poses or white."""
     problem, wrt_pose = comparison.linear.problem, comparison.whiten(comparison.linear.wrt_pose)
-    alike = np.abs(problem.smooth_error_basis @ problem.smooth_error_basis.T)
+    smooth = problem.smooth_error_basis
     # the root of four is alike over twice the distance, as one joint's error reaches further
-    roots = [root_of(kernel)[problem.observations.station] for kernel in (
-        alike, alike ** 0.25, np.eye(len(problem.poses)))]
+    values, axes = np.linalg.eigh(np.abs(smooth @ smooth.T) ** 0.25)
+    roots = [root[problem.observations.station] for root in (
+        smooth, axes * np.sqrt(np.maximum(values, 0.0)), np.eye(len(problem.poses)))]
     return _log_mean([_log_likelihood(comparison.residuals, np.hstack([
         comparison.errors, (sized[:, :, None] * root[:, None]).reshape(len(sized), -1)]))
         for sized in (wrt_pose * _move_sigmas(scale) for scale in MOVE_SCALES) for root in roots])
