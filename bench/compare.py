@@ -31,8 +31,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.published import cn105021139a, wu2017
 from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
 from handeye_ros.simulate.measured import laser_tracker
-from handeye_ros.tabulated.hand_eye import PosePairs
-from handeye_ros.tabulated.points import PointPairs
+from handeye_ros.tabulated.pairs import PointPairs, PosePairs
 from handeye_ros.tabulated.tracker import Piece, sweep_from, TrackerSession
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -118,7 +117,7 @@ class Poses:
         poses = PosePairs(config, views, T)
         yield 'A X = X B', poses.solve().X
         (camera, camera_turn), (robot, robot_turn) = np.square([self.camera, self.robot])
-        known, _ = poses.fit_with_variances(poses.closed_form(), np.array(
+        known, _ = poses.fit_with_variances(poses.state_of(poses.closed_form()), np.array(
             [camera + robot, camera_turn, robot_turn]))
         yield 'A X = X B, noise known', known.state[0]
         yield 'CN105021139A', cn105021139a.solve_motions(*cn105021139a.motions(T, views))
@@ -141,9 +140,10 @@ def by_tracker(seed: int) -> dict[str, np.ndarray]:
     for kind, *point in csv.reader(cell.tables['tracker.csv'].splitlines()[1:]):
         reflector.setdefault(kind, []).append([1e-3 * float(v) for v in point])
     ball = np.mean(reflector.pop('ball'), axis=0)
-    pieces = [Piece(0, kind, np.array(points), np.zeros(len(points)))
+    pieces = [Piece(0, kind, np.array(points))
               for kind, points in reflector.items()]
-    found = TrackerSession(config, [*pieces, *swept], ball, q30).chain().T_flange_sensor
+    session = TrackerSession(config, [*pieces, *swept], ball, q30)
+    found = session.chain(session.measured).T_flange_sensor
     x, z = np.meshgrid((-0.02, 0.0, 0.02), (0.16, 0.175, 0.19))
     field = np.column_stack([x.ravel(), np.zeros(x.size), z.ravel()])
     return {'Jing 2020': trials.errors(found, cell.T_flange_sensor, field)}

@@ -29,8 +29,8 @@ from handeye_ros.published import chen2023, cn105021139a, jing2020, wu2017, zhen
 from handeye_ros.results.calibration_file import errors_against, field_points, FIELD_TEXT
 from handeye_ros.results.table import figures_table
 from handeye_ros.sampling.session import Session
-from handeye_ros.tabulated.hand_eye import PosePairs
-from handeye_ros.tabulated.values import PairedRows, solve, TableProblem
+from handeye_ros.tabulated.pairs import PairedRows, PosePairs
+from handeye_ros.tabulated.values import solve, TableProblem
 from handeye_ros.targets import line, plate, TARGETS
 import numpy as np
 from numpy.typing import NDArray
@@ -175,7 +175,7 @@ def _from_files(pairs: PairedRows) -> Array:
 
 def _park(pairs: PosePairs) -> Array:
     pairs.require_determined()
-    return np.asarray(pairs.closed_form()[0])
+    return pairs.closed_form()
 
 
 OTHERS: dict[str, tuple[Estimator, ...]] = {

@@ -1,20 +1,18 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Targets that are solved from files of measured values, one file each."""
+"""Targets that are solved from files of measured values."""
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from handeye_ros.config import Config
 from handeye_ros.errors import BadValueError, InputError
-from handeye_ros.tabulated import hand_eye, points, tracker
+from handeye_ros.tabulated.pairs import PointPairs, PosePairs
+from handeye_ros.tabulated.tracker import TrackerSession
 from handeye_ros.tabulated.values import TableProblem
 
-FILE_TARGETS: dict[str, tuple[type[TableProblem], Callable[[Path, Config], TableProblem]]] = {
-    problem.name: (problem, read) for problem, read in (
-        (points.PointPairs, points.read), (hand_eye.PosePairs, hand_eye.read),
-        (tracker.TrackerSession, tracker.read))}
+FILE_TARGETS: dict[str, type[TableProblem]] = {
+    problem.name: problem for problem in (PointPairs, PosePairs, TrackerSession)}
 
 
 def is_solved_from_files(config: Config) -> bool:
@@ -28,7 +26,7 @@ def is_solved_from_files(config: Config) -> bool:
         return False
     for key, value, fitting in (('method', config.method, ('auto', name)),
                                 ('calibration_type', config.calibration_type,
-                                 FILE_TARGETS[name][0].calibration_types)):
+                                 FILE_TARGETS[name].calibration_types)):
         if value not in fitting:
             raise BadValueError(key, value, f'{" or ".join(fitting)} with target.type {name}')
     return True
@@ -42,4 +40,4 @@ def read(path: Path, config: Config) -> TableProblem:
                          f'{config.target.type} is not solved from one: set '
                          f'target.type to {" or ".join(fitting)}, as in --set '
                          f'target.type={fitting[0]}')
-    return FILE_TARGETS[config.target.type][1](path, config)
+    return FILE_TARGETS[config.target.type].read(path, config)

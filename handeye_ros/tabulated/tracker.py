@@ -8,13 +8,13 @@ faces that meet in a ridge show the block, profiles with an arc the ball; all ot
 """
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, Self
 
 from handeye_ros import se3
 from handeye_ros.bags.bag import read as read_bag
@@ -39,12 +39,11 @@ from handeye_ros.tables import LENGTH, Table, TableError
 from handeye_ros.tabulated.values import TableAnswer, TableProblem
 import numpy as np
 
-FEWEST_POINTS = {'arc': 6, 'line': 3, 'ball': 1, 'face_c': 3, 'face_d': 3}  # points in the file
+FEWEST_POINTS = {'arc': 6, 'line': 3, 'face_c': 3, 'face_d': 3, 'ball': 1}  # points in the file
 SWEPT_PARTS = ('swept_ball', 'swept_face_c', 'swept_face_d')
-# unknowns that a fit to the points of a part has
-UNKNOWNS = {'arc': 6, 'line': 4, 'face_c': 3, 'face_d': 3,
-            'swept_ball': 6, 'swept_face_c': 3, 'swept_face_d': 3}
-IN_ORDER = 0.9  # correlation of the places of arc and line with their order, at least
+PARTS = ('arc', 'line', 'face_c', 'face_d', *SWEPT_PARTS)  # all but the mean of the ball's points
+UNKNOWNS = 28  # that fits to the points of the parts have
+IN_ORDER = 0.9  # share of the way along arc and line that leads forward, at least
 LARGEST_TURN = 0.35  # largest angle between the sweep (by the ball) and the line (rad)
 LARGEST_RMS, LARGEST_OF_ROW = 3.0, 10.0  # sigmas of the points of a part, of a row of the file
 NOISE_DRAWS, SEED = 100, 0  # of the noise, for the covariance
@@ -66,13 +65,11 @@ class Piece(NamedTuple):
     part: of SWEPT_PARTS (face_c is the face at smaller x), or the kind in the file
     points: (k, 3), in the tracker's frame, swept ones x and z in the sensor plane and the reading
         of P3
-    sigma: (k,) of each coordinate, of swept ones of x and z (metres)
     """
 
     sample: int
     part: str
     points: Array
-    sigma: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +92,33 @@ class TrackerSession(TableProblem):
     check = 'which face is which, h0 and h1, and the readings of P3?'
     over = FIELD_TEXT
 
+    @classmethod
+    def read(cls, path: Path, config: Config) -> Self:
+        """Read the reflector's points, and the bag of the sweep; raises InputError, DataError."""
+        known = config.tracker
+        if not any(known.direction):
+            raise BadValueError('tracker.direction', list(known.direction),
+                                'a direction that is not zero')
+        file = (path if path.is_dir() else path.parent) / known.file
+        recording = read_bag(path, config)
+        if not file.is_file():
+            raise TableError(file, 'no such file: put the reflector points beside the bag, or set '
+                             'tracker.file')
+        missing = [f'tracker.{name}' for name in ('h0', 'h1', 'first_reading')
+                   if math.isnan(getattr(known, name))]
+        if missing:
+            raise InputError(f'{" and ".join(missing)} must be set: the answer changes by their '
+                             'full size, so they have no default; see config/tracker.yaml')
+        pieces, ball = read_table(file)
+        swept, q30 = sweep_from(recording.profiles, recording.poses, config)
+        return cls(config, [*pieces, *swept], ball, q30,
+                   frame=recording.profiles[0].frame_id or 'laser',
+                   inputs=[*recording.inputs, input_values(file)], warnings=recording.warnings)
+
     @property
     def samples(self) -> list[tuple[int, str]]:
-        return [(piece.sample, piece.part) for piece in self.pieces]
+        return [(piece.sample, part) for part in PARTS for piece in self.pieces
+                if piece.part == part]
 
     @property
     def axes(self) -> Array:
@@ -111,27 +132,26 @@ class TrackerSession(TableProblem):
     def measured(self) -> jing2020.Readings:
         """Return the points of both instruments by part."""
         parts = {part: np.concatenate([p.points for p in self.pieces if p.part == part])
-                 for part in UNKNOWNS}
+                 for part in PARTS}
         return jing2020.Readings(parts | {'ball': self.ball[None]},
                                  self.config.tracker.h0 + self.config.tracker.h1, self.q30)
 
-    def chain(self) -> jing2020.Result:
+    def chain(self, measured: jing2020.Readings) -> jing2020.Result:
         """Return the published answer, of the sensor plane; raises DataError."""
         direction = self.axes[:3, :3].T @ np.array(self.config.tracker.direction)
-        return jing2020.solve(self.measured, direction / np.linalg.norm(direction))
+        return jing2020.solve(measured, direction / np.linalg.norm(direction))
 
     def require_determined(self) -> None:
         """Raise DataError for points in the wrong order, and for a sweep beside the line."""
         arc, line = self.measured.parts['arc'], self.measured.parts['line']
         centre, axis = jing2020.fit_arc(arc)
-        spokes = arc - centre
-        middle = spokes.mean(axis=0)
-        turns = np.arctan2(np.cross(middle, spokes) @ axis, spokes @ middle)
-        for what, places in (('arc', turns), ('line', line @ jing2020.fit_line(line))):
-            if abs(np.corrcoef(places, np.arange(len(places)))[0, 1]) < IN_ORDER:
+        for what, steps in (
+                ('arc', np.cross(arc[:-1] - centre, arc[1:] - centre) @ axis),
+                ('line', np.diff(line, axis=0) @ jing2020.fit_line(line))):
+            if steps.sum() < IN_ORDER * np.abs(steps).sum():
                 raise DataError(f'the points of the {what} go back and forth; list them in the '
                                 'order measured')
-        chain = self.chain()
+        chain = self.chain(self.measured)
         turn = math.acos(min(1.0, float(chain.direction @ chain.T_flange_sensor[2, :3])))
         if turn > LARGEST_TURN:
             raise DataError(
@@ -141,109 +161,66 @@ class TrackerSession(TableProblem):
 
     def solve(self) -> TableAnswer:
         """Return the published answer, its covariance by draws of noise; raises DataError."""
-        chain = self.chain()
-        X, off = chain.T_flange_sensor, self.residuals(chain)
-        parts = np.array([piece.part for piece in self.pieces])
-        is_swept = np.isin(parts, SWEPT_PARTS)
-        # the distance of a reflector from a swept face has the noise of both instruments
-        sigmas = off / np.array([np.hypot(rms(piece.sigma), piece.part.startswith('face')
-                                          * self.config.noise.sensor) for piece in self.pieces])
-        excess = {part: max(rms(sigmas[parts == part]), 1.0) for part in UNKNOWNS}
-        limit = np.where(is_swept, np.inf, LARGEST_OF_ROW)  # a single profile matters little
-        limit[[excess[part] > LARGEST_RMS for part in parts]] = LARGEST_RMS
-        worst = int(np.argmax(sigmas / limit))
-        if sigmas[worst] > limit[worst]:
+        chain, reflector = self.chain(self.measured), self.config.tracker.noise
+        noise, off, wrong = {'ball': reflector}, list[float](), list[tuple[float, str]]()
+        for part, away in self.distances(chain).items():
+            pieces, is_swept = [p for p in self.pieces if p.part == part], part in SWEPT_PARTS
+            of_part = [rms(of_piece) for of_piece in np.split(
+                away, np.cumsum([len(piece.points) for piece in pieces])[:-1])]
+            off, noise[part] = off + of_part, max(rms(away), 0.0 if is_swept else reflector)
+            # the distance of a reflector from a swept face has the noise of both instruments
+            stated = math.hypot(0.0 if is_swept else reflector,
+                                0.0 if part in ('arc', 'line') else self.config.noise.sensor)
+            limit = math.inf if is_swept else LARGEST_OF_ROW  # a single profile matters little
+            what = f'{part} of {"profile" if is_swept else "row"}'
+            wrong += [(of_row, f'{what} {piece.sample}, by {mm(of_row)}')
+                      for piece, of_row in zip(pieces, of_part, strict=True)
+                      if max(of_row / limit, rms(away) / LARGEST_RMS) > stated]
+        if wrong:
             raise DataError(
-                f'the points contradict each other, most of all {parts[worst]} of '
-                f'{"the profile" if is_swept[worst] else "row"} {self.pieces[worst].sample}, by '
-                f'{mm(float(off[worst]))}: measure again or leave that row out, and check which '
-                'face is which and the noise of both instruments', reason='misfit')
-        # generalised cross-validation: each point predicted by a fit without it
-        share = np.array([UNKNOWNS[part] / len(self.measured.parts[part]) for part in parts])
+                f'the points contradict each other, most of all {max(wrong)[1]}: measure again or '
+                'leave that row out, and check which face is which and the noise of both '
+                'instruments', reason='misfit')
+        rng, drawn = np.random.default_rng(SEED), []
+        for _ in range(NOISE_DRAWS):  # of each coordinate, but not of the reading of P3
+            parts = {part: points + noise[part] * rng.normal(size=points.shape) * [
+                1, 1, part not in SWEPT_PARTS] for part, points in self.measured.parts.items()}
+            X = self.chain(replace(self.measured, parts=parts)).T_flange_sensor
+            drawn.append(se3.difference(X, chain.T_flange_sensor))
+        # left out: by generalised cross-validation
+        residual, count = rms(np.array(off)), sum(map(len, self.measured.parts.values()))
         return TableAnswer(
-            X, self.covariance(X, excess), np.ones(len(off), dtype=bool), off, rms(off),
-            rms(off / (1 - np.minimum(share / 2, 0.5))),
+            chain.T_flange_sensor, np.asarray(np.transpose(drawn) @ drawn / NOISE_DRAWS),
+            np.ones(len(off), dtype=bool), np.array(off), residual,
+            residual / (1 - UNKNOWNS / count),
             target={'radius': chain.radius, 'face_angle': float(chain.angles[0])})
 
-    def covariance(self, X: Array, excess: Mapping[str, float]) -> Array:
-        """
-        Return the covariance (6, 6) of the chain around X.
-
-        excess: the residuals of each part over their noise.
-        """
-        rng, of_ball = np.random.default_rng(SEED), self.config.tracker.noise
-        off = []
-        for _ in range(NOISE_DRAWS):
-            # of each coordinate of a point by the tracker, but not of the reading of P3
-            pieces = [piece._replace(points=piece.points + rng.normal(size=piece.points.shape) * (
-                          excess[piece.part] * piece.sigma[:, None]
-                          * [1, 1, piece.part not in SWEPT_PARTS])) for piece in self.pieces]
-            session = replace(self, pieces=pieces, ball=self.ball + of_ball * rng.normal(size=3))
-            off.append(se3.difference(session.chain().T_flange_sensor, X))
-        return np.asarray(np.transpose(off) @ off / NOISE_DRAWS)
-
-    def residuals(self, chain: jing2020.Result) -> Array:
-        """Return the RMS distance (n,) of each piece from what all show by the chain (m)."""
+    def distances(self, chain: jing2020.Result) -> dict[str, Array]:
+        """Return how far the points of each part are from what all show by the chain (m)."""
         parts, direction = self.measured.parts, chain.direction
         _, centre, radius = jing2020.fit_swept_ball(parts['swept_ball'], self.q30, direction)
         pivot, axis = jing2020.fit_arc(parts['arc'])
-        start, along = parts['line'].mean(axis=0), jing2020.fit_line(parts['line'])
+        spokes, line = parts['arc'] - pivot, parts['line'] - parts['line'].mean(axis=0)
+        reach = np.linalg.norm(spokes, axis=1)
+        swept = {part: jing2020.swept(parts[part], self.q30, direction) for part in SWEPT_PARTS}
         T_sensor_tracker = se3.inverse(jing2020.link_frame(self.measured) @ chain.T_flange_sensor)
-        planes = {}
+        away = {'arc': np.hypot(spokes @ axis, reach - reach.mean()),
+                'line': np.linalg.norm(np.cross(line, jing2020.fit_line(line)), axis=1),
+                'swept_ball': np.linalg.norm(swept['swept_ball'] - centre, axis=1) - radius}
         for face in ('face_c', 'face_d'):
-            points = jing2020.swept(parts[f'swept_{face}'], self.q30, direction)
-            planes[face] = points.mean(axis=0), jing2020.fit_plane(points)
-
-        def beside(points: Array, start: Array, along: Array) -> Array:
-            return np.asarray(np.linalg.norm(np.cross(points - start, along), axis=1))
-
-        reach = beside(parts['arc'], pivot, axis).mean()
-
-        def off(part: str, points: Array) -> Any:
-            if part == 'arc':
-                return np.hypot((points - pivot) @ axis, beside(points, pivot, axis) - reach)
-            if part == 'line':
-                return beside(points, start, along)
-            in_sensor = (jing2020.swept(points, self.q30, direction) if part in SWEPT_PARTS
-                         else se3.apply(T_sensor_tracker, points))
-            if part == 'swept_ball':
-                return np.linalg.norm(in_sensor - centre, axis=1) - radius
-            middle, normal = planes[part.removeprefix('swept_')]
-            return (in_sensor - middle) @ normal
-
-        return np.array([rms(off(piece.part, piece.points)) for piece in self.pieces])
+            on_face = swept[f'swept_{face}']
+            middle, normal = on_face.mean(axis=0), jing2020.fit_plane(on_face)
+            away[f'swept_{face}'] = (on_face - middle) @ normal
+            away[face] = (se3.apply(T_sensor_tracker, parts[face]) - middle) @ normal
+        return {part: away[part] for part in PARTS}
 
 
-def read(path: Path, config: Config) -> TrackerSession:
-    """Read the reflector's points, and the bag of the sweep; raises InputError, DataError."""
-    known = config.tracker
-    if not any(known.direction):
-        raise BadValueError('tracker.direction', list(known.direction), 'a direction that is not '
-                            'zero')
-    file = (path if path.is_dir() else path.parent) / known.file
-    recording = read_bag(path, config)
-    if not file.is_file():
-        raise TableError(file, 'no such file: put the reflector points beside the bag, or set '
-                         'tracker.file')
-    missing = [f'tracker.{name}' for name in ('h0', 'h1', 'first_reading')
-               if math.isnan(getattr(known, name))]
-    if missing:
-        raise InputError(f'{" and ".join(missing)} must be set: the answer changes by their full '
-                         'size, so they have no default; see config/tracker.yaml')
-    pieces, ball = read_table(file, known.noise)
-    swept, q30 = sweep_from(recording.profiles, recording.poses, config)
-    return TrackerSession(config, [*pieces, *swept], ball, q30,
-                          frame=recording.profiles[0].frame_id or 'laser',
-                          inputs=[*recording.inputs, input_values(file)],
-                          warnings=recording.warnings)
-
-
-def read_table(path: Path, noise: float) -> tuple[list[Piece], Array]:
+def read_table(path: Path) -> tuple[list[Piece], Array]:
     """
     Return the positions of the reflector, row by row, and the centre (3,) of the ball.
 
     Columns kind (arc, line, ball, face_c or face_d) and x, y, z with their unit, as in `x [mm]`,
-    in the order measured; noise: 1 sigma (m). Raises TableError.
+    in the order measured. Raises TableError.
     """
     table = Table(path)
     kinds, points = table.text('kind'), table.values('xyz', LENGTH)
@@ -256,7 +233,7 @@ def read_table(path: Path, noise: float) -> tuple[list[Piece], Array]:
             raise TableError(path, f'holds {kinds.count(kind)} points of the kind {kind}; at '
                              f'least {fewest} are needed')
     of_ball = np.array(kinds) == 'ball'
-    return [Piece(row + 1, kinds[row], points[row:row + 1], np.array([noise]))
+    return [Piece(row + 1, kinds[row], points[row:row + 1])
             for row in np.flatnonzero(~of_ball).tolist()], points[of_ball].mean(axis=0)
 
 
@@ -275,25 +252,22 @@ def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], confi
         raise DataError('no profile lies within the time of the poses; record both together')
     q3 = config.tracker.first_reading + _ways(interpolate(poses, [
         first, *(p.stamp for p in inside)]))
-    ball, runs, latest = list[Piece](), [list[Piece]()], 0
+    seen = dict[int, list[Piece]]()
     for index, (profile, reading) in enumerate(zip(inside, q3.tolist(), strict=True)):
         with suppress(UnusableMessageError, FeatureError):
-            seen = [Piece(profile.stamp, part, np.insert(points, 2, reading, axis=1), sigma)
-                    for part, points, sigma in _seen(profile.read().points, config)]
-            if len(seen) == 1:
-                ball += seen
-                continue
-            # the rim of the ball shows so little that two lines may fit it as well
-            if index > latest + 1 + MOST_MISSED_PROFILES:
-                runs.append([])
-            runs[-1] += seen
-            latest = index
-    block = max(runs, key=len)
-    for what, count in (('ball', len(ball)), ('block', len(block) // 2)):
+            seen[index] = [Piece(profile.stamp, part, np.insert(points, 2, reading, axis=1))
+                           for part, points in _seen(profile.read().points, config)]
+    # the rim of the ball shows so little that two lines may fit it as well
+    corners = np.array([index for index, pieces in seen.items() if len(pieces) == 2], dtype=int)
+    gaps = np.flatnonzero(np.diff(corners) > 1 + MOST_MISSED_PROFILES) + 1
+    block = max(np.split(corners, gaps), key=len).tolist()
+    ball = [index for index, pieces in seen.items() if len(pieces) == 1]
+    for what, count in (('ball', len(ball)), ('block', len(block))):
         if count < FEWEST_PROFILES:
             raise DataError(f'{count} profiles show the {what}; sweep over it slowly, at least '
                             f'{FEWEST_PROFILES} profiles')
-    return [*ball, *block], (q3.min() + q3.max()) / 2
+    return [piece for index in (*ball, *block) for piece in seen[index]], (
+        q3.min() + q3.max()) / 2
 
 
 def _ways(T: Array) -> Array:
@@ -311,19 +285,18 @@ def _ways(T: Array) -> Array:
     return np.asarray(moved[1:, 2])
 
 
-def _seen(points: Array, config: Config) -> list[tuple[str, Array, Array]]:
+def _seen(points: Array, config: Config) -> list[tuple[str, Array]]:
     """
     Return the part of the ball, or the two faces of the block, in a profile (n, 2).
 
-    Points (k, 2) and their sigma (k,) of each. Raises FeatureError for a profile of neither.
+    Points (k, 2) of each. Raises FeatureError for a profile of neither.
     """
     with suppress(FeatureError):
         arc, = arc_features(points, config)
-        return [(SWEPT_PARTS[0], arc.points, arc.std)]
+        return [(SWEPT_PARTS[0], arc.points)]
     left, right = corner_features(points, config)[:2]
     # nearer to the sensor in the middle, so the range falls towards it from both sides
     bend = float(np.linalg.det([left.direction, right.direction])) * config.profile.range_sign
     if bend < math.sin(RIDGE_ANGLE):
         raise FeatureError('a groove, or an edge too blunt')
-    return [(SWEPT_PARTS[1], left.points, left.points_std),
-            (SWEPT_PARTS[2], right.points, right.points_std)]
+    return [(SWEPT_PARTS[1], left.points), (SWEPT_PARTS[2], right.points)]

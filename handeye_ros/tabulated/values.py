@@ -9,9 +9,11 @@ as other units and notations would give them: what fits is named, never used.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, KW_ONLY, replace
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, KW_ONLY
 import math
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
 
 from handeye_ros import se3
@@ -24,14 +26,11 @@ from handeye_ros.checks.refusals import (
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, degrees, mm
-from handeye_ros.estimation.least_squares import chi2_isf, single_threaded
+from handeye_ros.estimation.least_squares import single_threaded
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtri
 
 LARGEST_RMS, LARGEST_ANGLE = 5e-3, 0.05  # of the residuals of values that agree (m, rad)
-SHORTEST_REACH, LONGEST_REACH = 0.02, 50.0  # m: what a sensor or a robot reaches lies between them
-REGION_PROBABILITY = 0.99  # probability of the region that a covariance from few rows is to hold
 CLEAR_SHARE = 0.2  # of the misfit: a misreading with more does not explain the values
 
 Indices: TypeAlias = NDArray[np.intp]
@@ -69,6 +68,11 @@ class TableProblem(ABC):
     check: ClassVar[str]
     over: ClassVar[str]
 
+    @classmethod
+    @abstractmethod
+    def read(cls, path: Path, config: Config) -> Self:
+        """Return what a file holds, with all that belongs to it; raises InputError, DataError."""
+
     @property
     @abstractmethod
     def samples(self) -> Sequence[tuple[int, str]]:
@@ -90,96 +94,6 @@ class TableProblem(ABC):
     def axes(self) -> Array:
         """Return T_sensor_values (4, 4), of the frame in which the values and X are."""
         return np.eye(4)
-
-
-@dataclass(frozen=True, eq=False)
-class PairedRows(TableProblem):
-    """
-    Points (n, 3) or poses (n, 4, 4), as the sensor sees them and by the robot, row by row (m).
-
-    prefixes: of the columns of both
-    """
-
-    seen: Array
-    robot: Array
-
-    prefixes: ClassVar[tuple[str, str]]
-
-    def __len__(self) -> int:
-        """Return the number of rows."""
-        return len(self.seen)
-
-    @property
-    def samples(self) -> Sequence[tuple[int, str]]:
-        return [(row, '') for row in range(1, len(self) + 1)]
-
-    def subset(self, rows: Indices) -> Self:
-        """Return some rows (ascending indices)."""
-        return replace(self, seen=self.seen[rows], robot=self.robot[rows])
-
-    @abstractmethod
-    def residuals(self, X: Array, fitted: Indices, measured: Indices) -> Array:
-        """Return distances (m) of `measured` rows for X, the target fitted to `fitted` ones."""
-
-    def field(self) -> Array:
-        return _positions(self.seen)
-
-    @property
-    def reach(self) -> tuple[float, float]:
-        """Return the typical distances (m) of both lists from the origins of their frames."""
-        seen, robot = (float(np.median(np.linalg.norm(_positions(values), axis=1)))
-                       for values in (self.seen, self.robot))
-        return seen, robot
-
-    def require_plausible(self) -> None:
-        """Raise DataError for lists that no sensor and robot can give."""
-        rows = np.hstack([values.reshape(len(self), -1) for values in (self.seen, self.robot)])
-        first = np.unique(rows, axis=0, return_index=True)[1]
-        if len(first) < len(self):
-            again = np.setdiff1d(np.arange(len(self)), first) + 1
-            raise DataError(f'{len(again)} rows repeat others to the last digit, first row '
-                            f'{again[0]}: the answer would seem more certain than it is; keep '
-                            'each row once')
-        if max(self.reach) < SHORTEST_REACH or min(self.reach) > LONGEST_REACH:
-            (seen, robot), (near, far) = self.prefixes, self.reach
-            raise DataError(
-                f'the positions of the {seen} are typically {near:.3g} m from the origin, those '
-                f'of the {robot} {far:.3g} m, as in no cell: correct the units in the header, of '
-                f'{seen}_x, {seen}_y, {seen}_z and {robot}_x, {robot}_y, {robot}_z',
-                reason='convention')
-
-    def stated(self, covariance: Array, used: Indices) -> Array:
-        """
-        Return a covariance (6, 6) with the region that holds, by Fisher's F.
-
-        Its noise is from the residuals of the rows that are used, three each of a kind, of which
-        the transform takes six.
-        """
-        freedom = 3 * len(used) - 6
-        return np.asarray(covariance * 6 * fdtri(6, freedom, REGION_PROBABILITY)
-                          / chi2_isf(1 - REGION_PROBABILITY, 6))
-
-    def in_other_units(self) -> Iterator[Misreading]:
-        """Yield the values with one list in another unit, as far as they then are of a cell."""
-        for factor, words in ((1e3, 'larger'), (1e-3, 'smaller')):
-            for prefix, other in zip(self.prefixes, (
-                    replace(self, seen=scaled(self.seen, factor)),
-                    replace(self, robot=scaled(self.robot, factor))), strict=True):
-                if SHORTEST_REACH < min(other.reach) and max(other.reach) < LONGEST_REACH:
-                    yield Misreading(
-                        f'the positions of the {prefix} 1000 times {words}', 'correct the unit in '
-                        f'the header of {prefix}_x, {prefix}_y, {prefix}_z', other)
-
-
-def _positions(values: Array) -> Array:
-    return values if values.ndim == 2 else values[:, :3, 3]
-
-
-def scaled(values: Array, factor: float) -> Array:
-    """Return points (n, 3) or poses (n, 4, 4) with their positions times a factor."""
-    if values.ndim == 2:
-        return factor * values
-    return se3.transform(values[:, :3, :3], factor * values[:, :3, 3])
 
 
 class Misreading(NamedTuple):
@@ -245,34 +159,33 @@ def calibrate(problem: TableProblem) -> Calibration:
 
 
 def solve(problem: TableProblem) -> TableAnswer:
-    """Return the answer of values that agree; raises DataError, which names a misreading."""
+    """
+    Return the answer of values that agree; raises DataError.
+
+    It names a misreading that explains the values, if all that do so give the same answer.
+    """
     misfit = math.inf
     try:
         problem.require_determined()
         answer = problem.solve()
-        misfit = answer.misfit
         if answer.agrees:
             return answer
+        misfit = answer.misfit
         turned = f' and {degrees(answer.angle_rms)}' if answer.angle_rms else ''
-        raise DataError(
+        refusal = DataError(
             f'no transform brings all samples together: the {answer.used.sum()} of '
             f'{len(answer.used)} that agree best differ by {mm(answer.residual_rms)}{turned} RMS: '
             f'{problem.check}', reason='misfit')
     except DataError as error:
-        raise _misreading(problem, misfit) or error from None
-
-
-def _misreading(problem: TableProblem, before: float) -> DataError | None:
-    """Return what to say if other readings explain values of a misfit before (m), all alike."""
+        refusal = error
     explaining = list[tuple[Array, str]]()
     for words, remedy, values in problem.misreadings:
-        try:
+        with suppress(DataError):
             values.require_determined()
             answer = values.solve()
-        except DataError:
-            continue
-        if answer.agrees and answer.misfit < CLEAR_SHARE * before:
-            explaining.append((answer.X, f'the values contradict each other, but with {words} '
-                               f'they agree to {mm(answer.misfit)}: {remedy}'))
-    alike = explaining and all(np.allclose(X, explaining[0][0], atol=1e-9) for X, _ in explaining)
-    return DataError(explaining[0][1], reason='convention') if alike else None
+            if answer.agrees and answer.misfit < CLEAR_SHARE * misfit:
+                explaining.append((answer.X, f'the values contradict each other, but with {words} '
+                                   f'they agree to {mm(answer.misfit)}: {remedy}'))
+    if explaining and all(np.allclose(X, explaining[0][0], atol=1e-9) for X, _ in explaining):
+        raise DataError(explaining[0][1], reason='convention')
+    raise refusal

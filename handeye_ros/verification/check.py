@@ -16,11 +16,10 @@ smallest change that would have shown.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from handeye_ros import frames, pipeline, se3
 from handeye_ros.config import Config
@@ -36,7 +35,7 @@ from handeye_ros.data import (
 )
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.blocks import wrt_smooth
-from handeye_ros.estimation.noise import covariance_parts
+from handeye_ros.estimation.noise import Noise, Whitening, whitening
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem, UNUSED
 from handeye_ros.frames import mount_frame, name_direction, target_frame
 from handeye_ros.sampling.stops import evenly
@@ -46,11 +45,12 @@ from handeye_ros.verification.fit import (
     fit_without_outliers,
     Indices,
     largest_displacement,
+    likeliest,
     require_stations,
     root_of,
 )
 import numpy as np
-import scipy.linalg
+from scipy.special import softmax
 
 FORMAT = 'handeye_ros/check/2'
 LEAST_EVIDENCE = 100.0
@@ -58,9 +58,6 @@ SURE_CHANGE_SIGMAS = 4.0  # sigmas of a change of the time offset
 SMALLEST_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
 MOVE_SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
 TURN_LEVER = 0.1  # m: a scale over it is that of a turn
-SMOOTH_ANGLE, SMOOTH_DISTANCE = 1.5, 0.9  # rad, m: over which an error of the robot is alike
-# times as far; bench/verify.py --check: one joint's error reaches further
-SMOOTH_FACTORS = (1.0, 2.0)
 MOST_ITERATIONS = 6
 NAMED_FROM = 0.95  # probability with which one cause, or some together, are named
 KEPT_SAMPLES = 30  # samples of a sweep: neighbours share the errors of the robot
@@ -153,134 +150,122 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     samples are single profiles. Raises DataError, and InputError for a calibration without a
     target to compare with.
     """
-    of_all = _comparison(samples, calibration, config, others)
+    problem, known = _compared_with(samples, calibration, config, others)
 
     def compared_at(stops: Indices) -> tuple[_Comparison, Array, Array, Indices]:
-        some = replace(of_all, problem=of_all.problem.subset(stops))
-        station = some.problem.observations.station
+        some = _comparison(problem.subset(stops), *known)
+        station = some.linear.problem.observations.station
         require_stations([len(np.unique(station))])
         # whatever moved, and however the calibration errs
-        sigmas = np.sqrt(_move_variances(MOVE_SCALES[-1]))
-        unknowns = np.hstack([some.errors, *(some.moved(name)[1] * sigmas for name in MOVABLE)])
-        white = scipy.linalg.solve_triangular(
-            np.linalg.cholesky(some.noise),
-            np.column_stack([unknowns, some.linear.residuals]), lower=True)
-        return some, white[:, -1], white[:, :-1], stops[station]
+        moves = [some.moved(name)[1] * _move_sigmas(MOVE_SCALES[-1]) for name in MOVABLE]
+        return some, some.residuals, np.hstack([some.errors, *moves]), stops[station]
 
     comparison, _, left_out = fit_without_outliers(
-        np.unique(of_all.problem.observations.station), compared_at)
-    r = comparison.linear.residuals
-    target, sensor = (_moved(comparison, name) for name in MOVABLE)
-    causes = target, sensor, _Cause('robot', _robot_likelihood(comparison), ROBOT_CHANGED)
-    together = float(np.logaddexp.reduce([cause.likelihood for cause in causes]))
-    evidence = together - math.log(len(causes)) - comparison.likelihood(r)
-    odds = {cause.name: float(np.exp(cause.likelihood - together)) for cause in causes}
-    (target_axes, target_shows), (sensor_axes, sensor_shows) = (
-        _smallest_shifts(comparison, name) for name in MOVABLE)
+        np.unique(problem.observations.station), compared_at)
+    causes = {name: _moved(comparison, name) for name in MOVABLE}
+    causes['robot'] = _Cause(_robot_likelihood(comparison), ROBOT_CHANGED)
+    likelihoods = [cause.likelihood for cause in causes.values()]
+    evidence = _log_mean(likelihoods) - _log_likelihood(comparison.residuals, comparison.errors)
+    odds = dict(zip(causes, softmax(likelihoods).tolist(), strict=True))
+    shows = {name: _smallest_shifts(comparison, name) for name in MOVABLE}
     if evidence < math.log(LEAST_EVIDENCE):
+        of_target, of_sensor = (_in_words(*shows[name], frame) for name, frame in zip(
+            MOVABLE, (target_frame(config), mount_frame(config)), strict=True))
         verdict, sentence = 'unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
-            f'have shown from {_in_words(target_axes, target_shows, target_frame(config))} on, '
-            f'one of the sensor from {_in_words(sensor_axes, sensor_shows, mount_frame(config))} '
-            'on')
+            f'have shown from {of_target} on, one of the sensor from {of_sensor} on')
     else:
-        likeliest = sorted(causes, key=lambda cause: -cause.likelihood)
-        verdict, sentence = _causes_in_words(likeliest, odds)
+        likeliest = sorted(odds, key=odds.__getitem__, reverse=True)
+        sums = np.cumsum([odds[name] for name in likeliest])
+        named = likeliest[:int(np.searchsorted(sums, NAMED_FROM)) + 1]
+        verdict, sentence = ' or '.join(named), '; or '.join(
+            causes[name].sentence for name in named)
+        if len(named) > 1:
+            text = ', '.join(f'{name} {odds[name]:.0%}' for name in named)
+            sentence = f'these stops cannot decide ({text}): {sentence}. {MORE_STOPS}'
     starts = passes or sorted([*(one.stamp for one in samples), *(one.stamp for one in others)])
     left_out = sorted({bisect_right(starts, samples[k].stamp) for k in left_out})
     if left_out:
         what = 'profiles of the passes' if passes else 'stops'
         sentence += f'. Left out, as they contradict the others: {what} {left_out}'
+    target, sensor = (causes[name] for name in MOVABLE)
+    (target_axes, target_shows), (sensor_axes, sensor_shows) = shows.values()
     return Check(
-        samples[0].stamp, verdict, sentence, len(comparison.problem.poses), rms(r),
-        math.exp(min(evidence, 700.0)), odds, target.shift, target.turn, sensor.shift, sensor.turn,
-        sensor.displacement, sensor.std, target_shows.tolist(), target_axes.tolist(),
-        sensor_shows.tolist(), sensor_axes.tolist(), left_out)
+        samples[0].stamp, verdict, sentence, len(comparison.linear.problem.poses),
+        rms(comparison.linear.residuals), math.exp(min(evidence, 700.0)), odds, target.shift,
+        target.turn, sensor.shift, sensor.turn, sensor.displacement, sensor.std,
+        target_shows.tolist(), target_axes.tolist(), sensor_shows.tolist(), sensor_axes.tolist(),
+        left_out)
 
 
 @dataclass(frozen=True, eq=False)
 class _Comparison:
     """
-    A recording with the calibration that it is compared with; it has m residuals.
+    A recording with the calibration that it is compared with.
 
-    calibrated: sensor plane in the mount, and target
-    root (6 + k, 6 + k): R R' is their joint covariance
-    noise_scale: factor of the stated noise; smooth: 1 sigma of the robot's smooth error (m)
+    linear: if nothing has changed
+    whiten: of the noise
+    residuals (m,): white
+    errors (m, k): white derivatives by the errors of calibration and robot, in their sigmas
     """
 
-    problem: Problem
-    calibrated: Estimate
-    root: Array
-    noise_scale: float
-    smooth: float
-
-    @cached_property
-    def linear(self) -> Linear:
-        """Return the residuals if nothing has changed, and their derivatives."""
-        return linearise(self.problem, self.calibrated)
-
-    @cached_property
-    def noise(self) -> Array:
-        """Return the covariance (m, m) of the noise, of blocks."""
-        noise = np.zeros((len(self.linear.residuals),) * 2)
-        for stops in self.problem.station_groups:
-            noise[stops.rows[:, :, None], stops.rows[:, None]] = (
-                self.noise_scale ** 2 * covariance_parts(self.linear, stops).sum(axis=0))
-        return noise
-
-    @cached_property
-    def errors(self) -> Array:
-        """Return derivatives (m, k) by the errors of calibration and robot, in their sigmas."""
-        # the set-backs of the ends of each kind at each edge
-        obs, linear = self.problem.observations, self.linear
-        out = out_of_face(linear) * self.problem.config.target.setback_std
-        ends = np.unique(np.column_stack([obs.kind, obs.ending])[obs.ending > 0], axis=0)
-        setbacks = [np.where((obs.kind == k) & (obs.ending == e), out, 0.0) for k, e in ends]
-        # what all stops share was part of the calibration too
-        basis = self.problem.smooth_error_basis
-        smooth = (basis - basis.mean(axis=0))[obs.station] * self.smooth
-        return np.column_stack([linear.jacobian @ self.root, wrt_smooth(linear.wrt_pose, smooth),
-                                *setbacks])
-
-    @cached_property
-    def covariance(self) -> Array:
-        """Return the covariance (m, m) of the residuals if nothing has changed."""
-        return self.noise + self.errors @ self.errors.T
-
-    def likelihood(self, r: Array, added: Array | float = 0.0) -> float:
-        """Return the log likelihood of residuals r (m,); added: covariance (m, m) of a change."""
-        factor = np.linalg.cholesky(self.covariance + added)
-        z = scipy.linalg.solve_triangular(factor, r, lower=True)
-        return float(-0.5 * z @ z - np.log(np.diag(factor)).sum())
+    linear: Linear
+    whiten: Whitening
+    residuals: Array
+    errors: Array
 
     def moved(self, name: str, move: Array = NO_MOVE) -> tuple[Array, Array, Array]:
         """
-        Return the residuals (m,) as if what has moved (target, sensor) had moved back.
+        Return the white residuals (m,) as if what has moved (target, sensor) had moved back.
 
         And their derivatives (m, 6) by the move, and the points (m, 3) from what it turns about:
         the middle of the points, or the sensor's origin.
         """
-        problem, X = self.problem, self.calibrated.X
-        middle = problem.points_in_base(X).mean(axis=0)
+        problem, calibrated = self.linear.problem, self.linear.estimate
+        X = calibrated.X
         if name == 'sensor':
-            linear = linearise(problem, replace(self.calibrated, X=se3.perturb(X, move)))
-            return linear.residuals, -linear.jacobian[:, :6], linear.lever
-        there = se3.transform(np.eye(3), middle)
-        back = se3.inverse(there @ se3.perturb(np.eye(4), move) @ se3.inverse(there))
-        linear = linearise(replace(problem, poses=back @ problem.poses), self.calibrated)
-        lever = linear.problem.points_in_base(X) - middle
-        return linear.residuals, np.hstack([
-            linear.wrt_base, np.cross(lever, linear.wrt_base)]), lever
+            linear = linearise(problem, replace(calibrated, X=se3.perturb(X, move)))
+            wrt_move, lever = -linear.jacobian[:, :6], linear.lever
+        else:
+            there = se3.transform(np.eye(3), problem.points_in_base(X).mean(axis=0))
+            back = there @ se3.inverse(se3.perturb(np.eye(4), move)) @ se3.inverse(there)
+            linear = linearise(replace(problem, poses=back @ problem.poses), calibrated)
+            lever = linear.problem.points_in_base(X) - there[:3, 3]
+            wrt_move = np.hstack([linear.wrt_base, np.cross(lever, linear.wrt_base)])
+        return self.whiten(linear.residuals), self.whiten(wrt_move), lever
 
 
-def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Config,
-                others: Sequence[Reject]) -> _Comparison:
+def _comparison(problem: Problem, calibrated: Estimate, root: Array, factor: float, smooth: float
+                ) -> _Comparison:
+    """Return a recording compared with what _compared_with returns of the calibration."""
+    linear, obs = linearise(problem, calibrated), problem.observations
+    whiten = whitening(linear, Noise(np.full(len(Noise().variance_factors), factor)))
+    # the set-backs of the ends of each kind at each edge
+    out = out_of_face(linear) * problem.config.target.setback_std
+    ends = np.unique(np.column_stack([obs.kind, obs.ending])[obs.ending > 0], axis=0)
+    setbacks = [np.where((obs.kind == k) & (obs.ending == e), out, 0.0) for k, e in ends]
+    # what all stops share was part of the calibration too
+    basis = problem.smooth_error_basis
+    own = (basis - basis.mean(axis=0))[obs.station] * smooth
+    errors = np.column_stack([linear.jacobian @ root, wrt_smooth(linear.wrt_pose, own), *setbacks])
+    return _Comparison(linear, whiten, whiten(linear.residuals), whiten(errors))
+
+
+def _compared_with(
+        samples: Sequence[Sample], calibration: Calibration, config: Config,
+        others: Sequence[Reject]) -> tuple[Problem, tuple[Estimate, Array, float, float]]:
+    """
+    Return a recording as a problem, and what the calibration knows.
+
+    Its estimate; R with R R' the joint covariance (6 + k, 6 + k); the variance factor; 1 sigma of
+    the robot's smooth error (m).
+    """
     try:
         target, joint = TARGETS[calibration.method], calibration.target['joint']
         size = 6 + len(target.labels)
         state = np.array(joint['state'], dtype=float)
         covariance = np.array(joint['covariance'], dtype=float).reshape(size, size)
-        scale = math.sqrt(max(float(joint['variance_factor']), 1.0))
+        factor = max(float(joint['variance_factor']), 1.0)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f'the calibration (method {calibration.method}) does not hold what a check compares '
@@ -296,24 +281,33 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Con
     require_stations([len(np.unique(problem.observations.station))], others)
     obs = target.reassign(problem.observations, problem.points_in_base(X), state, config)
     problem = replace(problem, observations=obs.select(obs.kind != UNUSED))
-    return _Comparison(problem, Estimate(X, state), root_of(covariance), scale,
-                       float(calibration.target.get('robot_position_error', 0.0)))
+    smooth = float(calibration.target.get('robot_position_error', 0.0))
+    return problem, (Estimate(X, state), root_of(covariance), factor, smooth)
 
 
-def _move_variances(scale: float) -> Array:
-    """Return the prior variances (6,) of a move (m, rad) of a scale (m)."""
-    return np.repeat([scale, scale / TURN_LEVER], 3) ** 2
+def _log_likelihood(residuals: Array, errors: Array) -> float:
+    """Return the log likelihood of white residuals (m,), errors: by values in their sigmas."""
+    _, covariance, square = likeliest(errors, residuals)
+    return float(np.linalg.slogdet(covariance)[1] - square) / 2
 
 
-@dataclass(frozen=True, eq=False)
-class _Cause:
+def _log_mean(logs: Sequence[float]) -> float:
+    """Return the log of the mean of values, of which logs are the logs."""
+    return float(np.logaddexp.reduce(logs) - math.log(len(logs)))
+
+
+def _move_sigmas(scale: float) -> Array:
+    """Return the prior sigmas (6,) of a move (m, rad) of a scale (m)."""
+    return np.repeat([scale, scale / TURN_LEVER], 3)
+
+
+class _Cause(NamedTuple):
     """
     Log likelihood of a cause, what follows from it, and its most likely move: shift, turn.
 
     In m and rad. displacement: the largest of a point by this move, and its std (m).
     """
 
-    name: str
     likelihood: float
     sentence: str
     shift: float = 0.0
@@ -324,42 +318,39 @@ class _Cause:
 
 def _moved(comparison: _Comparison, name: str) -> _Cause:
     """Return the cause of a moved target or sensor."""
-    move, scale = NO_MOVE, MOVE_SCALES[-1]
+    move, sigmas = NO_MOVE, _move_sigmas(MOVE_SCALES[-1])
     for _ in range(MOST_ITERATIONS):
         r, D, lever = comparison.moved(name, move)
-        gain = np.linalg.solve(comparison.covariance, D).T
-        C = np.asarray(np.linalg.inv(gain @ D + np.diag(1 / _move_variances(scale))))
         r = r + D @ move
-        move = C @ gain @ r
-        likelihood = [comparison.likelihood(r, D * _move_variances(s) @ D.T) for s in MOVE_SCALES]
-        scale = MOVE_SCALES[int(np.argmax(likelihood))]
+        x, C, _ = likeliest(np.hstack([comparison.errors, D * sigmas]), r)
+        move, C = sigmas * x[-6:], C[-6:, -6:] * np.outer(sigmas, sigmas)
+        likelihoods = [_log_likelihood(r, np.hstack([
+            comparison.errors, D * _move_sigmas(scale)])) for scale in MOVE_SCALES]
+        sigmas = _move_sigmas(MOVE_SCALES[int(np.argmax(likelihoods))])
     shift, turn = np.linalg.norm(move.reshape(2, 3), axis=1).tolist()
     displacement, std = largest_displacement(lever, move, C)
     off, turned = f'{mm(displacement)} ± {mm(2 * std)}', f'{math.degrees(turn):.3f} degrees'
-    on_flange = (name == 'sensor') == comparison.problem.config.in_hand
+    on_flange = (name == 'sensor') == comparison.linear.problem.config.in_hand
     what = f'the {name} moved on the flange' if on_flange else (
         f'the {name}, or the base of the robot, moved')
     sentence = (
         f'{what} by {mm(shift)} and {turned}: points are off by up to {off}; calibrate again'
         if name == 'sensor' else
         f'{what} by up to {off} where it was seen, and turned by {turned}; the calibration holds')
-    mean = float(np.logaddexp.reduce(likelihood) - np.log(len(MOVE_SCALES)))
-    return _Cause(name, mean, sentence, shift, turn, displacement, std)
+    return _Cause(_log_mean(likelihoods), sentence, shift, turn, displacement, std)
 
 
 def _robot_likelihood(comparison: _Comparison) -> float:
     """Return the log likelihood of pose errors, smooth over the poses or white."""
-    problem, D, r = comparison.problem, comparison.linear.wrt_pose, comparison.linear.residuals
-    station = problem.observations.station
-    T = problem.robot_poses[station]
-    away = np.linalg.norm(T[:, None, :3, 3] - T[None, :, :3, 3], axis=-1) / SMOOTH_DISTANCE
-    cosine = (np.einsum('aij,bij->ab', T[:, :3, :3], T[:, :3, :3]) - 1) / 2
-    square = away ** 2 + 2 * (1 - cosine) / SMOOTH_ANGLE ** 2  # of the chord: positive definite
-    smooth, smoother = (np.exp(-0.5 * square / times ** 2) for times in SMOOTH_FACTORS)
-    likelihood = [comparison.likelihood(r, D * _move_variances(scale) @ D.T * kernel)
-                  for scale in MOVE_SCALES
-                  for kernel in (smooth, smoother, station[:, None] == station)]
-    return float(np.logaddexp.reduce(likelihood) - np.log(len(likelihood)))
+    problem, wrt_pose = comparison.linear.problem, comparison.whiten(comparison.linear.wrt_pose)
+    smooth = problem.smooth_error_basis
+    # the root of four is alike over twice the distance, as one joint's error reaches further
+    values, axes = np.linalg.eigh(np.abs(smooth @ smooth.T) ** 0.25)
+    roots = [root[problem.observations.station] for root in (
+        smooth, axes * np.sqrt(np.maximum(values, 0.0)), np.eye(len(problem.poses)))]
+    return _log_mean([_log_likelihood(comparison.residuals, np.hstack([
+        comparison.errors, (sized[:, :, None] * root[:, None]).reshape(len(sized), -1)]))
+        for sized in (wrt_pose * _move_sigmas(scale) for scale in MOVE_SCALES) for root in roots])
 
 
 def _smallest_shifts(comparison: _Comparison, name: str) -> tuple[Array, Array]:
@@ -369,23 +360,14 @@ def _smallest_shifts(comparison: _Comparison, name: str) -> tuple[Array, Array]:
     name: of what moves. The smallest comes first; nan where none would show.
     """
     _, D, _ = comparison.moved(name)
-    information = D.T @ np.linalg.solve(comparison.covariance, D)
-    occam = np.linalg.slogdet(np.eye(6) + information * _move_variances(1e-3))[1]
+    A = comparison.errors
+    unexplained = D - A @ np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T @ D)
+    information = D.T @ unexplained
+    occam = np.linalg.slogdet(np.eye(6) + information * _move_sigmas(1e-3) ** 2)[1]
     sigmas = np.sqrt(2 * np.log(3 * len(MOVE_SCALES) * LEAST_EVIDENCE) + occam) + 1.64  # with 95 %
     values, axes = np.linalg.eigh(information[:3, :3])
     sizes = (sigmas / np.sqrt(np.maximum(values, 1e-300)))[::-1]
     return axes.T[::-1], np.where(sizes < UNSEEN_SHIFT, sizes, np.nan)
-
-
-def _causes_in_words(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tuple[str, str]:
-    """Return verdict and sentence; likeliest: the causes, the most likely first."""
-    sums = np.cumsum([odds[cause.name] for cause in likeliest])
-    named = likeliest[:int(np.searchsorted(sums, NAMED_FROM)) + 1]
-    sentence = '; or '.join(cause.sentence for cause in named)
-    if len(named) > 1:
-        text = ', '.join(f'{cause.name} {odds[cause.name]:.0%}' for cause in named)
-        sentence = f'these stops cannot decide ({text}): {sentence}. {MORE_STOPS}'
-    return ' or '.join(cause.name for cause in named), sentence
 
 
 def _in_words(axes: Array, shifts: Array, frame: str) -> str:

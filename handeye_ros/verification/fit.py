@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 import math
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config
@@ -303,14 +303,20 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
     gain, r = np.asarray(np.linalg.pinv(J), dtype=float), r[:, 0]
     left, E_left = r - J @ (gain @ r), E - J @ (gain @ E)  # what the shape does not take up
     claim = scipy.linalg.block_diag(root_of(C), np.eye(robot.shape[1]))
-    _, _, claimed_square = _likeliest(E_left @ claim, left, np.ones(len(claim)))
-    freedom, size = max(len(r) - len(gain), 1), np.abs(distances)
-    scatter = Scatter(len(r), float(size.mean()), float(size.std()), rms(size), float(size.max()),
-                      float(chi2_sf(claimed_square, freedom)))
-    values = _values(shape, q, J, E, claim)
-    known = len(values.deviation)
-    error, covariance, factor, p_error, p_of_error = _calibration_error(
-        left, E_left, values, freedom)
+    quantities, deviation, by_error, nominal_chi2 = _values(shape, q, J, E, claim)
+    freedom, size, known = max(len(r) - len(gain), 1), np.abs(distances), len(deviation)
+    scatter = Scatter(
+        len(r), float(size.mean()), float(size.std()), rms(size), float(size.max()),
+        float(chi2_sf(likeliest(E_left @ claim, left)[2], freedom)))
+    # the error of the calibration that distances and nominal values show, whatever is claimed
+    A, b = np.vstack([E_left, -by_error]), np.append(left, deviation)
+    prior = np.append(LARGEST_ERROR ** -2.0, np.ones(len(claim) - 6))
+    errors, covariance, square = likeliest(A, b, prior)
+    _, _, square_without = likeliest(A[:, 6:], b, prior[6:])
+    error, covariance = errors[:6], covariance[:6, :6]
+    square -= float(error ** 2 @ prior[:6])
+    all_freedom = max(freedom + known - 6, 1)
+    factor = max(square / all_freedom, 1.0)
     detectable_error, weakest_direction = _weakest(covariance, lever, mount_frame(problem.config))
     largest_error, largest_error_std = largest_displacement(lever, error, factor * covariance)
     # of each point what sensor and robot add; and what a fit of other groups would leave unknown
@@ -320,85 +326,56 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
     unknowns = np.hstack([J, E[:, :6]])
     unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
     return Fit(
-        values.quantities, scatter, distances, np.sqrt(variances), values.nominal_chi2, known,
-        float(chi2_sf(values.nominal_chi2, known)) if known else 1.0,
-        detectable_error, weakest_direction, error,
-        p_error=p_error, p_of_error=p_of_error, largest_error=largest_error,
-        largest_error_std=largest_error_std, white_distances=r,
+        quantities, scatter, distances, np.sqrt(variances), nominal_chi2, known,
+        float(chi2_sf(nominal_chi2, known)) if known else 1.0, detectable_error,
+        weakest_direction, error, p_error=float(chi2_sf(square, all_freedom)),
+        p_of_error=float(chi2_sf((square_without - square) / factor, 6)),
+        largest_error=largest_error, largest_error_std=largest_error_std, white_distances=r,
         wrt_unknowns=np.hstack([unknowns, E[:, 6:]]))
 
 
-def _calibration_error(left: Array, E_left: Array, values: _Values, freedom: int
-                       ) -> tuple[Array, Array, float, float, float]:
-    """
-    Return error (6,), covariance (6, 6), misfit factor, p_error and p_of_error of a Fit.
-
-    It is the error that distances and nominal values show, whatever the claimed covariance says.
-    left (m,), E_left (m, 6 + s): what the shape does not take up of the white distances, and of
-    their derivatives by the errors; freedom: of these distances.
-    """
-    A = np.vstack([E_left, -values.wrt_error])
-    b = np.append(left, values.deviation)
-    prior = np.append(LARGEST_ERROR ** -2.0, np.ones(A.shape[1] - 6))
-    errors, covariance, square = _likeliest(A, b, prior)
-    _, _, square_without = _likeliest(A[:, 6:], b, prior[6:])
-    error = errors[:6]
-    square -= float(error ** 2 @ prior[:6])
-    freedom = max(freedom + len(values.deviation) - 6, 1)
-    factor = max(square / freedom, 1.0)
-    return (error, covariance[:6, :6], factor, float(chi2_sf(square, freedom)),
-            float(chi2_sf((square_without - square) / factor, 6)))
-
-
-def _likeliest(A: Array, b: Array, prior: Array) -> tuple[Array, Array, float]:
+def likeliest(A: Array, b: Array, prior: Array | float = 1.0) -> tuple[Array, Array, float]:
     """
     Return the x of least |b - A x|^2 + x' diag(prior) x, its covariance, and this sum.
 
     A: (m, u), b: (m,), white; prior: (u,) information.
     """
-    covariance = np.asarray(np.linalg.inv(A.T @ A + np.diag(prior)), dtype=float)
+    covariance = np.asarray(np.linalg.inv(A.T @ A + prior * np.eye(A.shape[1])), dtype=float)
     explained = A.T @ b
     x = covariance @ explained
     return x, covariance, float(b @ b - explained @ x)
 
 
-class _Values(NamedTuple):
+def _values(shape: Shape, q: Array, J: Array, E: Array, claim: Array
+            ) -> tuple[tuple[Quantity, ...], Array, Array, float]:
     """
-    The measured values, and their deviations (v,) from nominal values where there are any.
+    Return the values of a shape q (k,) as quantities.
 
-    nominal_chi2: as of Fit; deviation, wrt_error (v, 6 + s): white, and by the errors.
+    And of the v with nominal values: white deviations (v,) from these, their derivatives
+    (v, 6 + s) by the errors, and nominal_chi2 of a Fit. J, E: of the white distances; claim: root
+    of the covariance of the errors.
     """
-
-    quantities: tuple[Quantity, ...]
-    nominal_chi2: float
-    deviation: Array
-    wrt_error: Array
-
-
-def _values(shape: Shape, q: Array, J: Array, E: Array, claim: Array) -> _Values:
-    """Return the values of a shape q (k,); J, E: of the white distances; claim: root of cov e."""
     certificate = shape.stations.problem.config.verify.certificate  # U of nominal lengths
     values, by_shape = shape.values(q), derivatives(shape.values, q)
     by_distances = by_shape @ np.asarray(np.linalg.pinv(J), dtype=float)
-    wrt_error = by_distances @ E
-    wrt_claim, wrt_smooth = np.split(wrt_error @ claim, [6], axis=1)
-    covariance, claimed = by_distances @ by_distances.T, wrt_claim @ wrt_claim.T
+    by_error = by_distances @ E
+    by_claim, by_smooth = np.split(by_error @ claim, [6], axis=1)
+    covariance, claimed = by_distances @ by_distances.T, by_claim @ by_claim.T
     unseen = np.abs(by_shape - by_distances @ J).max(axis=1, initial=0.0) > UNSEEN_CHANGE
     nominal = np.array([quantity.nominal for quantity in shape.quantities], dtype=float)
     known = np.flatnonzero(np.isfinite(nominal) & ~unseen)
     is_length = np.array([quantity.unit == 'm' for quantity in shape.quantities])
     covariance[known, known] += is_length[known] * (certificate / COVERAGE_FACTOR) ** 2
     deviation, block = (values - nominal)[known], np.ix_(known, known)
-    factor = np.linalg.cholesky(covariance[block])  # the smooth error is one of the errors
-    covariance += wrt_smooth @ wrt_smooth.T
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance[block]))  # the smooth error is an error
+    covariance += by_smooth @ by_smooth.T
     chi2 = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
     covariance[unseen, unseen] = np.inf
     stds, claims = (np.sqrt(np.maximum(np.diag(each), 0.0)) for each in (covariance, claimed))
-    return _Values(
-        tuple(replace(quantity, value=float(value), std=float(std), claimed=float(claim))
-              for quantity, value, std, claim in zip(shape.quantities, values, stds, claims,
-                                                     strict=True)),
-        chi2, np.linalg.solve(factor, deviation), np.linalg.solve(factor, wrt_error[known]))
+    quantities = (replace(quantity, value=float(value), std=float(std), claimed=float(claim))
+                  for quantity, value, std, claim in zip(
+                      shape.quantities, values, stds, claims, strict=True))
+    return tuple(quantities), whiten @ deviation, whiten @ by_error[known], chi2
 
 
 def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, float]:

@@ -9,7 +9,7 @@ takes no part in U.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import datetime, UTC
 import math
@@ -209,10 +209,10 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
             'turn the sensor more between them')
 
     other_size = fit.p_error < UNEXPLAINED_P < fit.scatter.p  # the shape fits, but not in its size
-    failed, undecided = _values_off(quantities, limits, remedy)
-    shown, suggested = _calibration_off(fit, limits, other_size)
-    failed += [*_points_off(stations, limits), *shown]
-    undecided += [*suggested, *_contradiction(stations)]
+    findings = [*_values_off(quantities, limits, remedy),
+                *_points_off(fit, stations, limits, other_size)]
+    failed, undecided = ([sentence for decided, sentence in findings if decided == kind]
+                         for kind in (VIOLATES, UNDECIDED))
     verdict = 'fail' if failed else 'undecided' if undecided else 'pass'
     if not failed and fit.detectable_error > limits.tolerance:
         verdict = 'insensitive'
@@ -224,79 +224,63 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
 
 
 def _values_off(quantities: Sequence[Quantity], limits: VerifyConfig,
-                remedy: Callable[[float, float], str]) -> tuple[list[str], list[str]]:
+                remedy: Callable[[float, float], str]) -> Iterator[tuple[str, str]]:
     """
-    Return the values that violate their tolerance, and those of which that is not decided.
+    Yield the decisions on the values with a nominal, each with a sentence.
 
     remedy(size, largest): of an uncertainty that is larger than what the tolerance leaves.
     """
-    violated, undecided = list[str](), list[str]()
     for q in quantities:
-        if q.error is None:
-            continue
-        tolerance = limits.tolerance if q.unit == 'm' else limits.angle_tolerance
-        off = f'{q.name} is off by {formatted(q.error, q.unit)}'
-        U, decided = f'{formatted(q.expanded, q.unit)} (k = {COVERAGE_FACTOR:g})', decision(
-            q.error, q.expanded, tolerance)
-        if decided == VIOLATES:
-            violated.append(f'{off} ± {U}')
-        elif decided == UNDECIDED:
-            undecided.append(
-                f'{off}, its uncertainty is {U}, and together they exceed the tolerance of '
-                f'{formatted(tolerance, q.unit)}{remedy(q.expanded, tolerance - abs(q.error))}')
-    return violated, undecided
+        if q.error is not None:
+            tolerance = limits.tolerance if q.unit == 'm' else limits.angle_tolerance
+            off, U = (formatted(value, q.unit) for value in (q.error, q.expanded))
+            decided = decision(q.error, q.expanded, tolerance)
+            yield decided, f'{q.name} is off by {off} ± {U} (k = {COVERAGE_FACTOR:g})' if (
+                decided == VIOLATES) else (
+                f'{q.name} is off by {off}, its uncertainty is {U} (k = {COVERAGE_FACTOR:g}), and '
+                f'together they exceed the tolerance of {formatted(tolerance, q.unit)}'
+                f'{remedy(q.expanded, tolerance - abs(q.error))}')
 
 
-def _points_off(stations: Sequence[StationResult], limits: VerifyConfig) -> list[str]:
-    """Return in words which stops surely have points outside of the tolerance."""
+def _points_off(fit: Fit, stations: Sequence[StationResult], limits: VerifyConfig,
+                other_size: bool) -> Iterator[tuple[str, str]]:
+    """
+    Yield the decisions on points and calibration that do not conform, each with a sentence.
+
+    other_size: whether another size of the artefact explains an error of the calibration as well.
+    """
     outside = [s for s in stations if s.used and COVERAGE_FACTOR * s.std <= limits.tolerance
                and s.distance - COVERAGE_FACTOR * s.std > limits.tolerance]
-    if not outside:
-        return []
-    worst = max(outside, key=lambda s: s.distance)
-    return [f'points of {len(outside)} of {len(stations)} stops lie up to '
-            f'{mm(worst.distance)} from the fit (the worst: {worst.name})']
-
-
-def _calibration_off(fit: Fit, limits: VerifyConfig, other_size: bool
-                     ) -> tuple[list[str], list[str]]:
-    """
-    Return the error of the calibration that violates the tolerance, and one that may, in words.
-
-    other_size: whether another size of the artefact explains it as well.
-    """
+    if outside:
+        worst = max(outside, key=lambda s: s.distance)
+        yield VIOLATES, (f'points of {len(outside)} of {len(stations)} stops lie up to '
+                         f'{mm(worst.distance)} from the fit (the worst: {worst.name})')
     decided = decision(fit.largest_error, ONE_SIDED_95 * fit.largest_error_std, limits.tolerance)
-    if fit.p_of_error > SIGNIFICANCE or decided == CONFORMS:
-        return [], []
     error = (f'an error of the calibration of {mm(fit.largest_error)} ± '
              f'{mm(COVERAGE_FACTOR * fit.largest_error_std)} (k = {COVERAGE_FACTOR:g})')
-    if decided == VIOLATES and not other_size:
-        return [f'the pattern of the distances matches {error} at the points'], []
-    return [], [f'the points suggest {error}, which may exceed the tolerance: measure at more '
-                'stops']
+    if fit.p_of_error <= SIGNIFICANCE and decided == VIOLATES and not other_size:
+        yield VIOLATES, f'the pattern of the distances matches {error} at the points'
+    elif fit.p_of_error <= SIGNIFICANCE and decided != CONFORMS:
+        yield UNDECIDED, (f'the points suggest {error}, which may exceed the tolerance: measure '
+                          'at more stops')
+    contradicting = [s.name for s in stations if s.used and s.p * len(stations) < FALSE_ALARM]
+    if contradicting:
+        yield UNDECIDED, (f'{", ".join(contradicting)} contradict the others under every possible '
+                          'calibration, and without them too little would be left: measure again')
 
 
-def _contradiction(stations: Sequence[StationResult]) -> list[str]:
-    """Return in words which used stops contradict the others."""
-    names = [s.name for s in stations if s.used and s.p * len(stations) < FALSE_ALARM]
-    return [f'{", ".join(names)} contradict the others under every possible calibration, '
-            'and without them too little would be left: measure again'] if names else []
-
-
-def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult]) -> list[str]:
-    """Return what a verdict must be read with, in sentences."""
-    notes = [f'{s.name} is left out: {s.reason}' for s in stations if not s.used]
+def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult]) -> Iterator[str]:
+    """Yield what a verdict must be read with, in sentences."""
+    yield from (f'{s.name} is left out: {s.reason}' for s in stations if not s.used)
     if fit.scatter.p < INCONSISTENT_P:
-        notes.append('the points disagree by more than calibration, noise.sensor and '
-                     f'noise.robot_* explain (p = {fit.scatter.p:.1g}): the calibration is worse '
-                     'than it claims, the artefact moved, or the noise is set too small')
+        yield ('the points disagree by more than calibration, noise.sensor and noise.robot_* '
+               f'explain (p = {fit.scatter.p:.1g}): the calibration is worse than it claims, the '
+               'artefact moved, or the noise is set too small')
     if other_size:
-        notes.append('the points fit the shape, and no error of the calibration explains these '
-                     'deviations: check the nominal values (verify.radius, verify.lengths)')
+        yield ('the points fit the shape, and no error of the calibration explains these '
+               'deviations: check the nominal values (verify.radius, verify.lengths)')
     if fit.claim_p < SIGNIFICANCE:
-        notes.append('the deviations are larger than the calibration claims '
-                     f'(p = {fit.claim_p:.1g})')
-    return notes
+        yield f'the deviations are larger than the calibration claims (p = {fit.claim_p:.1g})'
 
 
 def plain_values(verification: Verification, inputs: Iterable[object] = (),

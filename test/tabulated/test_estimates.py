@@ -11,8 +11,7 @@ from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.published import jing2020
 from handeye_ros.simulate.measured import BALL_RADIUS, laser_tracker, SimulatedFiles
-from handeye_ros.tabulated.hand_eye import PosePairs
-from handeye_ros.tabulated.points import PointPairs
+from handeye_ros.tabulated.pairs import PointPairs, PosePairs
 from handeye_ros.tabulated.tracker import Piece, sweep_from, SWEPT_PARTS, TrackerSession
 from handeye_ros.tabulated.values import solve, TableAnswer
 import numpy as np
@@ -120,7 +119,7 @@ CELL = with_values(Config(), {'noise.sensor': SENSOR, 'target.radius': BALL_RADI
 
 def tracked(measured: jing2020.Readings) -> TableAnswer:
     config = with_values(CELL, {'tracker.h0': measured.height, 'tracker.h1': 0.0}, 'test')
-    pieces = [Piece(row, part, point[None], np.array([SENSOR if part in SWEPT_PARTS else 2e-5]))
+    pieces = [Piece(row, part, point[None])
               for part, points in measured.parts.items() if part != 'ball'
               for row, point in enumerate(points)]
     return solve(TrackerSession(config, pieces, measured.parts['ball'][0], measured.q30))

@@ -1,0 +1,373 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+Points or poses in two frames, row by row: by a sensor beside the robot, by a camera (A X = X B).
+
+The start is a closed form. Least squares of all unknowns together follow: each row of the sensor
+is compared with what is predicted by that of the robot.
+
+How large the errors of each cause are is estimated too: variance components by restricted maximum
+likelihood (Patterson and Thompson 1971, Biometrika 58:545), by the steps of Zhou et al. 2019 (J.
+Computational and Graphical Statistics 28:350). A weak prior prevents zero variances from few
+residuals.
+"""
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+from handeye_ros import se3
+from handeye_ros.checks.refusals import require_rotations
+from handeye_ros.config import Config, with_values
+from handeye_ros.data import Array
+from handeye_ros.errors import DataError, TooFewError
+from handeye_ros.estimation.least_squares import (
+    adjust,
+    Adjusted,
+    chi2_isf,
+    inverse_roots,
+    Rows,
+    System,
+)
+from handeye_ros.frames import mount_frame, mount_poses
+from handeye_ros.published.cn105021139a import solve_motions
+from handeye_ros.results.calibration_file import input_values
+from handeye_ros.tables import NOTATIONS, Table
+from handeye_ros.tabulated.values import Indices, Misreading, TableAnswer, TableProblem
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.special import fdtri
+
+SHORTEST_REACH, LONGEST_REACH = 0.02, 50.0  # m: what a sensor or a robot reaches lies between them
+REGION_PROBABILITY = 0.99  # probability of the region that a covariance from few rows is to hold
+SMALLEST_VARIANCE = 1e-18  # m^2 or rad^2: a smaller scatter is rounding
+PRIOR_FREEDOM = 0.5  # degrees of freedom of the prior of each variance, about the typical one
+LIKELIHOOD_STEPS = 100
+SMALLEST_ANGLE = 0.05  # of points: smallest spread across over spread along (rad)
+PAIRS, SEED = 2000, 0  # of poses, drawn for the closed form
+LARGEST_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
+
+
+@dataclass(frozen=True, eq=False)
+class PairedRows(TableProblem):
+    """
+    Points (n, 3) or poses (n, 4, 4), as the sensor sees them and by the robot (m).
+
+    A state (k, 4, 4) is X, the sensor in its mount, and what else is unknown.
+
+    prefixes: of the columns of both
+    fewest: rows; fewer do not show how large the noise is
+    typical: variances (c,) of the causes of errors, up to a factor, where nothing is known
+    """
+
+    seen: Array
+    robot: Array
+
+    prefixes: ClassVar[tuple[str, str]]
+    fewest: ClassVar[int]
+    typical: ClassVar[Array]
+
+    @classmethod
+    @abstractmethod
+    def of(cls, table: Table, config: Config) -> Self:
+        """Return the rows of a table, each column with its unit; raises TableError."""
+
+    @abstractmethod
+    def in_other_notations(self, table: Table) -> Iterator[Misreading]:
+        """Yield the rows of the table as they would be written otherwise."""
+
+    @abstractmethod
+    def closed_form(self) -> Array:
+        """Return X (4, 4) to start from; raises SingularError, TooFewError."""
+
+    @abstractmethod
+    def state_of(self, X: Array) -> Array:
+        """Return the state (k, 4, 4) that fits X (4, 4) best."""
+
+    @abstractmethod
+    def linear(self, state: Array) -> tuple[Array, Array, Array]:
+        """
+        Return the differences (n, d) of measured and predicted rows, d = 3 or 6.
+
+        And their derivatives (n, d, 6 k) by the transforms of the state, and their covariances
+        (c, n, d, d) for unit variances of the causes.
+        """
+
+    @classmethod
+    def read(cls, path: Path, config: Config) -> Self:
+        """Read the rows of a table; raises TableError, DataError."""
+        table = Table(path)
+        rows = replace(cls.of(table, config), frame=config.sensor_frame,
+                       inputs=[input_values(path)])
+        rows.require_plausible()
+        return replace(rows, misreadings=[*rows.in_other_units(), *rows.in_other_notations(table)])
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.seen)
+
+    @property
+    def samples(self) -> list[tuple[int, str]]:
+        return [(row, '') for row in range(1, len(self) + 1)]
+
+    def subset(self, rows: Indices) -> Self:
+        """Return some rows (ascending indices)."""
+        return replace(self, seen=self.seen[rows], robot=self.robot[rows])
+
+    def field(self) -> Array:
+        return _positions(self.seen)
+
+    @property
+    def reach(self) -> list[float]:
+        """Return the typical distances (m) of both lists from the origins of their frames."""
+        return [float(np.median(np.linalg.norm(_positions(values), axis=1)))
+                for values in (self.seen, self.robot)]
+
+    def require_plausible(self) -> None:
+        """Raise DataError for lists that no sensor and robot can give."""
+        rows = np.hstack([values.reshape(len(self), -1) for values in (self.seen, self.robot)])
+        first = np.unique(rows, axis=0, return_index=True)[1]
+        again = np.setdiff1d(np.arange(len(self)), first) + 1
+        if len(again):
+            raise DataError(f'{len(again)} rows repeat others to the last digit, first row '
+                            f'{again[0]}: the answer would seem more certain than it is; keep '
+                            'each row once')
+        if max(self.reach) < SHORTEST_REACH or min(self.reach) > LONGEST_REACH:
+            (seen, robot), (near, far) = self.prefixes, self.reach
+            raise DataError(
+                f'the positions of the {seen} are typically {near:.3g} m from the origin, those '
+                f'of the {robot} {far:.3g} m, as in no cell: correct the units in the header, of '
+                f'{seen}_x, {seen}_y, {seen}_z and {robot}_x, {robot}_y, {robot}_z',
+                reason='convention')
+
+    def in_other_units(self) -> Iterator[Misreading]:
+        """Yield the values with one list in another unit, as far as they then are of a cell."""
+        for factor, words in ((1e3, 'larger'), (1e-3, 'smaller')):
+            for prefix, name in zip(self.prefixes, ('seen', 'robot'), strict=True):
+                scaled = getattr(self, name).copy()
+                _positions(scaled)[:] *= factor
+                other = replace(self, **{name: scaled})
+                if SHORTEST_REACH < min(other.reach) and max(other.reach) < LONGEST_REACH:
+                    yield Misreading(
+                        f'the positions of the {prefix} 1000 times {words}', 'correct the unit in '
+                        f'the header of {prefix}_x, {prefix}_y, {prefix}_z', other)
+
+    def solve(self) -> TableAnswer:
+        """Return the least squares, weighted by the noise that its residuals show."""
+        variances = self.typical
+        fit, whiten = self.fit_with_variances(self.state_of(self.closed_form()), variances)
+        typical = variances * fit.variance_factor
+        for _ in range(2):
+            variances = self.likeliest_variances(fit.state, fit.used, typical)
+            fit, whiten = self.fit_with_variances(fit.state, variances)
+        off, left_out = _lengths(self.linear(fit.state)[0]), _lengths(np.asarray(np.linalg.solve(
+            whiten[fit.used], fit.left_out[..., None])[..., 0]))
+        (residual, angle), (holdout, holdout_angle) = (
+            np.sqrt((lengths ** 2).mean(axis=0)).tolist() for lengths in (off[fit.used], left_out))
+        # the region that holds, by Fisher's F: the noise is from the residuals of the rows that
+        # are used, three each of a kind, of which the transform takes six
+        region = 6 * fdtri(6, 3 * len(fit.used) - 6, REGION_PROBABILITY)
+        target: dict[str, Any] = {'point_noise': float(variances[0]) ** 0.5}
+        if len(fit.state) > 1:
+            target |= {'pose': se3.transform_values(fit.state[1]), 'residual_angle': angle,
+                       'left_out_angle': holdout_angle}
+        return TableAnswer(
+            fit.state[0], fit.covariance[:6, :6] * region / chi2_isf(1 - REGION_PROBABILITY, 6),
+            np.isin(np.arange(len(self)), fit.used), off[:, 0], residual, holdout, angle,
+            target)
+
+    def fit_with_variances(self, state: Array, variances: Array) -> tuple[Adjusted[Array], Array]:
+        """
+        Return the fit for variances (c,) of the causes, and what whitens the rows (n, d, d).
+
+        state: (k, 4, 4) to start from.
+        """
+        whiten = inverse_roots(np.tensordot(variances, self.linear(state)[2], 1))
+
+        def rows(state: Array) -> Rows:
+            differences, derivatives, _ = self.linear(state)
+            return Rows((whiten @ differences[..., None]).ravel(),
+                        lambda: (whiten @ derivatives).reshape(-1, 6 * len(state)))
+
+        system = System(rows, lambda state, step: se3.perturb(state, step.reshape(-1, 6)),
+                        np.repeat(np.arange(len(self)), whiten.shape[1]))
+        return adjust(system, state, self.fewest), whiten
+
+    def likeliest_variances(self, state: Array, used: Indices, typical: Array) -> Array:
+        """
+        Return the most likely variances (c,) of the causes, from the rows that are used.
+
+        typical: (c,) about which they are expected, and from which they are sought.
+        """
+        r, J, parts = self.subset(used).linear(state)
+        variances = typical
+        for _ in range(LIKELIHOOD_STEPS):
+            weight = np.linalg.inv(np.tensordot(variances, parts, 1))
+            weighted = weight @ J
+            C = np.linalg.inv(np.einsum('nia,nib->ab', J, weighted))
+            # the weighted residuals of the least squares, and what of each part they show
+            left = (weight @ r[..., None])[..., 0] - weighted @ (
+                C @ np.einsum('nia,ni->a', weighted, r))
+            shown = np.einsum('ni,cnij,nj->c', left, parts, left)
+            expected = np.einsum('nij,cnji->c', weight, parts) - np.einsum(
+                'nia,cnij,nja->c', weighted @ C, parts, weighted)
+            variances = np.maximum(SMALLEST_VARIANCE, variances * np.sqrt(
+                (shown * variances + PRIOR_FREEDOM * typical / variances)
+                / (expected * variances + PRIOR_FREEDOM)))
+        return variances
+
+    def residuals(self, X: Array, fitted: Indices, measured: Indices) -> Array:
+        """Return distances (m) of `measured` rows for X, the rest fitted to `fitted` ones."""
+        state = self.subset(fitted).state_of(X)
+        return _lengths(self.subset(measured).linear(state)[0])[:, 0]
+
+
+def _positions(values: Array) -> Array:
+    """Return the positions (n, 3) of points or poses, a view of them."""
+    return values if values.ndim == 2 else values[:, :3, 3]
+
+
+def _lengths(differences: Array) -> Array:
+    """Return the lengths (n, 2) of translation and rotation of differences (n, 3) or (n, 6)."""
+    both = np.pad(differences, ((0, 0), (0, 6 - differences.shape[1])))
+    return np.asarray(np.linalg.norm(both.reshape(-1, 2, 3), axis=2))
+
+
+@dataclass(frozen=True, eq=False)
+class PointPairs(PairedRows):
+    """The same points (n, 3) in the frame of the sensor and in the robot's base (Wu 2017)."""
+
+    name = 'points'
+    calibration_types = ('eye_on_base',)
+    advice = 'take more points, spread over a larger volume'
+    check = 'do both lists hold the same points in the same order, and which are their units?'
+    over = 'the points of the file'
+    prefixes = ('camera', 'base')
+    fewest = 4
+    typical = np.array([1e-18])
+
+    @classmethod
+    def of(cls, table: Table, config: Config) -> Self:
+        return cls(config, *map(table.points, cls.prefixes))
+
+    def in_other_notations(self, table: Table) -> Iterator[Misreading]:
+        yield Misreading('one of the two lists mirrored', 'use right-handed frames: check the '
+                         'signs and the order of the axes of both lists',
+                         replace(self, seen=-self.seen))
+
+    def require_determined(self) -> None:
+        """Raise DataError for few points, and for points that are (nearly) collinear."""
+        if len(self) < self.fewest:
+            raise TooFewError('the transform between two sets of points', self.fewest, 'points',
+                              len(self))
+        along, across = np.linalg.svd(self.robot - self.robot.mean(axis=0), compute_uv=False)[:2]
+        if across < SMALLEST_ANGLE * along:
+            raise DataError('the points lie in one line, so a turn about it is free; put some of '
+                            'them well outside it')
+
+    def closed_form(self) -> Array:
+        seen, robot = self.seen.mean(axis=0), self.robot.mean(axis=0)
+        R = Rotation.align_vectors(self.robot - robot, self.seen - seen)[0].as_matrix()
+        return se3.transform(R, robot - R @ seen)
+
+    def state_of(self, X: Array) -> Array:
+        return X[None]
+
+    def linear(self, state: Array) -> tuple[Array, Array, Array]:
+        turned = self.seen @ state[0, :3, :3].T
+        return (turned + state[0, :3, 3] - self.robot, se3.wrt_perturbation(turned),
+                np.broadcast_to(np.eye(3), (1, len(self), 3, 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class PosePairs(PairedRows):
+    """
+    Poses (n, 4, 4) at the same times (CN105021139A).
+
+    seen: T_camera_target; robot: of what carries the camera (the flange, or with eye_on_base the
+    base) in what carries the target. State (2, 4, 4): X, the camera in its mount, and Z, the
+    target in the frame where it is fixed.
+    """
+
+    name = 'hand_eye'
+    calibration_types = ('eye_in_hand', 'eye_on_base')
+    advice = 'take more poses, turned by 30 degrees or more about two axes'
+    check = 'are both lists of the same moments, is no pose inverted, and which are the units?'
+    over = 'the positions of the target in the file'
+    prefixes = ('target', 'flange')
+    fewest = 5
+    typical = 1e-8 * np.array([1e-8, 1e-6, 1e-7])  # 0.1 mm, 1 mrad and 0.3 mrad
+
+    @classmethod
+    def of(cls, table: Table, config: Config) -> Self:
+        flange = table.poses('flange', config.target.angles)
+        return cls(config, table.poses('target'), mount_poses(flange, config))
+
+    def in_other_notations(self, table: Table) -> Iterator[Misreading]:
+        yield Misreading('one of the two lists inverted', 'set calibration_type to the other one, '
+                         'or, if it is right, give the flange in the base and the target in the '
+                         'camera', replace(self, robot=se3.inverse(self.robot)))
+        for prefixes in (('flange',), ('target',), ('flange', 'target')):
+            named = {f'{prefix}_q{old}': f'{prefix}_q{new}' for prefix in prefixes
+                     for old, new in zip('xyzw', 'wxyz', strict=True)}
+            yield Misreading(f'{" and ".join(prefixes)} quaternions as w x y z',
+                             'name the columns in the order of their values',
+                             self.of(table.renamed(named), self.config))
+        # angles of the flange as other controllers mean them, of the same columns first
+        used = table.notation('flange', self.config.target.angles)
+        columns = used.columns('flange')
+        others = {name: notation.columns('flange') for name, notation in NOTATIONS.items()
+                  if used.angle and notation.angle}
+        for name, names in sorted(others.items(), key=lambda one: one[1] != columns):
+            yield Misreading(
+                f'the flange written as {name}', f'set target.angles to {name}' + (
+                    '' if names == columns else f' and name the columns {", ".join(names)}'),
+                self.of(table.renamed(dict(zip(columns, names, strict=True))),
+                        with_values(self.config, {'target.angles': name})))
+
+    def require_determined(self) -> None:
+        """Raise DataError for few poses, and for poses that turn about one axis or none."""
+        if len(self) < self.fewest:
+            raise TooFewError('A X = X B', self.fewest, 'poses', len(self))
+        require_rotations(self.robot, mount_frame(self.config), 'the position along it is free')
+
+    def closed_form(self) -> Array:
+        """
+        Return X (4, 4) by pairs of poses, rotation first.
+
+        Park and Martin 1994 (IEEE Trans. Robotics and Automation 10:717), least squares
+        throughout.
+        """
+        T, seen = self.robot, self.seen
+        i, j = np.random.default_rng(SEED).integers(len(T), size=(2, PAIRS))
+        A, B = se3.inverse(T[j]) @ T[i], seen[j] @ se3.inverse(seen[i])
+        sure = se3.angle(np.stack([A, B])[..., :3, :3]).max(axis=0) < LARGEST_ANGLE
+        return solve_motions(A[sure], B[sure])
+
+    def state_of(self, X: Array) -> Array:
+        return np.stack([X, se3.mean_pose(self.robot @ X @ self.seen)])
+
+    def linear(self, state: Array) -> tuple[Array, Array, Array]:
+        """
+        Return what is left of the views in the camera frame; see PairedRows.
+
+        Causes: translation (of target and robot together, as their effects are the same),
+        rotation of the target, rotation of the robot about its flange, which also shifts the
+        target.
+        """
+        (X, Z), T, n = state, self.robot, len(self)
+        to_camera = np.swapaxes(T[:, :3, :3] @ X[:3, :3], 1, 2)
+        target_in_mount = se3.apply(se3.inverse(T), Z[None, :3, 3])[:, 0]
+        J, R = np.zeros((n, 6, 12)), X[:3, :3].T
+        J[:, :3, :3], J[:, :3, 3:6] = R, -R @ se3.skew(target_in_mount - X[:3, 3])
+        J[:, 3:, 3:6] = R
+        J[:, :3, 6:9], J[:, 3:, 9:] = -to_camera, -to_camera
+        flange = T[:, :3, 3] if self.config.in_hand else 0.0
+        turned = np.concatenate([-to_camera @ se3.skew(Z[:3, 3] - flange), to_camera], axis=1)
+        own = np.broadcast_to(np.eye(6), (n, 6, 6))
+        causes = np.array([own * ([1] * 3 + [0] * 3), own * ([0] * 3 + [1] * 3),
+                           turned @ np.swapaxes(turned, 1, 2)])
+        return se3.difference(self.seen, se3.inverse(T @ X) @ Z), J, causes
