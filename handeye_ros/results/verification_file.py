@@ -30,6 +30,14 @@ SCATTER_ROWS = (('mean distance from the fit', 'mean'), ('its standard deviation
 LIMIT_ROWS = (('tolerance of lengths', 'tolerance', 'm'),
               ('tolerance of angles', 'angle_tolerance', 'rad'),
               ('smallest error of the calibration that would show', 'smallest_error', 'm'))
+# Characteristics of VDI/VDE 2634 parts 2 and 3: meaning, and factor to the error of the quantity
+# (PS is of the diameter). E is the length measurement error of ISO 10360.
+CHARACTERISTICS = {
+    'PF': ('probing error, form: span of the radial distances', 1.0),
+    'PS': ('probing error, size: error of the diameter', 2.0),
+    'SD': ('sphere spacing error', 1.0),
+    'F': ('flatness measurement error: span of the distances from the plane', 1.0),
+    'E': ('length measurement error', 1.0)}
 CONFORMS, VIOLATES, UNDECIDED = 'conforms', 'does not conform', 'not decided'
 
 
@@ -111,4 +119,15 @@ def protocol(content: Mapping[str, Any]) -> str:
     return rendered(
         'protocol.html', t=content, number=digest.hexdigest()[:12], title=title_of(content),
         look=verdict_style(content['verdict']),
-        columns=TABLE_COLUMNS, rows=list(table_rows(content)), formatted=formatted)
+        columns=TABLE_COLUMNS, rows=list(table_rows(content)),
+        characteristics=list(_characteristics(content)), formatted=formatted)
+
+
+def _characteristics(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str, str]]:
+    """Yield symbol, meaning, object, value and U of each characteristic."""
+    for q in content['quantities']:
+        meaning, factor = CHARACTERISTICS.get(q['characteristic'], ('', 0.0))
+        if meaning and (q['nominal'] is not None or q['characteristic'] in ('PF', 'F')):
+            value = factor * (q['value'] - (q['nominal'] or 0.0))
+            yield (q['characteristic'], meaning, q['name'], formatted(value, q['unit']),
+                   formatted(factor * content['k'] * q['std'], q['unit']))

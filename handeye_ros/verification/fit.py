@@ -148,7 +148,7 @@ class Quantity:
         points leave open
     claimed: 1 sigma by the calibration's covariance
     nominal: None where there is none
-    characteristic: its symbol in VDI/VDE 2634 or ISO 10360
+    characteristic: its symbol in VDI/VDE 2634 or ISO 10360 (see results/verification_file.py)
     """
 
     name: str
