@@ -17,7 +17,7 @@ import math
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.conventions import convention_hypotheses, orientations_scatter
 from handeye_ros.checks.hypotheses import Explanation, Hypothesis, refuse_better
-from handeye_ros.checks.measures import scale_hypotheses
+from handeye_ros.checks.measures import scale_hypothesis
 from handeye_ros.checks.moved import move_hypotheses
 from handeye_ros.checks.refusals import (
     contradiction,
@@ -62,9 +62,9 @@ def require_agreement(samples: Sequence[Sample], solution: Solution, stated: Exp
                         'poses', reason='convention')
     if refusal and rms_turns_and_axes(poses)[0][1] < FEW_TURNS:
         require_certain(solution.transform_covariance, config, missing_motion(solution, config))
-    moves = move_hypotheses(problem, stated.stamps) if refusal else []
+    moves = move_hypotheses(problem, stated.stamps) if refusal else ()
     if refusal or not config.sampling.moving:  # a sweep that fits: both are weighed later
-        refuse_better(stated, [*scale_hypotheses(solution, stated.stamps), *moves])
+        refuse_better(stated, [*scale_hypothesis(solution, stated.stamps), *moves])
     if refusal:
         raise refusal
 

@@ -12,16 +12,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 
 from handeye_ros import se3
 from handeye_ros.calibration import clock_estimate
-from handeye_ros.checks.hypotheses import (
-    Explanation,
-    explanation_of_samples,
-    Hypothesis,
-    refuse_better,
-)
+from handeye_ros.checks.hypotheses import explanation_of_samples, Hypothesis, refuse_better
 from handeye_ros.config import Config
 from handeye_ros.data import Array, CLOCK_DRIFT, NS, Profile, Sample
 from handeye_ros.errors import DataError, FeatureError
@@ -70,20 +64,14 @@ def require_same_clock(session: Session, config: Config) -> None:
         if abs(late) > SMALLEST_OFFSET:
             samples = [replace(rest.sample, T_base_flange=other.pose) for rest, other in pairs
                        if rest.sample]
-            hypotheses.append(Hypothesis(
-                partial(explanation_of_samples, with_common_shape(samples), config, stamps),
-                partial(_clocks_differ, late, config)))
+            fit = explanation_of_samples(with_common_shape(samples), config, stamps)
+            hypotheses.append(Hypothesis(fit, DataError(
+                'the samples do not fit the poses of their time, but as if the profiles were '
+                f'{abs(late):.1f} s {"late" if late > 0 else "early"}: the clocks of sensor and '
+                f'robot differ; set time_offset to {config.time_offset - late:.1f} (it is '
+                f'{config.time_offset:g}), or give both the same clock', reason='clocks_differ')))
     samples = with_common_shape(session.samples)
     refuse_better(explanation_of_samples(samples, config, [s.stamp for s in samples]), hypotheses)
-
-
-def _clocks_differ(late: float, config: Config, _: Explanation) -> DataError:
-    """Return the refusal of profiles that are late by a time (s)."""
-    return DataError(
-        'the samples do not fit the poses of their time, but as if the profiles were '
-        f'{abs(late):.1f} s {"late" if late > 0 else "early"}: the clocks of sensor and robot '
-        f'differ; set time_offset to {config.time_offset - late:.1f} (it is '
-        f'{config.time_offset:g}), or give both the same clock', reason='clocks_differ')
 
 
 def _compared_profiles(stop: Stop, config: Config) -> list[Profile]:

@@ -8,7 +8,7 @@ of some errors in one of two ways. The one with which the samples agree names th
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -30,9 +30,9 @@ from scipy.spatial.transform import Rotation
 
 
 def convention_hypotheses(samples: Sequence[Sample], problem: Problem, stated: Explanation
-                          ) -> list[Hypothesis]:
+                          ) -> Iterator[Hypothesis]:
     """
-    Return the hypotheses that the poses have a known error.
+    Yield the hypotheses that the poses have a known error.
 
     samples: of the stations, in order. Of a sweep the error is undone in all poses, and the clocks
     are searched anew, as those that were found are of the wrong poses; some stations are enough.
@@ -44,20 +44,20 @@ def convention_hypotheses(samples: Sequence[Sample], problem: Problem, stated: E
         samples = evenly(samples, SEARCH_SAMPLES)
         poses = se3.from_quaternion(trajectory.values[:, :3], trajectory.values[:, 3:])
     stamps = [sample.stamp for sample in samples]
-
-    def refit(T: Array) -> Explanation:
-        if trajectory is None:
-            return explanation_of_problem(replace(problem, poses=mount_poses(T, config)), stamps)
-        moved = replace(trajectory, values=np.column_stack([T[:, :3, 3], se3.quaternion(T)]))
-        return explanation_of_samples([replace(sample, trajectory=moved) for sample in samples],
-                                      config, stamps, clocks=True)
-
-    def refusal(name: str, advice: str, fit: Explanation) -> DataError:
-        beside = fit.in_words_beside(stated, f'{name} undone'.format(other=other))
-        return DataError(f'the poses contradict the samples: {beside}; '
-                         f'{advice.format(other=other)}', reason='convention')
-    return [Hypothesis(partial(refit, T), partial(refusal, name, advice))
-            for name, undo, advice in CONVENTION_ERRORS for T in undo(poses)]
+    for name, undo, advice in CONVENTION_ERRORS:
+        for T in undo(poses):
+            if trajectory:
+                moved = replace(trajectory,
+                                values=np.column_stack([T[:, :3, 3], se3.quaternion(T)]))
+                fit = explanation_of_samples([replace(s, trajectory=moved) for s in samples],
+                                             config, stamps, clocks=True)
+            else:
+                fit = explanation_of_problem(replace(problem, poses=mount_poses(T, config)),
+                                             stamps)
+            beside = fit.in_words_beside(stated, f'{name} undone'.format(other=other))
+            yield Hypothesis(fit, DataError(
+                f'the poses contradict the samples: {beside}; {advice.format(other=other)}',
+                reason='convention'))
 
 
 def orientations_scatter(poses: Array) -> bool:

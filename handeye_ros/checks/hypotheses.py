@@ -20,7 +20,7 @@ for both.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 
@@ -38,6 +38,8 @@ import numpy as np
 FALSE_CAUSE_PROBABILITY = 1e-5  # probability of naming a wrong cause
 # twice the log of a Bayes factor of these odds
 DECISIVE_EVIDENCE = -2 * math.log(FALSE_CAUSE_PROBABILITY)
+# the least to name a cause, for each assumption that it changes: shared by all that may be tried
+NAMED_EVIDENCE = DECISIVE_EVIDENCE + 2 * math.log(40)
 # variance factors: of a stop that is not explained, the least
 UNEXPLAINED_FACTOR, SMALLEST_FACTOR = 64.0, 0.01
 FEWEST_CONDITIONS = 6  # smallest redundancy of a fit that is believed
@@ -174,29 +176,27 @@ class Hypothesis:
     """
     One changed assumption, or several that belong together.
 
-    refit(): the fit of the same stops with this change
-    refusal(fit): the error that names this change
+    fit: of the same stops with this change
+    refusal: the error that names this change
     changes: how many assumptions it changes
     """
 
-    refit: Callable[[], Explanation]
-    refusal: Callable[[Explanation], DataError]
+    fit: Explanation
+    refusal: DataError
     changes: int = 1
 
 
-def refuse_better(stated: Explanation, hypotheses: Sequence[Hypothesis]) -> None:
+def refuse_better(stated: Explanation, hypotheses: Iterable[Hypothesis]) -> None:
     """
     Raise where another assumption explains the same stops better than the stated ones.
 
-    stated: the fit of all stops as it is set. Raises the refusal of the best hypothesis; each
-    change of an assumption needs odds of 1 to FALSE_CAUSE_PROBABILITY, shared by all that are
-    tried.
+    stated: the fit of all stops as it is set. Raises the refusal of the best hypothesis.
     """
     most, best = 0.0, None
     for hypothesis in hypotheses:
-        fit = hypothesis.refit()
-        level = hypothesis.changes * (DECISIVE_EVIDENCE + 2 * math.log(len(hypotheses)))
-        if fit.believable and (gain := fit.evidence_over(stated) - level) > most:
-            most, best = gain, hypothesis.refusal(fit)
+        fit = hypothesis.fit
+        gain = fit.evidence_over(stated) - hypothesis.changes * NAMED_EVIDENCE
+        if fit.believable and gain > most:
+            most, best = gain, hypothesis.refusal
     if best:
         raise best

@@ -12,9 +12,8 @@ moves in any order.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 
 from handeye_ros import se3
 from handeye_ros.calibration import outliers_at_one_end
@@ -54,42 +53,38 @@ RANDOM_ORDERS = 200  # of the permutation test
 WARNING_P, REFUSAL_P = 0.1, 0.01  # largest p-value of the permutation test: to warn, to refuse
 
 
-def move_hypotheses(problem: Problem, stamps: Sequence[int]) -> list[Hypothesis]:
+def move_hypotheses(problem: Problem, stamps: Sequence[int]) -> Iterator[Hypothesis]:
     """
-    Return the hypotheses that something moved between two parts of a recording.
+    Yield the hypotheses that something moved between two parts of a recording.
 
     stamps: of the stations.
     """
     n, fewest = len(problem.poses), problem.target.min_samples
-    if n < 2 * fewest:
-        return []
-
-    def refit(k: int) -> Explanation:
+    moments = np.linspace(fewest, n - fewest, 15 if n >= 2 * fewest else 0)
+    for k in np.unique(moments.round().astype(int)).tolist():
         first, second = (quick_solution(problem.subset(part))
                          for part in np.split(np.arange(n), [k]))
         if first and second and (_same_transform(first, second) or _same_target(first, second)):
-            return Explanation.of_solutions(stamps, first, second)
-        return Explanation(stamps)
-
-    return [Hypothesis(partial(refit, k), partial(_moved_before, k)) for k in np.unique(
-        np.linspace(fewest, n - fewest, 15).round().astype(int)).tolist()]
+            yield Hypothesis(Explanation.of_solutions(stamps, first, second),
+                             _moved_between(first, second))
 
 
-def _moved_before(k: int, fit: Explanation) -> DataError:
-    """Return the refusal of a recording of which something moved before station k."""
-    first, second = (part.estimate.X for part in fit.parts)
-    config = fit.parts[0].full_problem.config
-    agree = (f'the first {k} samples agree among themselves, and so do the other '
-             f'{len(fit.stamps) - k}, but not with each other: in between, ')
-    if _same_transform(*fit.parts):
+def _moved_between(first: Solution, second: Solution) -> DataError:
+    """Return the refusal of a recording in which something moved between two parts."""
+    config, k, rest = first.full_problem.config, *(
+        len(part.full_problem.poses) for part in (first, second))
+    if _same_transform(first, second):
         frame, advice = target_frame(config), 'fix the target, and take'
         what = f'target moved in {frame}'
     else:
-        move, frame, advice = se3.inverse(first) @ second, mount_frame(config), 'take'
+        frame, advice = mount_frame(config), 'take'
+        move = se3.inverse(first.estimate.X) @ second.estimate.X
         what = (f'sensor moved in {frame} by {mm(float(np.linalg.norm(move[:3, 3])))} and '
                 f'{degrees(float(se3.angle(move[:3, :3])))}')
-    return DataError(f'{agree}the {what}, or {frame} became another frame (tool or base of the '
-                     f'robot switched); {advice} all samples with the same', reason='moved')
+    return DataError(
+        f'the first {k} samples agree among themselves, and so do the other {rest}, but not with '
+        f'each other: in between, the {what}, or {frame} became another frame (tool or base of '
+        f'the robot switched); {advice} all samples with the same', reason='moved')
 
 
 def _same_transform(first: Solution, second: Solution) -> bool:

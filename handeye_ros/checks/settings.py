@@ -9,9 +9,8 @@ the features that each sample has with that sign (Sample.flipped).
 """
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
 from itertools import permutations
 
 from handeye_ros import targets
@@ -30,8 +29,9 @@ RANGE_SIGN, TARGET_TYPE = 'profile.range_sign', 'target.type'
 Values = tuple[tuple[str, str], ...]  # of settings, by their keys
 
 
-def setting_hypotheses(session: Session, config: Config, stated: Explanation) -> list[Hypothesis]:
-    """Return the hypotheses that other settings explain the stops of a session."""
+def setting_hypotheses(session: Session, config: Config, stated: Explanation
+                       ) -> Iterator[Hypothesis]:
+    """Yield the hypotheses that other settings explain the stops of a session."""
     stops = [stop for stop in session.stops if not stop.final_reason
              and not session.excludes(stop)][:STOPS_READ]
     few = [thinned(stop, config) for stop in stops]
@@ -45,30 +45,25 @@ def setting_hypotheses(session: Session, config: Config, stated: Explanation) ->
         return with_common_shape([replace(result, stamp=stamp) for result, stamp in zip(
             results, stamps, strict=True) if isinstance(result, Sample)])
 
-    @cache
-    def fit_as(values: Values) -> Explanation:
-        """Return the fit with other values of settings, if it leaves no doubt."""
+    fits = dict[Values, Explanation]()  # those that leave no doubt
+    for values in _changes(config):
         as_changed = with_settings(config, dict(values))
         if 2 * len(read(1, as_changed)) < len(stops):
-            return Explanation(stamps)  # most show nothing: read no more of them
+            continue  # most show nothing: read no more of them
         fit = explanation_of_samples(read(PROFILES_READ, as_changed), as_changed, stamps)
         if as_changed.target.type == 'plane':  # it explains no edge that is seen now
             fit = replace(fit, squares={stamp: q for stamp, q in fit.squares.items()
                                         if stamp not in with_edge})
-        sure = fit.within_noise and all(
-            part.is_determined and not len(part.indispensable_stations) for part in fit.parts)
-        return fit if sure else Explanation(stamps)
-
-    def refusal(values: Values, fit: Explanation) -> DataError:
-        """Return the refusal that names values, and types by which more conditions agree."""
-        others = [fit_as(other) for other in choices if dict(other).keys() == dict(values).keys()]
-        return settings_refusal(dict(values), stated, fit, [
-            other for other in others if other.believable and len(other.squares) >= len(
-                fit.squares) and other.redundancy > fit.redundancy])
-
-    choices = _changes(config)
-    return [Hypothesis(partial(fit_as, values), partial(refusal, values), len(values))
-            for values in choices]
+        if fit.believable and fit.within_noise and all(
+                part.is_determined and not len(part.indispensable_stations)
+                for part in fit.parts):
+            fits[values] = fit
+    for values, fit in fits.items():
+        # of the types of target those, too, by which more conditions agree
+        others = [other for key, other in fits.items() if values[0][0] == TARGET_TYPE == key[0][0]
+                  and values[1:] == key[1:] and len(other.squares) >= len(fit.squares)
+                  and other.redundancy > fit.redundancy]
+        yield Hypothesis(fit, settings_refusal(dict(values), stated, fit, others), len(values))
 
 
 def settings_refusal(values: Mapping[str, str], stated: Explanation, fit: Explanation,
@@ -96,21 +91,17 @@ def sign_hypothesis(samples: Sequence[Sample], config: Config, stated: Explanati
     samples are in doubt too.
     """
     flipped = flipped_range(config)
-    values = {RANGE_SIGN: str(flipped.profile.range_sign)}
     others = with_common_shape([replace(sample, features=sample.flipped) for sample in samples
                                 if sample.flipped])
     stamps = [sample.stamp for sample in samples if sample.flipped is not None]
-
-    def refusal(fit: Explanation) -> DataError:
-        if fit.within_noise:
-            return settings_refusal(values, stated, fit)
-        words = fit.in_words_beside(stated, f'{RANGE_SIGN} {values[RANGE_SIGN]}')
-        return UnexplainedError(
-            f'{words}, neither as well as the noise allows: check {RANGE_SIGN}, and that every '
-            'sample shows the target itself and no clamp or second plate', reason='misfit')
-
-    return Hypothesis(
-        partial(explanation_of_samples, others, flipped, stamps, clocks=clocks), refusal)
+    fit = explanation_of_samples(others, flipped, stamps, clocks=clocks)
+    values = {RANGE_SIGN: str(flipped.profile.range_sign)}
+    if fit.within_noise:
+        return Hypothesis(fit, settings_refusal(values, stated, fit))
+    words = fit.in_words_beside(stated, f'{RANGE_SIGN} {values[RANGE_SIGN]}')
+    return Hypothesis(fit, UnexplainedError(
+        f'{words}, neither as well as the noise allows: check {RANGE_SIGN}, and that every sample '
+        'shows the target itself and no clamp or second plate', reason='misfit'))
 
 
 def _changes(config: Config) -> list[Values]:
