@@ -194,9 +194,8 @@ def refuse_better(stated: Explanation, hypotheses: Iterable[Hypothesis]) -> None
     """
     most, best = 0.0, None
     for hypothesis in hypotheses:
-        fit = hypothesis.fit
-        gain = fit.evidence_over(stated) - hypothesis.changes * NAMED_EVIDENCE
-        if fit.believable and gain > most:
+        fit, level = hypothesis.fit, hypothesis.changes * NAMED_EVIDENCE
+        if fit.believable and (gain := fit.evidence_over(stated) - level) > most:
             most, best = gain, hypothesis.refusal
     if best:
         raise best
