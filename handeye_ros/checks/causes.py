@@ -16,7 +16,12 @@ import math
 
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.conventions import convention_hypotheses, orientations_scatter
-from handeye_ros.checks.hypotheses import Explanation, Hypothesis, refuse_better
+from handeye_ros.checks.hypotheses import (
+    Explanation,
+    Hypothesis,
+    MANY_TRIED,
+    refuse_better,
+)
 from handeye_ros.checks.measures import scale_hypothesis
 from handeye_ros.checks.moved import move_hypotheses
 from handeye_ros.checks.refusals import (
@@ -50,11 +55,12 @@ def require_agreement(samples: Sequence[Sample], solution: Solution, stated: Exp
     problem, refusal = solution.full_problem, contradiction(solution)
     config, poses, asked = problem.config, problem.poses, list[Hypothesis]()
     doubt = math.inf if refusal else solution.variance_factor
+    tried = MANY_TRIED if doubt >= CONVENTION_TRIED else 1
     if doubt > SIGN_TRIED or solution.fully_used < len(poses):
         asked.append(sign_hypothesis(samples, config, stated, clocks=refusal is not None))
     if doubt >= CONVENTION_TRIED:
         asked += convention_hypotheses(samples, problem, stated)
-    refuse_better(stated, asked)
+    refuse_better(stated, asked, tried)
     if refusal and orientations_scatter(poses):
         raise DataError(f'samples and poses contradict each other by {mm(solution.residual_rms)} '
                         'RMS, and the orientations of the poses are scattered in all directions, '
@@ -64,7 +70,7 @@ def require_agreement(samples: Sequence[Sample], solution: Solution, stated: Exp
         require_certain(solution.transform_covariance, config, missing_motion(solution, config))
     moves = move_hypotheses(problem, stated.stamps) if refusal else ()
     if refusal or not config.sampling.moving:  # a sweep that fits: both are weighed later
-        refuse_better(stated, [*scale_hypothesis(solution, stated.stamps), *moves])
+        refuse_better(stated, [*scale_hypothesis(solution, stated.stamps), *moves], tried)
     if refusal:
         raise refusal
 

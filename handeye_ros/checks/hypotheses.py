@@ -38,8 +38,7 @@ import numpy as np
 FALSE_CAUSE_PROBABILITY = 1e-5  # probability of naming a wrong cause
 # twice the log of a Bayes factor of these odds
 DECISIVE_EVIDENCE = -2 * math.log(FALSE_CAUSE_PROBABILITY)
-# the least to name a cause, for each assumption that it changes: shared by all that may be tried
-NAMED_EVIDENCE = DECISIVE_EVIDENCE + 2 * math.log(40)
+MANY_TRIED = 40  # assumptions that may be tried in all where nothing fits
 # variance factors: of a stop that is not explained, the least
 UNEXPLAINED_FACTOR, SMALLEST_FACTOR = 64.0, 0.01
 FEWEST_CONDITIONS = 6  # smallest redundancy of a fit that is believed
@@ -79,11 +78,15 @@ class Explanation:
         return sum(part.redundancy for part in self.parts)
 
     @property
-    def believable(self) -> bool:
-        """Return whether most stops agree, about as well as predicted, and not by chance."""
-        return bool(self.redundancy >= FEWEST_CONDITIONS
-                    and self.variance_factor < CONVINCING_SQUARE
+    def agrees(self) -> bool:
+        """Return whether most stops fit, about as well as the configured noise predicts."""
+        return bool(self.redundancy > 0 and self.variance_factor < CONVINCING_SQUARE
                     and len(self.squares) > (1 - LARGEST_DROPPED_SHARE) * len(self.stamps))
+
+    @property
+    def believable(self) -> bool:
+        """Return whether the stops agree, and not by chance."""
+        return self.agrees and self.redundancy >= FEWEST_CONDITIONS
 
     @property
     def within_noise(self) -> bool:
@@ -186,15 +189,19 @@ class Hypothesis:
     changes: int = 1
 
 
-def refuse_better(stated: Explanation, hypotheses: Iterable[Hypothesis]) -> None:
+def refuse_better(stated: Explanation, hypotheses: Iterable[Hypothesis], tried: int = MANY_TRIED
+                  ) -> None:
     """
     Raise where another assumption explains the same stops better than the stated ones.
 
-    stated: the fit of all stops as it is set. Raises the refusal of the best hypothesis.
+    stated: the fit of all stops as it is set. Raises the refusal of the best hypothesis; each
+    change of an assumption needs odds of 1 to FALSE_CAUSE_PROBABILITY, shared by all that are
+    tried.
     """
     most, best = 0.0, None
     for hypothesis in hypotheses:
-        fit, level = hypothesis.fit, hypothesis.changes * NAMED_EVIDENCE
+        fit = hypothesis.fit
+        level = hypothesis.changes * (DECISIVE_EVIDENCE + 2 * math.log(tried))
         if fit.believable and (gain := fit.evidence_over(stated) - level) > most:
             most, best = gain, hypothesis.refusal
     if best:

@@ -89,7 +89,7 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
         # the others may be few: it is the plane that tells the surfaces apart
         on_target = with_common_shape([stop.sample for stop in stops[at_level]])
         if explanation_of_samples(on_target, config, [sample.stamp for sample in on_target],
-                                  all_starts=True).believable:
+                                  all_starts=True).agrees:
             raise OtherSurfaceError(list(stops[~at_level]), above)
     told = '; '.join(f'{(level - np.nanmin(height)) * 1e3:.1f} mm: {_numbers(stops[at_level])}'
                      for level, at_level in levels)
