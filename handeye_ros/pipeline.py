@@ -18,6 +18,7 @@ from handeye_ros.arm import with_arm_errors
 from handeye_ros.calibration import calibration_of
 from handeye_ros.checks.causes import require_agreement, with_known_cause
 from handeye_ros.checks.clocks import require_steady_clocks
+from handeye_ros.checks.hypotheses import Explanation
 from handeye_ros.checks.measures import (
     require_one_scale,
     with_free_shape_if_needed,
@@ -164,6 +165,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
     ordered: Sequence[Sample] = sorted(samples, key=lambda sample: sample.stamp)
     target, rng = targets.target_for(config), np.random.default_rng(SEED)
     solution, calibration, refusal, agree = None, None, None, False
+    stated = Explanation(())
     try:
         # 1. Move each edge to where face and wall meet, by the shape common to all stops.
         ordered = with_common_shape(ordered)
@@ -180,7 +182,8 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         # 5. Estimate a stated shape of the target where only this makes the samples agree.
         solution = with_free_shape_if_needed(problem, solution, rng, synced.estimate)
         # 6. Where they do not agree, name the assumption that is wrong, if it is certain.
-        require_agreement(ordered, problem, solution)
+        stated = Explanation.of_solutions([sample.stamp for sample in ordered], solution)
+        require_agreement(ordered, solution, stated)
         # 7. Estimate all systematic errors with their scales, and the noise; outliers again; the
         # lengths of the target where they are stated wrongly. Refuse clocks that jumped, and
         # scales that differ.
@@ -207,7 +210,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
     except DataError as error:
         # 10. Without a certain cause, ask whether other settings or clocks explain the stops;
         # those that show another surface are left out.
-        refusal = with_known_cause(error, session, config) if session else error
+        refusal = with_known_cause(error, stated, session, config) if session else error
         if session and isinstance(refusal, OtherSurfaceError):
             others = _answer_without(refusal, session, config)
             if others.calibration:

@@ -1,21 +1,28 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-What explains samples that do not fit, in the order in which it is asked.
+What explains samples that do not fit: the assumptions that are tried, and when.
 
-The sign of the range, a known error in the convention of the poses, the scale of the robot or a
-sensor or target that moved, whichever explains more; and, where none of these is certain,
-another setting, stops that show another surface, or the clocks. The first that explains the same
-stops decisively better is named (hypotheses).
+First, of the samples as they are, the opposite sign of the range and the known errors in the
+conventions of poses; then the scale of the robot, and a sensor or target that moved. Where none of
+these is certain the messages of the stops are read anew: other settings, another surface, other
+times. The one that explains the same stops best, and decisively better than what is set, is named
+(hypotheses).
 """
 from __future__ import annotations
 
 from collections.abc import Sequence
+import math
 
 from handeye_ros.checks.clocks import require_same_clock
-from handeye_ros.checks.conventions import orientations_scatter, require_convention
-from handeye_ros.checks.hypotheses import Explanation, refuse_better
-from handeye_ros.checks.measures import scale_hypotheses
+from handeye_ros.checks.conventions import convention_hypotheses, orientations_scatter
+from handeye_ros.checks.hypotheses import (
+    Explanation,
+    Hypothesis,
+    MANY_TRIED,
+    refuse_better,
+)
+from handeye_ros.checks.measures import scale_hypothesis
 from handeye_ros.checks.moved import move_hypotheses
 from handeye_ros.checks.refusals import (
     contradiction,
@@ -24,61 +31,52 @@ from handeye_ros.checks.refusals import (
     rms_turns_and_axes,
     UnexplainedError,
 )
-from handeye_ros.checks.settings import require_settings, require_sign
+from handeye_ros.checks.settings import setting_hypotheses, sign_hypothesis
 from handeye_ros.checks.surfaces import require_one_surface
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
 from handeye_ros.errors import DataError, mm
-from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.sampling.session import Session
 
-SIGN_TRIED = 0.6  # variance factor, blocks as noise, above which the other range sign is tried
 FEW_TURNS = 0.12  # rad RMS about the second axis: less may look like a move
-MISFIT_FACTOR = 9.0  # variance factor (3 sigma) above which other causes than noise are tested
+# variance factors, blocks as noise, above which the other range sign is tried; and (3 sigma) other
+# conventions, though the samples do not contradict the solution
+SIGN_TRIED, CONVENTION_TRIED = 0.6, 9.0
 
 
-def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Solution) -> None:
+def require_agreement(samples: Sequence[Sample], solution: Solution, stated: Explanation) -> None:
     """
     Raise DataError for a solution that the samples contradict, or explain better otherwise.
 
-    samples: in the order of the stations of the problem. The first of these is raised; sign and
-    conventions, and of stops the scale, also where the samples do not contradict the solution:
-
-    1. the other sign of the range;
-    2. another convention of the poses, or orientations without any order;
-    3. too little rotation, which can look like a move;
-    4. an error of the scale of the robot, or a move, whichever explains more;
-    5. the contradiction itself.
+    samples: of the stations of the problem, in order; stated: what the solution explains.
+    Scattered orientations, or too little rotation, can look like a move.
     """
-    stated, refusal = Explanation.of_solutions(solution), contradiction(solution)
-    if refusal or solution.variance_factor > SIGN_TRIED or (
-            solution.fully_used < len(problem.poses)):
-        require_sign(samples, problem.config, stated, clocks=refusal is not None)
-    if refusal or solution.variance_factor >= MISFIT_FACTOR:
-        require_convention(samples, problem, stated)
-    if refusal:
-        _require_ordered_orientations(problem, solution)
-        if rms_turns_and_axes(problem.poses)[0][1] < FEW_TURNS:
-            require_certain(solution.transform_covariance, problem.config,
-                            missing_motion(solution, problem.config))
-    moves = move_hypotheses(problem) if refusal else []
-    if refusal or not problem.config.sampling.moving:  # a sweep that fits: both are weighed later
-        refuse_better(stated, [*scale_hypotheses(solution), *moves])
-    if refusal:
-        raise refusal
-
-
-def _require_ordered_orientations(problem: Problem, solution: Solution) -> None:
-    """Raise DataError (convention) for poses that are turned in all directions."""
-    if orientations_scatter(problem.poses):
+    problem, refusal = solution.full_problem, contradiction(solution)
+    config, poses, asked = problem.config, problem.poses, list[Hypothesis]()
+    doubt = math.inf if refusal else solution.variance_factor
+    tried = MANY_TRIED if doubt >= CONVENTION_TRIED else 1
+    if doubt > SIGN_TRIED or solution.fully_used < len(poses):
+        asked.append(sign_hypothesis(samples, config, stated, clocks=refusal is not None))
+    if doubt >= CONVENTION_TRIED:
+        asked += convention_hypotheses(samples, problem, stated)
+    refuse_better(stated, asked, tried)
+    if refusal and orientations_scatter(poses):
         raise DataError(f'samples and poses contradict each other by {mm(solution.residual_rms)} '
                         'RMS, and the orientations of the poses are scattered in all directions, '
                         'as when angles in degrees are read as radians: convert the angles of the '
                         'poses', reason='convention')
+    if refusal and rms_turns_and_axes(poses)[0][1] < FEW_TURNS:
+        require_certain(solution.transform_covariance, config, missing_motion(solution, config))
+    moves = move_hypotheses(problem, stated.stamps) if refusal else ()
+    if refusal or not config.sampling.moving:  # a sweep that fits: both are weighed later
+        refuse_better(stated, [*scale_hypothesis(solution, stated.stamps), *moves], tried)
+    if refusal:
+        raise refusal
 
 
-def with_known_cause(refusal: DataError, session: Session, config: Config) -> DataError:
+def with_known_cause(refusal: DataError, stated: Explanation, session: Session, config: Config
+                     ) -> DataError:
     """
     Return a refusal, or the one of the setting, surface or clocks that explain the stops better.
 
@@ -91,7 +89,7 @@ def with_known_cause(refusal: DataError, session: Session, config: Config) -> Da
     unexplained = isinstance(refusal, UnexplainedError)
     try:
         if unexplained or refusal.reason == 'moved':
-            require_settings(session, config)
+            refuse_better(stated, setting_hypotheses(session, config, stated))
             require_one_surface(session, config, refusal)
         if unexplained or refusal.reason == 'uncertain':
             require_same_clock(session, config)

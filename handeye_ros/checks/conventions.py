@@ -8,7 +8,7 @@ of some errors in one of two ways. The one with which the samples agree names th
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -16,51 +16,48 @@ from handeye_ros import se3
 from handeye_ros.checks.hypotheses import (
     Explanation,
     explanation_of_problem,
-    explanation_of_results,
+    explanation_of_samples,
     Hypothesis,
-    refuse_better,
 )
 from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mount_poses
-from handeye_ros.sampling.stops import evenly_chosen
+from handeye_ros.sampling.stops import evenly
 from handeye_ros.sampling.sweep import SEARCH_SAMPLES
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 
-def require_convention(samples: Sequence[Sample], problem: Problem, stated: Explanation) -> None:
+def convention_hypotheses(samples: Sequence[Sample], problem: Problem, stated: Explanation
+                          ) -> Iterator[Hypothesis]:
     """
-    Raise DataError (convention) where the stations agree without a known error of the poses.
+    Yield the hypotheses that the poses have a known error.
 
     samples: of the stations, in order. Of a sweep the error is undone in all poses, and the clocks
     are searched anew, as those that were found are of the wrong poses; some stations are enough.
     """
-    other = 'eye_on_base' if problem.config.in_hand else 'eye_in_hand'
+    config, poses = problem.config, problem.robot_poses
+    other = 'eye_on_base' if config.in_hand else 'eye_in_hand'
     trajectory = next((sample.trajectory for sample in samples if sample.moving), None)
-    poses = problem.robot_poses
     if trajectory:
-        some = evenly_chosen(len(samples), SEARCH_SAMPLES)
-        samples = [samples[i] for i in some]
-        stated = replace(stated, squares=stated.squares[:, some])
+        samples = evenly(samples, SEARCH_SAMPLES)
         poses = se3.from_quaternion(trajectory.values[:, :3], trajectory.values[:, 3:])
-
-    def refit(T: Array) -> Explanation:
-        if trajectory is None:
-            return explanation_of_problem(replace(problem, poses=mount_poses(T, problem.config)))
-        moved = replace(trajectory, values=np.column_stack([T[:, :3, 3], se3.quaternion(T)]))
-        return explanation_of_results([replace(sample, trajectory=moved) for sample in samples],
-                                      problem.config)
-
-    def undone(name: str, T: Array, advice: str) -> Hypothesis:
-        """Return the hypothesis that T (n, 4, 4) are the poses without an error."""
-        return Hypothesis(partial(refit, T), lambda fit: DataError(
-            'the poses contradict the samples: '
-            f'{fit.in_words_beside(stated, f"{name} undone".format(other=other))}; '
-            f'{advice.format(other=other)}', reason='convention'))
-    refuse_better(stated, [undone(name, T, advice) for name, undo, advice in CONVENTION_ERRORS
-                           for T in undo(poses)])
+    stamps = [sample.stamp for sample in samples]
+    for name, undo, advice in CONVENTION_ERRORS:
+        for T in undo(poses):
+            if trajectory:
+                moved = replace(trajectory,
+                                values=np.column_stack([T[:, :3, 3], se3.quaternion(T)]))
+                fit = explanation_of_samples([replace(s, trajectory=moved) for s in samples],
+                                             config, stamps, clocks=True)
+            else:
+                fit = explanation_of_problem(replace(problem, poses=mount_poses(T, config)),
+                                             stamps)
+            beside = fit.in_words_beside(stated, f'{name} undone'.format(other=other))
+            yield Hypothesis(fit, DataError(
+                f'the poses contradict the samples: {beside}; {advice.format(other=other)}',
+                reason='convention'))
 
 
 def orientations_scatter(poses: Array) -> bool:

@@ -3,6 +3,7 @@
 """Whether stated measures are wrong: those of the target, and the scales of robot and sensor."""
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from handeye_ros.calibration import block_estimates, CONTRADICTION_SIGMAS, PLATE_LENGTHS
@@ -45,9 +46,9 @@ def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random
     if abs(other.estimate.state[-1] - stated) > 0.5 * stated:
         return agreed  # another target
     # if a free shape explains more stations, the refinement can decide about the shape
-    fit, stated_fit = Explanation.of_solutions(other), Explanation.of_solutions(agreed)
-    complete = fit.believable and other.fully_used - agreed.fully_used > 0.1 * len(problem.poses)
-    return other if complete or fit.evidence_over(stated_fit) > VERY_STRONG_EVIDENCE else agreed
+    free, as_stated = (Explanation.of_solutions(range(len(problem.poses)), one)
+                       for one in (other, agreed))
+    return other if free.evidence_over(as_stated) > VERY_STRONG_EVIDENCE else agreed
 
 
 def with_free_size_if_needed(agreed: Solution) -> Solution:
@@ -74,27 +75,26 @@ def with_free_size_if_needed(agreed: Solution) -> Solution:
     return other if wrong or seen == [True, False] else agreed
 
 
-def scale_hypotheses(agreed: Solution) -> list[Hypothesis]:
+def scale_hypothesis(agreed: Solution, stamps: Sequence[int]) -> Iterator[Hypothesis]:
     """
-    Return the hypothesis that robot and sensor differ in scale, if they may.
+    Yield the hypothesis that robot and sensor differ in scale, if they may.
 
     The scale is solved for to first order, with the stated measures of the target, so that a wrong
-    measure is not taken for a scale.
+    measure is not taken for a scale. stamps: of the stations.
     """
     problem, linear = agreed.full_problem, agreed.linear
     measures = linear.jacobian[:, 6:][:, problem.tolerances > 0]
     by_scale = -linear.wrt_twists(scale_twists(agreed.problem))
-    further = agreed.whitening(np.hstack([by_scale, measures]))
-    J = np.hstack([further, agreed.jacobian])
+    J = np.hstack([agreed.whitening(np.hstack([by_scale, measures])), agreed.jacobian])
     covariance = covariance_of(J)
     scale = float(covariance[0] @ (J.T @ agreed.postfit_residuals))
-    if not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
-        return []
-    T = problem.robot_poses.copy()
-    T[:, :3, 3] /= 1 + scale
-    scaled = replace(problem, poses=mount_poses(T, problem.config))
-    return [Hypothesis(lambda: explanation_of_problem(scaled), lambda fit: _scales_differ(
-        abs(scale), float(covariance[0, 0] * fit.variance_factor) ** 0.5))]
+    if SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
+        T = problem.robot_poses.copy()
+        T[:, :3, 3] /= 1 + scale
+        fit = explanation_of_problem(
+            replace(problem, poses=mount_poses(T, problem.config)), stamps)
+        std = float(covariance[0, 0] * fit.variance_factor) ** 0.5
+        yield Hypothesis(fit, _scales_differ(abs(scale), std))
 
 
 def require_one_scale(agreed: Solution) -> None:

@@ -12,7 +12,8 @@ moves in any order.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from handeye_ros import se3
 from handeye_ros.calibration import outliers_at_one_end
@@ -39,7 +40,7 @@ from handeye_ros.frames import mount_frame, target_frame
 import numpy as np
 from numpy.typing import NDArray
 
-SENSOR, TARGET = range(2)  # a body that moves: the first index of gains, derivatives, arms
+SENSOR, TARGET = range(2)  # a body that moves: an index of gains, derivatives, arms
 POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
 MOMENTS_TRIED = 40  # possible moments of a small move
 MOVE_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
@@ -48,44 +49,42 @@ SIZE_FACTORS = (1.0, 0.25)  # factors on MOVE_STD, of equal prior probability
 # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
 WARNING_EVIDENCE = 5.0
 LEAST_MOVE_SIGMAS = 3.0  # smallest move over the robot's smooth error
+RANDOM_ORDERS = 200  # of the permutation test
 WARNING_P, REFUSAL_P = 0.1, 0.01  # largest p-value of the permutation test: to warn, to refuse
 
 
-def move_hypotheses(problem: Problem) -> list[Hypothesis]:
-    """Return the hypotheses that something moved between two parts of a recording."""
+def move_hypotheses(problem: Problem, stamps: Sequence[int]) -> Iterator[Hypothesis]:
+    """
+    Yield the hypotheses that something moved between two parts of a recording.
+
+    stamps: of the stations.
+    """
     n, fewest = len(problem.poses), problem.target.min_samples
-    if n < 2 * fewest:
-        return []
-    stations = np.unique(np.linspace(fewest, n - fewest, 15).round().astype(int))
-    return [_move_before(problem, k) for k in stations.tolist()]
-
-
-def _move_before(problem: Problem, k: int) -> Hypothesis:
-    """Return the hypothesis that something moved before station k."""
-    n = len(problem.poses)
-
-    def refit() -> Explanation:
+    moments = np.linspace(fewest, n - fewest, 15 if n >= 2 * fewest else 0)
+    for k in np.unique(moments.round().astype(int)).tolist():
         first, second = (quick_solution(problem.subset(part))
                          for part in np.split(np.arange(n), [k]))
         if first and second and (_same_transform(first, second) or _same_target(first, second)):
-            return Explanation.of_solutions(first, second)
-        return Explanation.nothing(n)
+            yield Hypothesis(Explanation.of_solutions(stamps, first, second),
+                             _moved_between(first, second))
 
-    def refusal(fit: Explanation) -> DataError:
-        first, second = (part.estimate.X for part in fit.parts)
-        agree = (f'the first {k} samples agree among themselves, and so do the other {n - k}, but '
-                 'not with each other: in between, ')
-        switched = 'became another frame (tool or base of the robot switched)'
-        if _same_transform(*fit.parts):
-            frame = target_frame(problem.config)
-            return DataError(f'{agree}the target moved in {frame}, or {frame} {switched}; fix the '
-                             'target, and take all samples with the same', reason='moved')
-        move, frame = se3.inverse(first) @ second, mount_frame(problem.config)
-        return DataError(
-            f'{agree}the sensor moved in {frame} by {mm(float(np.linalg.norm(move[:3, 3])))} and '
-            f'{degrees(float(se3.angle(move[:3, :3])))}, or {frame} {switched}; take all samples '
-            'with the same', reason='moved')
-    return Hypothesis(refit, refusal)
+
+def _moved_between(first: Solution, second: Solution) -> DataError:
+    """Return the refusal of a recording in which something moved between two parts."""
+    config, k, rest = first.full_problem.config, *(
+        len(part.full_problem.poses) for part in (first, second))
+    if _same_transform(first, second):
+        frame, advice = target_frame(config), 'fix the target, and take'
+        what = f'target moved in {frame}'
+    else:
+        frame, advice = mount_frame(config), 'take'
+        move = se3.inverse(first.estimate.X) @ second.estimate.X
+        what = (f'sensor moved in {frame} by {mm(float(np.linalg.norm(move[:3, 3])))} and '
+                f'{degrees(float(se3.angle(move[:3, :3])))}')
+    return DataError(
+        f'the first {k} samples agree among themselves, and so do the other {rest}, but not with '
+        f'each other: in between, the {what}, or {frame} became another frame (tool or base of '
+        f'the robot switched); {advice} all samples with the same', reason='moved')
 
 
 def _same_transform(first: Solution, second: Solution) -> bool:
@@ -132,9 +131,10 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     n, conservative, config = len(agreed.used), agreed.conservative, agreed.full_problem.config
     if n < agreed.problem.target.min_samples + 4:  # too few to tell a move from an outlier
         return agreed, ''
-    margin = 2 if agreed.problem.pose_model is None else max(2, n // MOMENTS_TRIED)  # of a sweep
+    sweep = agreed.problem.pose_model is not None
+    margin = max(2, n // MOMENTS_TRIED) if sweep else 2
     moments = np.unique(np.linspace(margin, n - margin, MOMENTS_TRIED).round().astype(int))
-    first = _MoveSums.of(conservative, moments).gains()
+    first = _gains(conservative, moments)[0]
     if first.max() < -WARNING_EVIDENCE:  # evidence against a move
         return agreed, ''
     # the likeliest move against none, and against wrong times
@@ -147,13 +147,14 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     # a smaller move may be part of the robot's smooth error, which a move can only explain
     smooth = min(max((b.std for b in one.blocks if b.name == 'robot_smooth'), default=0.0)
                  for one in (moved, unmoved))
-    least = LEAST_MOVE_SIGMAS * smooth
-    if agreed.problem.pose_model is not None:  # a sweep: that error is smooth in time, as a move
-        least = max(least, config.noise.robot_smooth)
+    # that error of a sweep is smooth in time, as a move is
+    least = max(LEAST_MOVE_SIGMAS * smooth, sweep * config.noise.robot_smooth)
     if evidence < WARNING_EVIDENCE or size < least:
         return agreed, ''
     # errors of the robot look like a move in any order of the samples
-    p_value = _move_sums(agreed, moved, moments).p_value
+    in_time, *random = _gains(solution_at(agreed.problem, agreed.estimate, moved.noise), moments,
+                              RANDOM_ORDERS).max(axis=(1, 2))
+    p_value = float(np.mean(random >= in_time))
     if p_value >= WARNING_P:
         return agreed, ''
     what, frame = (('sensor', mount_frame(config)) if body == SENSOR
@@ -178,22 +179,18 @@ def _likeliest(agreed: Solution, moments: NDArray[np.intp], first: Array
     """
     Return the body that moved, before which of the moments, and the solution with that move.
 
-    first: (2, k) gains of moves with the noise as it is without one.
+    first: (k, 2) gains of moves with the noise as it is without one.
     """
     conservative, tried = agreed.conservative, dict[tuple[int, int], Solution]()
-    for body, gains in zip((SENSOR, TARGET), first, strict=True):
+    for body, gains in enumerate(first.T):
         while (move := (body, int(np.argmax(gains)))) not in tried:
             further = _blocks_of_move(conservative, body, int(moments[move[1]]))
             tried[move] = with_noise_reestimated(conservative, further)
             # noise and scales estimated with the move do not absorb it: its time is clearer
-            gains = _move_sums(agreed, tried[move], moments).gains()[body]
+            gains = _gains(solution_at(agreed.problem, agreed.estimate, tried[move].noise),
+                           moments)[0, :, body]
     (body, k), moved = min(tried.items(), key=lambda move: move[1].deviance)
     return body, k, moved
-
-
-def _move_sums(agreed: Solution, moved: Solution, moments: NDArray[np.intp]) -> _MoveSums:
-    """Return the sums for moves of a solution, with the noise of that with a move."""
-    return _MoveSums.of(solution_at(agreed.problem, agreed.estimate, moved.noise), moments)
 
 
 def _size(moved: Solution, body: int) -> tuple[float, float, float]:
@@ -210,7 +207,7 @@ def _blocks_of_move(solution: Solution, body: int, station: int) -> tuple[Parame
 
     body: SENSOR, in the mount, or TARGET, in the base; station: the first after the move.
     """
-    columns = np.hsplit(_wrt_moves(solution), 2)[body]
+    columns = _wrt_moves(solution)[body]
     columns[solution.problem.observations.station < station] = 0.0
     return tuple(ParameterBlock(name, columns[:, axes], float(MOVE_STD[axes][0]),
                                 largest_variance=1.0)
@@ -234,11 +231,11 @@ def _wrong_times(solution: Solution, stations: NDArray[np.intp]) -> tuple[Parame
 
 
 def _wrt_moves(solution: Solution) -> Array:
-    """Return the derivatives (m, 12) by moves of sensor and target, in prior sigmas."""
+    """Return the derivatives (2, m, 6) by moves of sensor and target, in prior sigmas."""
     linear = solution.linear
     about = np.cross(_levers(solution)[TARGET], linear.wrt_base)
-    steps = np.hstack([linear.jacobian[:, :6], linear.wrt_base, about])
-    return np.asarray(steps * np.tile(MOVE_STD, 2))
+    steps = np.stack([linear.jacobian[:, :6], np.hstack([linear.wrt_base, about])])
+    return np.asarray(steps * MOVE_STD)
 
 
 def _levers(solution: Solution) -> tuple[Array, Array]:
@@ -247,60 +244,33 @@ def _levers(solution: Solution) -> tuple[Array, Array]:
     return solution.linear.lever, p - p.mean(axis=0)
 
 
-@dataclass(frozen=True, eq=False)
-class _MoveSums:
+def _gains(solution: Solution, moments: NDArray[np.intp], random_orders: int = 0) -> Array:
     """
-    Sums over the parts of a recording between k possible moves, for (14).
+    Return 2 log Bayes factors (1 + orders, k, 2) of moves of sensor and target, (14).
 
-    D: derivatives (rows, 12) by a move of sensor and target
-
-    own: (k + 1, 12, 12) D'D
-    cross: (k + 1, q, 12) C^(1/2) A'D
-    slope: (k + 1, 12) D'e
+    Before each of the k moments: in the order of time, and in random orders of the parts between.
     """
-
-    own: Array
-    cross: Array
-    slope: Array
-
-    @classmethod
-    def of(cls, solution: Solution, moments: NDArray[np.intp]) -> _MoveSums:
-        """Return the sums at a solution."""
-        whiten = whitening(solution.linear, solution.noise)
-        D, J = whiten(_wrt_moves(solution)), solution.jacobian
-        rows = np.split(np.arange(len(D)), np.searchsorted(
-            solution.problem.observations.station, moments))
-        scale = np.sqrt(np.diag(solution.covariance))  # m, rad and sigmas differ by 1e5
-        values, axes = np.linalg.eigh(solution.covariance / scale / scale[:, None])
-        root = (axes * np.sqrt(np.maximum(values, 0.0)) * scale[:, None]).T
-        return cls(np.array([D[span].T @ D[span] for span in rows]),
-                   np.array([root @ (J[span].T @ D[span]) for span in rows]),
-                   np.array([solution.postfit_residuals[span] @ D[span] for span in rows]))
-
-    def gains(self, order: NDArray[np.intp] | None = None) -> Array:
-        """
-        Return 2 log Bayes factors (2, k) of moves of sensor and target, (14).
-
-        order: (k + 1,) of the parts, None: that of time.
-        """
-        order = np.arange(len(self.own)) if order is None else order
+    whiten, J = whitening(solution.linear, solution.noise), solution.jacobian
+    D = np.array([whiten(columns) for columns in _wrt_moves(solution)])
+    scale = np.sqrt(np.diag(solution.covariance))  # m, rad and sigmas differ by 1e5
+    values, axes = np.linalg.eigh(solution.covariance / scale / scale[:, None])
+    root = (axes * np.sqrt(np.maximum(values, 0.0)) * scale[:, None]).T
+    parts = np.split(np.arange(len(J)), np.searchsorted(
+        solution.problem.observations.station, moments))
+    # sums over each part: D'D, C^(1/2) A'D, D'e
+    sums = (np.array([np.swapaxes(D[:, rows], 1, 2) @ D[:, rows] for rows in parts]),
+            np.array([root @ (J[rows].T @ D[:, rows]) for rows in parts]),
+            np.array([solution.postfit_residuals[rows] @ D[:, rows] for rows in parts]))
+    rng, n = np.random.default_rng(0), len(parts)
+    gains = []
+    for order in (np.arange(n), *(rng.permutation(n) for _ in range(random_orders))):
         # over all parts after each moment
-        own, cross, slope = (np.cumsum(sums[order[::-1]], axis=0)[-2::-1]
-                             for sums in (self.own, self.cross, self.slope))
-        left = own - np.swapaxes(cross, 1, 2) @ cross  # by the other parameters
-        # (2, k): a move of the sensor alone, and of the target alone
-        information = np.stack([left[:, :6, :6], left[:, 6:, 6:]])
-        y = np.stack([slope[:, :6], slope[:, 6:]])
+        own, cross, y = (np.cumsum(one[order[::-1]], axis=0)[-2::-1] for one in sums)
+        information = own - np.swapaxes(cross, 2, 3) @ cross  # that the other parameters leave
         evidence = []
         for size in SIZE_FACTORS:
             M = np.eye(6) + size ** 2 * information
             step = size ** 2 * np.linalg.solve(M, y[..., None])[..., 0]
             evidence.append((y * step).sum(axis=2) - np.linalg.slogdet(M)[1])
-        return np.asarray(np.max(evidence, axis=0) - 2 * np.log(len(SIZE_FACTORS)))
-
-    @property
-    def p_value(self) -> float:
-        """Return the share of random orders of the parts with at least as clear a move."""
-        rng = np.random.default_rng(0)
-        random = [self.gains(rng.permutation(len(self.own))).max() for _ in range(200)]
-        return float(np.mean(random >= self.gains().max()))
+        gains.append(np.max(evidence, axis=0) - 2 * np.log(len(SIZE_FACTORS)))
+    return np.array(gains)

@@ -47,13 +47,13 @@ def require_distinct_frame(frame_id: str, config: Config) -> None:
 
     frame_id: of the profiles. The answer would relate a frame to itself.
     """
-    for key, robots in (('robot_effector_frame', config.robot_effector_frame),
-                        ('robot_base_frame', config.base_frame)):
-        if frame_id == robots:
-            raise DataError(
-                f'the profiles have the frame_id "{frame_id}", and {key} is the same frame, so '
-                'the result would be a transform from this frame to itself: set another frame_id '
-                f'in the driver of the sensor, or set {key}', reason='frame')
+    key = {config.base_frame: 'robot_base_frame',
+           config.robot_effector_frame: 'robot_effector_frame'}.get(frame_id)
+    if key:
+        raise DataError(
+            f'the profiles have the frame_id "{frame_id}", and {key} is the same frame, so the '
+            'result would be a transform from this frame to itself: set another frame_id in the '
+            f'driver of the sensor, or set {key}', reason='frame')
 
 
 def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target: Target) -> None:
@@ -99,10 +99,8 @@ def rms_turns_and_axes(poses: Array) -> tuple[Array, Array]:
     """
     rotations = Rotation.from_matrix(poses[:, :3, :3])
     vectors = (rotations.mean().inv() * rotations).as_rotvec()
-    _, s, axes = np.linalg.svd(vectors - vectors.mean(axis=0), full_matrices=len(vectors) < 3)
-    turns = np.zeros(3)
-    turns[:len(s)] = s / len(poses) ** 0.5
-    return turns, axes
+    squares, axes = np.linalg.eigh(np.cov(vectors, rowvar=False, bias=True))
+    return np.sqrt(np.maximum(squares[::-1], 0.0)), axes.T[::-1]
 
 
 def contradiction(solution: Solution) -> UnexplainedError | None:

@@ -1,152 +1,126 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Whether other settings explain a recording without an answer.
+Whether other settings explain the stops.
 
 Each hypothesis changes one setting, or two that belong together, and reads the same profiles of
-the same stops again.
+the same stops again. The opposite sign of the range is also tried where an answer is accepted: by
+the features that each sample has with that sign (Sample.flipped).
 """
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import permutations
 
 from handeye_ros import targets
-from handeye_ros.checks.hypotheses import (
-    Explanation,
-    explanation_of_results,
-    Hypothesis,
-    refuse_better,
-)
+from handeye_ros.checks.hypotheses import Explanation, explanation_of_samples, Hypothesis
 from handeye_ros.checks.refusals import UnexplainedError
-from handeye_ros.config import Config, flatten, flipped_range, with_assignments
+from handeye_ros.config import Config, flipped_range, with_assignments
 from handeye_ros.data import EdgePoint, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import evenly, Stop
-import numpy as np
 
 STOPS_READ, PROFILES_READ = 40, 4  # stops read again, profiles of each
-RANGE_SIGN = 'profile.range_sign'
+RANGE_SIGN, TARGET_TYPE = 'profile.range_sign', 'target.type'
+Values = tuple[tuple[str, str], ...]  # of settings, by their keys
 
 
-def require_settings(session: Session, config: Config) -> None:
-    """Raise DataError (settings) where other settings explain the stops of a session better."""
-    kept = [stop for stop in session.stops if not stop.final_reason and not session.excludes(stop)]
-    stops = [thinned(stop, config) for stop in kept[:STOPS_READ]]
-    results = [result_of(stop, config) for stop in stops]
-    seen = with_common_shape([r for r in results if isinstance(r, Sample)])
-    with_edge = {s.stamp for s in seen if any(isinstance(f, EdgePoint) for f in s.features)}
-    edges = np.array([result.stamp in with_edge for result in results], dtype=bool)
-    stated = explanation_of_results(results, config, all_starts=True)  # as a solve starts
+def setting_hypotheses(session: Session, config: Config, stated: Explanation
+                       ) -> Iterator[Hypothesis]:
+    """Yield the hypotheses that other settings explain the stops of a session."""
+    stops = [stop for stop in session.stops if not stop.final_reason
+             and not session.excludes(stop)][:STOPS_READ]
+    few = [thinned(stop, config) for stop in stops]
+    stamps = [stop.result.stamp for stop in stops]
+    with_edge = {stop.sample.stamp for stop in stops if stop.sample and any(
+        isinstance(feature, EdgePoint) for feature in stop.sample.features)}
 
-    def fit_as(values: dict[str, str]) -> Explanation:
-        """Return the fit of the stops, read with other values of settings."""
-        as_changed = with_settings(config, values)
-        glance = [result_of(replace(stop, profiles=stop.profiles[:1]), as_changed)
-                  for stop in stops]
-        if 2 * sum(isinstance(result, Sample) for result in glance) < len(stops):
-            return Explanation.nothing(len(stops))  # most show nothing: read no more of them
-        fit = explanation_of_results([result_of(stop, as_changed) for stop in stops], as_changed)
+    def read(profiles: int, as_changed: Config) -> list[Sample]:
+        results = [result_of(replace(stop, profiles=stop.profiles[:profiles]), as_changed)
+                   for stop in few]
+        return with_common_shape([replace(result, stamp=stamp) for result, stamp in zip(
+            results, stamps, strict=True) if isinstance(result, Sample)])
+
+    fits = dict[Values, Explanation]()  # those that leave no doubt
+    for values in _changes(config):
+        as_changed = with_settings(config, dict(values))
+        if 2 * len(read(1, as_changed)) < len(stops):
+            continue  # most show nothing: read no more of them
+        fit = explanation_of_samples(read(PROFILES_READ, as_changed), as_changed, stamps)
         if as_changed.target.type == 'plane':  # it explains no edge that is seen now
-            fit = replace(fit, squares=np.where(edges, np.inf, fit.squares))
-        return fit if within_noise(fit) else Explanation.nothing(len(stops))
-
-    def refit(choices: Sequence[dict[str, str]]) -> Explanation:
-        """Return the best fit, with those beside it by which more of the same stops agrees."""
-        fits = [fit for fit in map(fit_as, choices) if fit.believable and fit.is_determined]
-        if not fits:
-            return Explanation.nothing(len(stops))
-        best = max(fits, key=lambda fit: fit.evidence_over(stated))
-        return replace(best, with_more_conditions=tuple(
-            fit for fit in fits
-            if fit.fitting >= best.fitting and fit.redundancy > best.redundancy))
-
-    refuse_better(stated, [
-        Hypothesis(partial(refit, choices), partial(settings_refusal, [*choices[0]], stated),
-                   len(choices[0])) for choices in _changes(config)])
+            fit = replace(fit, squares={stamp: q for stamp, q in fit.squares.items()
+                                        if stamp not in with_edge})
+        if fit.believable and fit.within_noise and all(
+                part.is_determined and not len(part.indispensable_stations)
+                for part in fit.parts):
+            fits[values] = fit
+    for values, fit in fits.items():
+        # of the types of target those, too, by which more conditions agree
+        others = [other for key, other in fits.items() if values[0][0] == TARGET_TYPE == key[0][0]
+                  and values[1:] == key[1:] and len(other.squares) >= len(fit.squares)
+                  and other.redundancy > fit.redundancy]
+        yield Hypothesis(fit, settings_refusal(dict(values), stated, fit, others), len(values))
 
 
-def settings_refusal(keys: Sequence[str], stated: Explanation, fit: Explanation) -> DataError:
-    """Return the refusal that names the settings of some keys with which the stops fit."""
-    solution = fit.parts[0]
-    now = flatten(solution.full_problem.config)
-    values = {key: '[{}, {}]'.format(*now[key]) if key == 'profile.axes' else f'{now[key]}'
-              for key in keys}
+def settings_refusal(values: Mapping[str, str], stated: Explanation, fit: Explanation,
+                     others: Sequence[Explanation] = ()) -> DataError:
+    """Return the refusal that names values of settings with which the stops fit, and others."""
     named = ' and '.join(f'{key} {value}' for key, value in values.items())
     to = ' and '.join(f'{key} to {value}' for key, value in values.items())
-    if keys == ['target.radius']:
-        named = 'target.radius 0'
-        to = (f'target.radius to {solution.estimate.state[-1]:.4f}, which these stops show, or to '
-              '0 (unknown)')
-    to += ''.join(f', or to {richer.parts[0].full_problem.config.target.type}, if it is one'
-                  for richer in fit.with_more_conditions)
-    if values == {'target.type': 'plane'}:
+    if 'target.radius' in values:
+        to = (f'target.radius to {fit.parts[0].estimate.state[-1]:.4f}, which these stops show, '
+              'or to 0 (unknown)')
+    to += ''.join(f', or to {other.parts[0].full_problem.config.target.type}, if it is one'
+                  for other in others)
+    if values == {TARGET_TYPE: 'plane'}:
         to += '; or, if the target has edges, cross them inside the field of view'
     return DataError(f'{fit.in_words_beside(stated, named)}: set {to}', reason='settings')
 
 
-def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation, clocks: bool
-                 ) -> None:
+def sign_hypothesis(samples: Sequence[Sample], config: Config, stated: Explanation, clocks: bool
+                    ) -> Hypothesis:
     """
-    Raise DataError (settings) where the opposite profile.range_sign explains stations better.
+    Return the hypothesis that the range counts the other way, by features of the samples.
 
-    Where neither sign explains them within the noise, something else may: an UnexplainedError.
-    samples: of the stations of the stated fit, in order; compared are those with flipped features.
-    clocks: of a sweep, those of the samples are in doubt too.
+    Where neither sign explains them within the noise, something else may: its refusal is an
+    UnexplainedError. samples: of the stations of the stated fit; clocks: of a sweep, those of the
+    samples are in doubt too.
     """
-    asked = [k for k, sample in enumerate(samples) if sample.flipped is not None]
-    stated = replace(stated, squares=stated.squares[:, asked])
-    others = [replace(samples[k], features=seen) if (seen := samples[k].flipped) else None
-              for k in asked]
     flipped = flipped_range(config)
-
-    def refusal(fit: Explanation) -> DataError:
-        if within_noise(fit):
-            return settings_refusal([RANGE_SIGN], stated, fit)
-        other = f'{RANGE_SIGN} {flipped.profile.range_sign}'
-        return UnexplainedError(
-            f'{fit.in_words_beside(stated, other)}, neither as well as the noise allows: check '
-            f'{RANGE_SIGN}, and that every sample shows the target itself and no clamp or second '
-            'plate', reason='misfit')
-
-    refuse_better(stated, [Hypothesis(
-        partial(explanation_of_results, others, flipped, clocks=clocks), refusal)])
-
-
-def within_noise(fit: Explanation) -> bool:
-    """
-    Return whether stops that were read anew fit as well as the noise predicts, in metres.
-
-    Edges of another object, such as the floor beside the target, are uncertain: they fit in
-    sigmas.
-    """
-    return all(part.residual_rms <= part.expected_rms for part in fit.parts)
+    others = with_common_shape([replace(sample, features=sample.flipped) for sample in samples
+                                if sample.flipped])
+    stamps = [sample.stamp for sample in samples if sample.flipped is not None]
+    fit = explanation_of_samples(others, flipped, stamps, clocks=clocks)
+    values = {RANGE_SIGN: str(flipped.profile.range_sign)}
+    if fit.within_noise:
+        return Hypothesis(fit, settings_refusal(values, stated, fit))
+    words = fit.in_words_beside(stated, f'{RANGE_SIGN} {values[RANGE_SIGN]}')
+    return Hypothesis(fit, UnexplainedError(
+        f'{words}, neither as well as the noise allows: check {RANGE_SIGN}, and that every sample '
+        'shows the target itself and no clamp or second plate', reason='misfit'))
 
 
-def _changes(config: Config) -> Iterator[Sequence[dict[str, str]]]:
-    """Yield the likely corrections of settings, the most likely first, each with its choices."""
+def _changes(config: Config) -> list[Values]:
+    """Return the likely corrections of settings, the most likely first."""
     profile = config.profile
-    sign = {RANGE_SIGN: str(-profile.range_sign)}
-    kinds = [{'target.type': name} for name in targets.TARGETS if name != config.target.type]
-    unit = {'m': 'mm', 'mm': 'm'}[profile.unit]
-    kind = {'eye_on_base': 'eye_in_hand', 'eye_in_hand': 'eye_on_base'}[config.calibration_type]
-    axes = [f'[{a}, {b}]' for a, b in permutations('xyz', 2) if (a, b) != tuple(profile.axes)]
-    if config.target.radius:
-        yield [{'target.radius': '0'}]
-    yield from ([sign], [{'profile.unit': unit}], kinds,
-                *([{'profile.axes': pair}] for pair in axes), [{'calibration_type': kind}])
-    yield [choice | sign for choice in kinds]
-    yield from ([{'profile.axes': pair} | sign] for pair in axes)
+    sign = (RANGE_SIGN, str(-profile.range_sign))
+    unit = ('profile.unit', {'m': 'mm', 'mm': 'm'}[profile.unit])
+    kind = ('calibration_type', 'eye_on_base' if config.in_hand else 'eye_in_hand')
+    types = [(TARGET_TYPE, name) for name in targets.TARGETS if name != config.target.type]
+    axes = [('profile.axes', f'[{a}, {b}]') for a, b in permutations('xyz', 2)
+            if (a, b) != tuple(profile.axes)]
+    radius = [('target.radius', '0')] if config.target.radius else []
+    return [*((one,) for one in (*radius, sign, unit, *types, *axes, kind)),
+            *((one, sign) for one in (*types, *axes))]
 
 
-def with_settings(config: Config, values: dict[str, str]) -> Config:
+def with_settings(config: Config, values: Mapping[str, str]) -> Config:
     """Return the configuration with other values; measures of another target are reset."""
-    if 'target.type' in values:
+    if TARGET_TYPE in values:
         config = replace(config, method='auto', target=replace(config.target, radius=0.0, size=()))
     return with_assignments(config, [f'{key}={value}' for key, value in values.items()])
 

@@ -12,12 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from handeye_ros.checks.hypotheses import explanation_of_results
-from handeye_ros.checks.settings import thinned, with_settings, within_noise
+from handeye_ros.checks.hypotheses import explanation_of_samples
+from handeye_ros.checks.settings import thinned, with_settings
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine, Reject, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.frames import mount_poses
+from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
@@ -65,8 +66,9 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
     stops = np.array([s for s in session.stops if s.sample and not session.excludes(s)])
     as_plane = with_settings(config, {'target.type': 'plane'})
     planes = [result_of(thinned(stop, config), as_plane) for stop in stops]
-    fit = explanation_of_results(planes, as_plane, all_starts=True)
-    if not fit.believable or not within_noise(fit):
+    fit = explanation_of_samples([plane for plane in planes if isinstance(plane, Sample)],
+                                 as_plane, [plane.stamp for plane in planes], all_starts=True)
+    if not fit.believable or not fit.within_noise:
         return
     estimate = fit.parts[0].estimate
     poses = mount_poses(np.array([stop.sample.T_base_flange for stop in stops]), config)
@@ -85,8 +87,9 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
         if not np.nanmedian(above) > 0:
             continue  # only wrong axes or a wrong sign make the ground beneath a face
         # the others may be few: it is the plane that tells the surfaces apart
-        on_target = [stop.sample for stop in stops[at_level]]
-        if explanation_of_results(on_target, config, all_starts=True).agrees:
+        on_target = with_common_shape([stop.sample for stop in stops[at_level]])
+        if explanation_of_samples(on_target, config, [sample.stamp for sample in on_target],
+                                  all_starts=True).agrees:
             raise OtherSurfaceError(list(stops[~at_level]), above)
     told = '; '.join(f'{(level - np.nanmin(height)) * 1e3:.1f} mm: {_numbers(stops[at_level])}'
                      for level, at_level in levels)
@@ -100,8 +103,8 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
     else:
         return
     raise DataError(
-        f'{fit.fitting} of {len(stops)} stops agree on one plane, but not on the edges of the '
-        f'target: {why}: {ADVICE}', reason='surface')
+        f'{len(fit.squares)} of {len(stops)} stops agree on one plane, but not on the edges of '
+        f'the target: {why}: {ADVICE}', reason='surface')
 
 
 def _levels(height: Array) -> list[tuple[float, NDArray[np.bool_]]]:

@@ -17,12 +17,16 @@ from handeye_ros.bags.bag import read
 from handeye_ros.bags.messages import view
 from handeye_ros.bags.reader import CLOUD_TYPE, Raw
 from handeye_ros.checks.clocks import require_same_clock
-from handeye_ros.checks.hypotheses import deviance, Explanation, explanation_of_problem
-from handeye_ros.checks.settings import require_settings, thinned
+from handeye_ros.checks.hypotheses import (
+    deviance,
+    Explanation,
+    explanation_of_samples,
+    refuse_better,
+)
+from handeye_ros.checks.settings import setting_hypotheses, thinned
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import Array, Calibration, EdgePoint, NS, Profile
 from handeye_ros.errors import DataError, HandeyeError
-from handeye_ros.sampling.sweep import problem_of_known_poses
 from handeye_ros.simulate import (
     FAULTS,
     Scenario,
@@ -120,7 +124,10 @@ def test_what_no_setting_mends_is_not_blamed_on_one() -> None:
 @pytest.mark.thorough
 def test_right_settings_are_not_blamed() -> None:
     cell = made('baseline')
-    require_settings(pipeline.gather(cell.profiles, cell.poses, cell.config), cell.config)
+    session = pipeline.gather(cell.profiles, cell.poses, cell.config)
+    stamps = [sample.stamp for sample in session.samples]
+    stated = explanation_of_samples(session.samples, cell.config, stamps)
+    refuse_better(stated, setting_hypotheses(session, cell.config, stated))
 
 
 @lru_cache(maxsize=2)
@@ -211,7 +218,7 @@ def test_edges_that_are_less_certain_do_not_explain_more() -> None:
         samples = [replace(s, features=tuple(
             replace(f, point=f.point + rng.normal(0, error) * f.direction, std=stated)
             if isinstance(f, EdgePoint) else f for f in s.features)) for s in made.samples]
-        return explanation_of_problem(problem_of_known_poses(samples, made.config))
+        return explanation_of_samples(samples, made.config, [s.stamp for s in samples])
 
     waved, stray = read(6e-5, 2e-5), read(2e-4, 3e-4)
     assert stray.variance_factor < waved.variance_factor
