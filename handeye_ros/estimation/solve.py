@@ -65,11 +65,10 @@ class Solution:
     Of the stations used:
 
     linear: their observations with the labels that these have, linearised
-    configured_blocks: blocks with their configured sigmas
+    blocks: their q nuisance parameters are in units of the configured sigmas
     prefit_residuals: (m,) whitened residuals with all parameters of blocks at 0
-    white_jacobian: (m, u + q) whitened derivatives by u unknowns (first six: X) and by q
-        parameters in configured sigmas
-    white_information: (u + q, u + q) their information
+    jacobian: (m, u + q) whitened derivatives A by u unknowns (first six: X) and q parameters
+    normal_matrix: (u + q, u + q) A' A
 
     How these were chosen:
 
@@ -89,11 +88,11 @@ class Solution:
 
     linear: Linear
     noise: Noise
-    configured_blocks: tuple[ParameterBlock, ...]
+    blocks: tuple[ParameterBlock, ...]
     whitening: Whitening
     prefit_residuals: Array
-    white_jacobian: Array
-    white_information: Array
+    jacobian: Array
+    normal_matrix: Array
     full_problem: Problem
     used: NDArray[np.intp]
     dropped_squares: Mapping[int, float] = field(default_factory=dict)
@@ -130,33 +129,31 @@ class Solution:
         """Return the number of unknowns without the nuisance parameters."""
         return len(self.problem.free_columns)
 
-    @cached_property
-    def scales(self) -> Array:
-        """Return the scale of each parameter (u + q,): 1 for unknowns, tau for the others."""
-        tau = np.sqrt(self._tau_squared)
-        return np.concatenate([np.ones(self.unknowns), np.repeat(tau, self._block_sizes)])
+    def scale(self, block: ParameterBlock) -> float:
+        """Return tau of a block: its sigma over the configured one."""
+        return float(self.noise.block_variances.get(block.name, 1.0) ** 0.5)
 
     @property
-    def _block_sizes(self) -> list[int]:
-        return [block.count for block in self.configured_blocks]
-
-    @property
-    def _tau_squared(self) -> Array:
-        """Return the variance of each block (d,) relative to the configured one."""
-        known = self.noise.block_variances
-        return np.array([known.get(block.name, 1.0) for block in self.configured_blocks])
+    def variances(self) -> Array:
+        """Return tau^2 of each block (d,)."""
+        return np.array([self.scale(block) for block in self.blocks]) ** 2
 
     @cached_property
-    def blocks(self) -> tuple[ParameterBlock, ...]:
-        """Return the blocks; their sigmas are tau times the configured ones."""
-        return tuple(replace(block, std=block.std * float(tau)) for block, tau
-                     in zip(self.configured_blocks, np.sqrt(self._tau_squared), strict=True))
+    def prior(self) -> Array:
+        """Return the diagonal (u + q,) of P in (5): no information about the unknowns."""
+        counts = [block.count for block in self.blocks]
+        return np.append(np.zeros(self.unknowns), np.repeat(1 / self.variances, counts))
+
+    @cached_property
+    def information(self) -> Array:
+        """Return the (u + q, u + q) information of residuals and priors."""
+        return np.asarray(self.normal_matrix + np.diag(self.prior))
 
     @cached_property
     def covariance(self) -> Array:
-        """Return C (u + q, u + q) of (5), in present sigmas of the nuisance parameters."""
+        """Return C (u + q, u + q) of (5)."""
         if self.noise.blocks_as_noise:
-            return covariance_of(self.white_jacobian)
+            return covariance_of(self.jacobian)
         return bounded_inverse(self.information)
 
     @cached_property
@@ -164,24 +161,17 @@ class Solution:
         """Return the change (u + q,) of unknowns and nuisance parameters to the minimum, (5)."""
         if self.noise.blocks_as_noise:  # the search ends where no step is left
             return np.zeros(self.unknowns)
-        gradient = self.scales * (self.white_jacobian.T @ self.prefit_residuals)
-        return np.asarray(-self.covariance @ gradient)
+        return np.asarray(-self.covariance @ (self.jacobian.T @ self.prefit_residuals))
 
     @property
     def nuisance(self) -> Array:
-        """Return the estimates (q,) of the nuisance parameters, in their present sigmas."""
+        """Return the estimates (q,) of the nuisance parameters."""
         return self._step_to_minimum[self.unknowns:]
-
-    @cached_property
-    def jacobian(self) -> Array:
-        """Return the whitened derivatives (m, u + q), by nuisance parameters in present sigmas."""
-        return self.white_jacobian * self.scales
 
     @cached_property
     def postfit_residuals(self) -> Array:
         """Return the whitened residuals (m,) at the solution, without the part of the blocks."""
-        step = self.scales * self._step_to_minimum
-        return np.asarray(self.prefit_residuals + self.white_jacobian @ step)
+        return np.asarray(self.prefit_residuals + self.jacobian @ self._step_to_minimum)
 
     @cached_property
     def estimate(self) -> Estimate:
@@ -231,21 +221,21 @@ class Solution:
 
     def prior_variances(self) -> tuple[Array, Array]:
         """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
-        x, covariance = self._step_to_minimum, self.covariance
-        u, first = self.unknowns, np.cumsum([0, *self._block_sizes])[:-1]
-        largest = np.array([block.largest_variance for block in self.configured_blocks])
-        return prior_variances(covariance[u:, u:], x[u:], first, self._tau_squared, largest)
+        u, least = self.unknowns, [block.least_variance for block in self.blocks]
+        largest = np.array([block.largest_variance for block in self.blocks])
+        found = prior_variances(self.covariance[u:, u:], self.nuisance,
+                                [block.count for block in self.blocks], self.variances, largest)
+        return np.maximum(found[0], least), np.maximum(found[1], least)
 
     def with_variances(self, variances: Array) -> Solution:
         """Return the solution with variances (d,) of blocks, relative to the configured ones."""
-        named = {block.name: max(float(v), block.least_variance)
-                 for block, v in zip(self.configured_blocks, variances, strict=True)}
+        named = dict(zip([block.name for block in self.blocks], variances.tolist(), strict=True))
         return replace(self, noise=replace(self.noise, block_variances=named))
 
     def with_factors(self, factors: Array) -> Solution:
         """Return the solution with other variance factors (5,), at the same estimate."""
         noise = replace(self.noise, variance_factors=factors)
-        return Solution.of_linear(self.linear, noise, self.configured_blocks)
+        return Solution.of_linear(self.linear, noise, self.blocks)
 
     def with_conservative_scales(self, steps: int) -> Solution:
         """
@@ -254,9 +244,9 @@ class Solution:
         Ends early if a step hardly changes the variances.
         """
         current = self
-        for _ in range(steps if self.configured_blocks else 0):
+        for _ in range(steps if self.blocks else 0):
             _, variances = current.prior_variances()
-            if np.abs(np.log(variances / current._tau_squared)).max() < 0.03:
+            if np.abs(np.log(variances / current.variances)).max() < 0.03:
                 break
             current = current.with_variances(variances)
         return current
@@ -301,13 +291,6 @@ class Solution:
         return np.asarray(columns @ conservative.covariance @ columns.T + np.outer(shift, shift))
 
     @cached_property
-    def information(self) -> Array:
-        """Return the (u + q, u + q) information of residuals and priors."""
-        prior = np.repeat([0.0, 1.0], [self.unknowns, len(self.scales) - self.unknowns])
-        scaled = self.white_information * self.scales * self.scales[:, None]
-        return np.asarray(scaled + np.diag(prior))
-
-    @cached_property
     def ranks(self) -> NDArray[np.intp]:
         """
         Return the rank (n,) of each station's derivatives by the unknowns.
@@ -316,7 +299,7 @@ class Solution:
         """
         station = self.problem.observations.station
         ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
-        J = self.white_jacobian[:, :self.unknowns]
+        J = self.jacobian[:, :self.unknowns]
         J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
         for group in self.problem.station_groups:
             s = np.linalg.svd(J[group.rows], compute_uv=False)
@@ -327,8 +310,8 @@ class Solution:
     @property
     def sum_of_squares(self) -> float:
         """Return the sum of squares of residuals and nuisance parameters."""
-        r, n = self.postfit_residuals, self.nuisance
-        return float(r @ r + n @ n)
+        r, step = self.postfit_residuals, self._step_to_minimum
+        return float(r @ r + step ** 2 @ self.prior)
 
     @property
     def variance_factor(self) -> float:
@@ -379,9 +362,10 @@ class Solution:
         """Return -2 log of the marginal likelihood, the prior of the noise factors included."""
         spread = -2 * sum(float(np.log(np.einsum('nii->ni', f)).sum())
                           for f in self.whitening.roots)
-        factors = self.noise.variance_factors
+        factors, information = self.noise.variance_factors, self.prior[self.unknowns:]
         prior = PRIOR_FREEDOM * float((np.log(factors) + 1 / factors - 1).sum())
-        return float(spread + np.linalg.slogdet(self.information)[1] + self.sum_of_squares + prior)
+        return float(spread + np.linalg.slogdet(self.information)[1] - np.log(information).sum()
+                     + self.sum_of_squares + prior)
 
     @property
     def stations_without_edges(self) -> NDArray[np.intp]:
@@ -448,7 +432,7 @@ class Solution:
         robot's smooth error as estimated from the other folds.
         """
         of_row, u = fold[self.problem.observations.station], self.unknowns
-        steps = np.empty((fold.max() + 1, len(self.scales)))
+        steps = np.empty((fold.max() + 1, len(self.prior)))
         for k in range(len(steps)):
             J, r = self.jacobian[of_row == k], self.postfit_residuals[of_row == k]
             if len(r) < J.shape[1]:
@@ -490,7 +474,7 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
         return _with_conservative(reached, reached.noise, LAST_STEPS)
     # both scales follow from the posterior at the conservative ones
     for_estimate = conservative = reached
-    if reached.configured_blocks:
+    if reached.blocks:
         posterior = reached.with_conservative_scales(LAST_STEPS - 1)
         for_estimate, conservative = map(reached.with_variances, posterior.prior_variances())
     # the noise of the estimate, at its own scales; that of the report stays as it converged
