@@ -45,6 +45,8 @@ LINE_BEND = 'line_bend'
 # RMS of the polynomials of each degree over noise.distortion.
 DISTORTION_SHARES = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}
 DEGREES = list(DISTORTION_SHARES)
+# what errors (m) of a robot make of its poses: shifts, and turns with the same shift by a joint
+ROBOT_AXES = np.diag(np.repeat([1.0, 1 / TURN_LENGTH], 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,27 +127,31 @@ def robot_scale(linear: Linear) -> Blocks:
                          origin=1.0)
 
 
-def wrt_smooth(wrt_pose: Array, smooth: Array) -> Array:
+def wrt_smooth(wrt_pose: Array, smooth: Array, axes: Array = ROBOT_AXES) -> Array:
     """
-    Return derivatives (m, 6 k) by a smooth error of the robot, of unit size.
+    Return derivatives (m, a k) by a smooth error of the robot, of unit size.
 
-    wrt_pose: (m, 6) by pose errors; smooth: (m, k) the basis functions at the pose of each.
+    wrt_pose: (m, 6) by pose errors; smooth: (m, k) the basis functions at the pose of each; axes:
+    (6, a) the errors that each of them makes.
     """
-    by_each = wrt_pose / np.repeat([1.0, TURN_LENGTH], 3)
-    return np.asarray((by_each[:, :, None] * smooth[:, None]).reshape(len(wrt_pose), -1))
+    by_each = (wrt_pose @ axes)[:, :, None] * smooth[:, None]
+    return np.asarray(by_each.reshape(len(wrt_pose), -1))
+
+
+def smooth_errors(name: str, linear: Linear, smooth: Array, std: float, axes: Array = ROBOT_AXES,
+                  best_fit: Callable[[Linear], Array] | None = None, report: str = ''
+                  ) -> ParameterBlock:
+    """Return the block of smooth errors of the poses, by functions (n, k) of these."""
+    columns = wrt_smooth(linear.wrt_pose, smooth[linear.problem.observations.station], axes)
+    twists = np.einsum('xa,nk->nxak', axes, smooth).reshape(len(smooth), 6, -1)
+    return ParameterBlock(name, columns * std, std, twists, best_fit, report=report)
 
 
 def robot_smooth(linear: Linear) -> Blocks:
     """Yield the block of the robot's smooth errors, of position and rotation."""
-    problem, size = linear.problem, linear.problem.config.noise.robot_smooth
-    if not size:
-        return
-    n, smooth = len(problem.poses), problem.smooth_error_basis
-    axes = np.diag(np.repeat([1.0, 1 / TURN_LENGTH], 3))
-    twists = np.einsum('xa,nk->nxak', axes, smooth).reshape(n, 6, -1)
-    columns = wrt_smooth(linear.wrt_pose, smooth[problem.observations.station])
-    yield ParameterBlock('robot_smooth', columns * size, size, twists,
-                         _motions_of_smooth, report='robot_position_error')
+    if size := linear.problem.config.noise.robot_smooth:
+        yield smooth_errors('robot_smooth', linear, linear.problem.smooth_error_basis, size,
+                            best_fit=_motions_of_smooth, report='robot_position_error')
 
 
 def _motions_of_smooth(linear: Linear) -> Array:

@@ -40,7 +40,7 @@ from handeye_ros import targets
 from handeye_ros.config import Config
 from handeye_ros.data import Array, CLOCK_DRIFT, Reject, ROTATION_LAG, Sample, TIME_OFFSET
 from handeye_ros.estimation.basis import smooth_basis_in_time
-from handeye_ros.estimation.blocks import Blocks, ParameterBlock
+from handeye_ros.estimation.blocks import Blocks, ParameterBlock, smooth_errors
 from handeye_ros.estimation.least_squares import Rows, System, typical_square
 from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, PoseModel, Problem
@@ -158,12 +158,10 @@ def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
     assert model is not None
     own_stamps = stamps if model.stations is None else stamps[model.stations]
     functions = smooth_basis_in_time((own_stamps - stamps[0]) * 1e-9)
-    for name, axes, std in (('tracking_position', slice(0, 3), size),
-                            ('tracking_rotation', slice(3, 6), size / TURN_LENGTH)):
-        twists = np.einsum('xa,nk->nxak', np.eye(6)[:, axes], functions)
-        twists = twists.reshape(len(functions), 6, -1)
-        yield ParameterBlock(name, linear.wrt_twists(twists) * std, std, twists=twists,
-                             report=f'{name}_error')
+    shifts, turns = np.hsplit(np.eye(6), 2)
+    for name, axes, std in (('tracking_position', shifts, size),
+                            ('tracking_rotation', turns, size / TURN_LENGTH)):
+        yield smooth_errors(name, linear, functions, std, axes, report=f'{name}_error')
     exposure = linear.problem.config.profile.exposure
     if exposure:
         # a profile averages over the exposure, and shows a face only while the face is seen: an
