@@ -51,7 +51,7 @@ from numpy.typing import NDArray
 
 # sigmas: the last step of the unknowns; one more follows with the final scales. After MOST_STEPS a
 # step of NEAR_SIGMAS is small enough.
-CONVERGED_SIGMAS, NEAR_SIGMAS, MOST_STEPS = 0.1, 1.0, 10
+CONVERGED_SIGMAS, NEAR_SIGMAS, MOST_STEPS = 0.25, 1.0, 10
 LEFT_BY_OTHERS = 1e-6  # rest of a variance that the other stations leave
 LAST_STEPS = 3  # iterations of variance factors and scales after it
 MAP_PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
@@ -503,8 +503,8 @@ def _until_converged(start: Solution) -> tuple[Solution, bool]:
     """
     Return the solution at the minimum and True, or the nearest to one and False.
 
-    Each is linearised where the step of the one before leads, with the variance factors from its
-    residuals, and takes one step of the conservative scales.
+    Each is linearised where the step of the one before leads, with the variance factors and the
+    conservative scales that follow from its residuals.
     """
     current = nearest = start
     least = np.inf
@@ -515,8 +515,8 @@ def _until_converged(start: Solution) -> tuple[Solution, bool]:
             nearest, least = current, size
         factors, before = current.estimated_factors(), current.noise.variance_factors
         steady = np.abs(np.log(factors / before)).max() < 0.1
-        noise = replace(current.noise, variance_factors=factors)
-        current = Solution.of_linear(current.relinearise(), noise).with_conservative_scales(1)
+        noise = replace(current.with_conservative_scales(1).noise, variance_factors=factors)
+        current = Solution.of_linear(current.relinearise(), noise)
         if size < CONVERGED_SIGMAS and steady:
             break
     # a variance factor of a few points may settle slowly, and hardly moves the solution

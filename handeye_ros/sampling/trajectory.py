@@ -131,7 +131,7 @@ class _Piece:
 
     def _rows(self, stamps: NDArray[np.int64]) -> tuple[Any, Any]:
         """Return values and rates by the coefficients; outside those of the nearest end."""
-        t = (np.clip(stamps, self.first, self.last) - self.first) * 1e-9
+        t = np.asarray((np.clip(stamps, self.first, self.last) - self.first) * 1e-9)
         return _spline_rows(t, self.interval, len(self.coefficients))
 
     def at(self, stamps: NDArray[np.int64]) -> tuple[Array, Array]:
@@ -191,11 +191,11 @@ def _piece_through(stamps: NDArray[np.int64], values: Array) -> _Piece:
     wrong.
     """
     t, values = (stamps - stamps[0]) * 1e-9, _with_steady_signs(values)
-    *found, off = _smoothed(t, values)
+    spline, off = _smoothed(t, values)
     near = _near_most(off)
     if not near.all() and near.mean() > 0.95:
-        *found, _ = _smoothed(t[near], values[near])
-    return _Piece(int(stamps[0]), int(stamps[-1]), *found)
+        spline, _ = _smoothed(t[near], values[near])
+    return _Piece(int(stamps[0]), int(stamps[-1]), *spline)
 
 
 def _with_steady_signs(values: Array) -> Array:
@@ -214,7 +214,7 @@ def _near_most(off: Array) -> NDArray[np.bool_]:
     return np.asarray(near)
 
 
-def _smoothed(t: Array, values: Array) -> tuple[float, Array, Array, Array, Array]:
+def _smoothed(t: Array, values: Array) -> tuple[tuple[float, Array, Array, Array], Array]:
     """
     Return interval, coefficients, std and root of the best piece, and its residuals (n, 7).
 
@@ -240,6 +240,6 @@ def _smoothed(t: Array, values: Array) -> tuple[float, Array, Array, Array, Arra
         error = float(np.log(sums / max(freedom, 1) ** 2).sum())
         if error < least + 2 * np.log(0.98):  # nearer knots must be worth 2 %
             least = error
-            best = interval, coefficients, np.sqrt(sums / max(freedom, 1)), root, off
+            best = (interval, coefficients, np.sqrt(sums / max(freedom, 1)), root), off
     assert best is not None
     return best
