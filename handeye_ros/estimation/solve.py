@@ -465,13 +465,39 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
     conservative scales, with long errors of the robot only. noise: to start with.
     """
     n = len(problem.poses)
-    if n >= 2 * problem.many:  # some of them tell the scales and the noise
-        some = problem.subset(np.arange(0, n, round(n / problem.many)))
-        return extended_solution(map_solution(some, start, noise), problem)
+    if n < 2 * problem.many:
+        linear, for_estimate, for_report = _estimated(problem, start, noise)
+        return _with_conservative(Solution.of_linear(linear, for_estimate), for_report, LAST_STEPS)
+    some = problem.subset(np.arange(0, n, round(n / problem.many)))
+    return _of_more(problem, *_estimated(some, start, noise), LAST_STEPS)
+
+
+def extended_solution(before: Solution, problem: Problem) -> Solution:
+    """Return the MAP solution of many stations, of which a few more were used before."""
+    return _of_more(problem, before.linear, before.noise, before.conservative.noise, 1)
+
+
+def _of_more(problem: Problem, linear: Linear, noise: Noise, reported: Noise, steps: int
+             ) -> Solution:
+    """
+    Return the MAP solution of many stations from what others, or a part of them, have shown.
+
+    It is linearised where they were, and has their noise. The scales of the estimate take one step
+    from theirs, and those of the report some.
+    """
+    problem = problem.with_pose_values(linear.problem.pose_values)
+    near = solution_at(problem, linear.estimate, noise)
+    conservative = replace(near, noise=replace(noise, block_variances=reported.block_variances))
+    for_estimate = near.with_variances(conservative.prior_variances()[0])
+    return _with_conservative(for_estimate, reported, steps)
+
+
+def _estimated(problem: Problem, start: Estimate, noise: Noise) -> tuple[Linear, Noise, Noise]:
+    """Return the problem at its minimum, and noise and scales for the estimate and the report."""
     # near the minimum, at conservative scales
     reached, converged = _until_converged(solution_at(problem, start, noise))
     if not converged:  # where it is stays the answer, as uncertain as any
-        return _with_conservative(reached, reached.noise, LAST_STEPS)
+        return reached.linear, reached.noise, reached.noise
     # both scales follow from the posterior at the conservative ones
     for_estimate = conservative = reached
     if reached.blocks:
@@ -481,22 +507,7 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
     for _ in range(LAST_STEPS):
         for_estimate = for_estimate.with_factors(
             for_estimate.estimated_factors(MAP_PRIOR_FACTORS))
-    # the last step of the estimate, and from there the solution for the report
-    for_estimate = Solution.of_linear(for_estimate.relinearise(), for_estimate.noise)
-    return _with_conservative(for_estimate, conservative.noise, LAST_STEPS)
-
-
-def extended_solution(before: Solution, problem: Problem) -> Solution:
-    """
-    Return the MAP solution of many stations, from that of a part of them, or of a few more.
-
-    It is linearised where that one was, and has its noise. Scales take one step from its own.
-    """
-    problem, noise = problem.with_pose_values(before.problem.pose_values), before.noise
-    near, reported = solution_at(problem, before.linear.estimate, noise), before.conservative.noise
-    conservative = replace(near, noise=replace(noise, block_variances=reported.block_variances))
-    for_estimate = near.with_variances(conservative.prior_variances()[0])
-    return _with_conservative(for_estimate, reported, 1)
+    return for_estimate.relinearise(), for_estimate.noise, conservative.noise
 
 
 def _until_converged(start: Solution) -> tuple[Solution, bool]:
