@@ -14,7 +14,7 @@ PoseModel:
     def poses_and_twists(values):  # (k,), so far 0
         return interpolated(stamps + values[0]), velocities(stamps + values[0])[:, :, None]
 
-    offset = PoseModel(poses_and_twists, names=('time_offset',), counts=(1,), stds=(0.05,))
+    offset = PoseModel(poses_and_twists, names=('time_offset',), stds=(0.05,))
     solution = map_solution(Problem(target, poses, observations, config, offset), start, Noise())
     solution.problem.pose_values, solution.problem.poses  # as estimated
 
@@ -60,8 +60,8 @@ class ParameterBlock:
         None: no change
     best_fit(linear): (6, k) derivatives of the transform that maps points best, (9); None: none
     parameter: index of the target's parameter that it is, None for a mere correction of residuals
-    pose_slice: which values of the pose model it is, likewise
-    value: (k,) of these parameters at present
+    pose_value: index of the value of the pose model that it is, likewise
+    value: (1,) of such a parameter at present
     least_variance, largest_variance: bounds of the variance over the configured one
     report: key in the answer, '' for none
     origin: added to the reported value of one parameter
@@ -73,7 +73,7 @@ class ParameterBlock:
     twists: Array | None = None
     best_fit: Callable[[Linear], Array] | None = None
     parameter: int | None = None
-    pose_slice: slice | None = None
+    pose_value: int | None = None
     value: Array | None = None
     least_variance: float = 0.0
     largest_variance: float = 400.0  # 20 times the sigma
@@ -224,12 +224,10 @@ def pose_parameters(linear: Linear) -> Blocks:
     problem, model = linear.problem, linear.problem.pose_model
     if model is None:
         return
-    last = np.cumsum(model.counts)
-    for name, count, std, end in zip(model.names, model.counts, model.stds, last, strict=True):
-        some = slice(int(end) - count, int(end))
-        moves = problem.pose_twists[:, :, some]
-        yield ParameterBlock(name, linear.wrt_twists(moves) * std, std, moves, pose_slice=some,
-                             value=problem.pose_values[some],
+    for k, (name, std) in enumerate(zip(model.names, model.stds, strict=True)):
+        moves = problem.pose_twists[:, :, [k]]
+        yield ParameterBlock(name, linear.wrt_twists(moves) * std, std, moves, pose_value=k,
+                             value=problem.pose_values[[k]],
                              least_variance=model.least_variance, report=name)
 
 

@@ -176,8 +176,6 @@ class Solution:
     @cached_property
     def estimate(self) -> Estimate:
         """Return the estimate after the last step, the stated measures of the target too."""
-        if self.noise.blocks_as_noise:
-            return self.linear.estimate
         moved = self.problem.retracted(
             self.linear.estimate, self._step_to_minimum[:self.unknowns])
         delta = np.zeros(len(self.problem.target.labels))
@@ -191,11 +189,9 @@ class Solution:
         """Return the problem linearised after the step, with the poses at their values then."""
         problem, values = self.problem, self.problem.pose_values.copy()
         for block, columns in with_columns(self.blocks):
-            if block.pose_slice is not None:
-                values[block.pose_slice] = self.nuisance[columns] * block.std
-        if len(values):
-            problem = problem.with_pose_values(values)
-        return linearise(problem, self.estimate)
+            if block.pose_value is not None:
+                values[block.pose_value] = self.nuisance[columns][0] * block.std
+        return linearise(problem.with_pose_values(values), self.estimate)
 
     def predicted_covariance(self, rows: NDArray[np.intp]) -> Array:
         """Return the covariance (s, c, c) of whitened predictions in the rows (s, c)."""

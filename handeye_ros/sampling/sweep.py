@@ -41,15 +41,16 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, CLOCK_DRIFT, Reject, ROTATION_LAG, Sample, TIME_OFFSET
 from handeye_ros.estimation.basis import smooth_basis_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock, smooth_errors
-from handeye_ros.estimation.least_squares import Rows, System, typical_square
+from handeye_ros.estimation.least_squares import typical_square
 from handeye_ros.estimation.noise import TURN_LENGTH
-from handeye_ros.estimation.problem import Estimate, Linear, linearise, PoseModel, Problem
+from handeye_ros.estimation.problem import Estimate, Linear, PoseModel, Problem
 from handeye_ros.estimation.search import (
     CONVINCING_SQUARE,
-    graduated_fit,
+    loss,
+    refined_robustly,
     station_squares,
-    whitening_at,
 )
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_poses_of
 from handeye_ros.sampling.stops import evenly, evenly_chosen
 from handeye_ros.sampling.trajectory import Instants, joined, Trajectory
@@ -145,11 +146,12 @@ def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:
     unknown, stds = _unknown(config)
     model = PoseModel(
         partial(_poses_and_twists, clocked, unknown), tuple(CLOCK_KEYS[k] for k in unknown),
-        (1,) * len(stds), tuple(stds.tolist()), least_variance=1.0,
+        tuple(stds.tolist()), least_variance=1.0,
         blocks=partial(errors_in_motion, clocked.stamps),
         jitter=np.array([config.noise.stamps, *np.zeros(len(stds) - 1)]))
     known = next(s.clock_values for s in samples if s.moving)
-    return replace(problem, pose_model=model, pose_values=np.array([known[k] for k in unknown]))
+    return replace(problem, pose_model=model).with_pose_values(
+        np.array([known[k] for k in unknown]))
 
 
 def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
@@ -201,7 +203,7 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     _, near = _poses_at(samples, start)
     # profiles in gaps between the poses would pull the offset
     inner = problem.subset(np.flatnonzero(near.inside))
-    fit = _refined(inner.with_pose_values(start.problem.pose_values), start.estimate)
+    fit = refined_robustly(inner.with_pose_values(start.problem.pose_values), start.estimate)
     values, instants = _poses_at(samples, fit)
     paired = [replace(sample, T_base_flange=T, clock_values=values)
               for sample, T, inside in zip(
@@ -211,54 +213,21 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     return TimedSamples(paired, rejects, fit.estimate)
 
 
-def _poses_at(samples: Sequence[Sample], fit: Linear) -> tuple[tuple[float, ...], Instants]:
+def _poses_at(samples: Sequence[Sample], fit: Solution) -> tuple[tuple[float, ...], Instants]:
     """Return offset, lag and drift of a fit, and the flange at each sample by them."""
     values = _all_values(_unknown(fit.problem.config)[0], fit.problem.pose_values)
     return values, ClockedPoses.of(samples).at(*values)
 
 
-def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Linear:
+def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Solution:
     """Return the best fit over several offsets, or the first convincing one."""
-    best: tuple[float, Linear] | None = None
+    fits = list[Solution]()
     for offset in sorted(np.arange(-10, 11, 2), key=abs):  # prior sigmas
         values = np.zeros(len(problem.pose_values))
         values[0] = offset * problem.config.time_offset_std
         shifted = problem.with_pose_values(values)
-        for start in islice(shifted.target.starts(shifted, rng), 3):
-            fit = _refined(shifted, start)
-            loss = float(np.log1p(station_squares(fit, problem)).mean())
-            best = (loss, fit) if best is None or loss < best[0] else best
-        if best and typical_square(station_squares(best[1], problem)) < CONVINCING_SQUARE:
+        fits += [refined_robustly(shifted, start)
+                 for start in islice(shifted.target.starts(shifted, rng), 3)]
+        if typical_square(station_squares(min(fits, key=loss))) < CONVINCING_SQUARE:
             break
-    assert best is not None
-    return best[1]
-
-
-def _refined(problem: Problem, start: Estimate) -> Linear:
-    """Return the fit with the clocks among the unknowns that a start leads to."""
-    def few_steps(fit: Linear, weights: Array) -> Linear:
-        of_all = np.append(weights, 1.0)  # the priors of the clocks keep theirs
-        return _system(fit.problem).few_weighted_steps(fit, of_all)
-    return graduated_fit(problem, start, few_steps)
-
-
-def _system(problem: Problem) -> System[Linear]:
-    """Return the least-squares system of a labelled problem; priors of the clocks come last."""
-    (_, stds), n = _unknown(problem.config), len(problem.poses)
-    k = len(stds)
-
-    def rows(linear: Linear) -> Rows:
-        def jacobian() -> Array:
-            J = np.hstack([linear.jacobian[:, linear.problem.free_columns],
-                           linear.wrt_twists(linear.problem.pose_twists)])
-            return np.vstack([J, np.eye(J.shape[1])[-k:] / stds[:, None]])
-
-        def whiten(values: Array) -> Array:
-            return np.concatenate([whitening_at(linear)(values[:-k]), values[-k:]])
-        return Rows(np.append(linear.residuals, linear.problem.pose_values / stds), jacobian,
-                    lambda: whiten)
-
-    def retracted(linear: Linear, step: Array) -> Linear:
-        moved = linear.problem.with_pose_values(linear.problem.pose_values + step[-k:])
-        return linearise(moved, moved.retracted(linear.estimate, step[:-k]))
-    return System(rows, retracted, np.append(problem.observations.station, np.full(k, n)))
+    return min(fits, key=loss)
