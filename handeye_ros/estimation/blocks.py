@@ -246,21 +246,6 @@ def best_fit_motions(linear: Linear, blocks: Sequence[ParameterBlock]) -> Array:
     return np.concatenate([np.zeros((6, 0)), *parts], axis=1)
 
 
-def pose_corrections(problem: Problem, blocks: Sequence[ParameterBlock], values: Array) -> Array:
-    """
-    Return the corrections (n, 6) of the reported poses by the parameters of blocks.
-
-    values: (q,) parameters of all blocks in order, in their present sigmas, or (n, q) for each
-    pose.
-    """
-    n = len(problem.poses)
-    errors, values = np.zeros((n, 6)), np.broadcast_to(values, (n, values.shape[-1]))
-    for block, columns in with_columns(blocks):
-        if block.twists is not None:
-            errors += block.std * np.einsum('nxk,nk->nx', block.twists, values[:, columns])
-    return errors
-
-
 BLOCK_SOURCES: tuple[BlockSource, ...] = (
     stated_measures, robot_scale, sensor_scale, sensor_distortion, line_bend, pose_parameters,
     robot_smooth)

@@ -74,9 +74,6 @@ class Whitening:
 
     def __call__(self, values: Array) -> Array:
         """Return values (m, ...) whitened to unit covariance."""
-        if len(self.rows) == 1:  # all rows, in their order
-            stacked = values.reshape(*self.rows[0].shape, -1)
-            return np.asarray((self.roots[0] @ stacked).reshape(values.shape))
         whitened = np.empty_like(values)
         for rows, root in zip(self.rows, self.roots, strict=True):
             stacked = values[rows]
@@ -143,12 +140,11 @@ def prior_variances(covariance: Array, value: Array, counts: Sequence[int], befo
     """
     first = np.cumsum([0, *counts])[:-1]
     # along the axes in which a block's parameters are independent
-    posterior, along = np.diag(covariance).copy(), value.copy()
+    posterior, along = np.empty((2, len(value)))
     for start, count in zip(first.tolist(), counts, strict=True):
-        if count > 1:
-            block = slice(start, start + count)
-            posterior[block], axes = eigen(covariance[block, block])
-            along[block] = axes.T @ value[block]
+        block = slice(start, start + count)
+        posterior[block], axes = eigen(covariance[block, block])
+        along[block] = axes.T @ value[block]
     # without a prior: the information of the data about each parameter, and its gradient
     present = np.repeat(before, counts)
     posterior = np.clip(posterior, 1e-12 * present, (1 - 1e-9) * present)

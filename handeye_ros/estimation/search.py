@@ -33,7 +33,7 @@ from handeye_ros.estimation.least_squares import (
 )
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise, Whitening, whitening
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem, UNUSED
-from handeye_ros.estimation.solve import extended_solution, map_solution, Solution
+from handeye_ros.estimation.solve import map_solution, Solution, solution_of_many
 import numpy as np
 from numpy.typing import NDArray
 
@@ -110,8 +110,9 @@ def with_systematic_errors(agreed: Solution) -> Solution:
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         kept = agreed.problem.subset(np.flatnonzero(np.isin(agreed.used, used)))
-        solution = (map_solution(kept, agreed.estimate, Noise()) if before is None or
-                    len(used) < 2 * problem.many else extended_solution(before, kept))
+        solution = (map_solution(kept, agreed.estimate, Noise())
+                    if before is None or len(used) < 2 * problem.many else
+                    solution_of_many(kept, before.linear, before.noise, before.conservative.noise))
         return with_possibly_wrong_station(solution, len(problem.poses) - len(used))
 
     solution, used, dropped = drop_outliers(

@@ -25,7 +25,6 @@ from handeye_ros.estimation.blocks import (
     best_fit_motions,
     blocks_at,
     ParameterBlock,
-    pose_corrections,
     with_columns,
 )
 from handeye_ros.estimation.least_squares import (
@@ -380,12 +379,15 @@ class Solution:
 
         nuisance: (n, q) parameters of the blocks at each pose, None: as estimated.
         """
-        problem, estimated = self.problem, self.nuisance
-        # the poses already include the parameters that they depend on
-        inside = [np.full(b.count, float(b.value is not None)) for b in self.blocks]
-        values = (estimated if nuisance is None else nuisance) - estimated * np.concatenate(
-            [[], *inside])
-        errors, T = pose_corrections(problem, self.blocks, values), problem.robot_poses
+        problem, T = self.problem, self.problem.robot_poses
+        values = np.zeros((len(T), 1)) + (self.nuisance if nuisance is None else nuisance)
+        errors = np.zeros((len(T), 6))
+        for block, columns in with_columns(self.blocks):
+            if block.twists is not None:
+                # the poses already include the parameters that they depend on
+                inside = self.nuisance[columns] * (block.value is not None)
+                errors += block.std * np.einsum(
+                    'nxk,nk->nx', block.twists, values[:, columns] - inside)
         corrected = se3.transform(se3.exp_rotation(errors[:, 3:]) @ T[:, :3, :3],
                                   T[:, :3, 3] + errors[:, :3])
         return corrected if problem.config.in_hand else se3.inverse(corrected)
@@ -465,21 +467,16 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
         linear, for_estimate, for_report = _estimated(problem, start, noise)
         return _with_conservative(Solution.of_linear(linear, for_estimate), for_report, LAST_STEPS)
     some = problem.subset(np.arange(0, n, round(n / problem.many)))
-    return _of_more(problem, *_estimated(some, start, noise), LAST_STEPS)
+    return solution_of_many(problem, *_estimated(some, start, noise), LAST_STEPS)
 
 
-def extended_solution(before: Solution, problem: Problem) -> Solution:
-    """Return the MAP solution of many stations, of which a few more were used before."""
-    return _of_more(problem, before.linear, before.noise, before.conservative.noise, 1)
-
-
-def _of_more(problem: Problem, linear: Linear, noise: Noise, reported: Noise, steps: int
-             ) -> Solution:
+def solution_of_many(problem: Problem, linear: Linear, noise: Noise, reported: Noise,
+                     steps: int = 1) -> Solution:
     """
-    Return the MAP solution of many stations from what others, or a part of them, have shown.
+    Return the MAP solution of many stations from that of a part of them, or of a few more.
 
-    It is linearised where they were, and has their noise. The scales of the estimate take one step
-    from theirs, and those of the report some.
+    It is linearised where that was, and has its noise, for the estimate and as reported. Scales
+    take one step from its own, those of the report some steps.
     """
     problem = problem.with_pose_values(linear.problem.pose_values)
     near = solution_at(problem, linear.estimate, noise)
