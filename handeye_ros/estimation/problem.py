@@ -132,7 +132,7 @@ class PoseModel:
     their derivatives by the values: translation, and rotation vector about the flange's origin,
     both in the base frame.
 
-    names (k,), stds (k,): 1 sigma of the prior about 0
+    names (k,), stds (k,): 1 sigma of the prior about 0; a value with 0 is known
     jitter: (k,) 1 sigma of independent errors of the values at each station, as of stamps; None:
         none
     stations: indices of the problem's stations among the N, None: all

@@ -251,8 +251,8 @@ def _system(problem: Problem, noise: Noise = BLOCKS_AS_NOISE) -> System[Linear]:
 
     Each station is an item, and the priors of the pose values are the last.
     """
-    stds, n = problem.pose_stds, len(problem.poses)
-    k, u = len(stds), len(problem.free_columns)
+    values = np.flatnonzero(problem.pose_stds)  # the unknown ones
+    stds, k, u = problem.pose_stds[values], len(values), len(problem.free_columns)
 
     def rows(linear: Linear) -> Rows:
         m = len(linear.residuals)
@@ -260,19 +260,22 @@ def _system(problem: Problem, noise: Noise = BLOCKS_AS_NOISE) -> System[Linear]:
         def jacobian() -> Array:
             J = np.zeros((m + k, u + k))
             J[:m, :u] = linear.jacobian[:, problem.free_columns]
-            J[:m, u:] = linear.wrt_twists(linear.problem.pose_twists)
+            J[:m, u:] = linear.wrt_twists(linear.problem.pose_twists[:, :, values])
             J[m:, u:] = np.diag(1 / stds)
             return J
 
-        def whiten(values: Array) -> Array:
-            return np.concatenate([whitening_at(linear, noise)(values[:m]), values[m:]])
-        return Rows(np.append(linear.residuals, linear.problem.pose_values / stds), jacobian,
-                    lambda: whiten)
+        def whiten(rows: Array) -> Array:
+            return np.concatenate([whitening_at(linear, noise)(rows[:m]), rows[m:]])
+        of_priors = linear.problem.pose_values[values] / stds
+        return Rows(np.append(linear.residuals, of_priors), jacobian, lambda: whiten)
 
     def retracted(linear: Linear, step: Array) -> Linear:
-        moved = linear.problem.with_pose_values(linear.problem.pose_values + step[u:])
+        after = linear.problem.pose_values.copy()
+        after[values] += step[u:]
+        moved = linear.problem.with_pose_values(after)
         return linearise(moved, moved.retracted(linear.estimate, step[:u]))
-    return System(rows, retracted, np.append(problem.observations.station, np.full(k, n)))
+    return System(rows, retracted, np.append(
+        problem.observations.station, np.full(k, len(problem.poses))))
 
 
 def least_squares_fit(problem: Problem, start: Estimate, noise: Noise = BLOCKS_AS_NOISE) -> Linear:

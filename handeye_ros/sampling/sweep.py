@@ -31,7 +31,7 @@ A sweep differs from stops in these places, found by Sample.moving and sampling.
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -108,27 +108,13 @@ class ClockedPoses:
         return Instants(T, twists, inside)
 
 
-def _poses_and_twists(clocked: ClockedPoses, unknown: tuple[int, ...], values: Array
-                      ) -> tuple[Array, Array]:
-    """Return poses (n, 4, 4) and twists (n, 6, k) for values of the unknown clocks."""
-    poses = clocked.at(*_all_values(unknown, values))
+def _poses_and_twists(clocked: ClockedPoses, values: Array) -> tuple[Array, Array]:
+    """Return poses (n, 4, 4) and twists (n, 6, 3) for offset, lag and drift."""
+    poses = clocked.at(*values)
     twists = np.stack([poses.twists] * len(CLOCK_KEYS), axis=2)
     twists[:, :3, 1] = 0.0  # a lag is of the rotation alone
     twists[:, :, 2] *= clocked.since_middle[:, None]
-    return poses.T_base_flange, twists[:, :, list(unknown)]
-
-
-def _all_values(unknown: tuple[int, ...], values: Iterable[float]) -> tuple[float, ...]:
-    """Return offset, lag and drift from those that are unknown; the others are 0."""
-    known = dict(zip(unknown, values, strict=True))
-    return tuple(float(known.get(k, 0.0)) for k in range(len(CLOCK_KEYS)))
-
-
-def _unknown(config: Config) -> tuple[tuple[int, ...], Array]:
-    """Return which of the CLOCK_KEYS are unknown, and 1 sigma (k,) of their priors."""
-    stds = np.array([config.time_offset_std, config.rotation_lag_std, config.clock_drift_std])
-    unknown = np.append(0, 1 + np.flatnonzero(stds[1:]))
-    return tuple(unknown.tolist()), stds[unknown]
+    return poses.T_base_flange, twists
 
 
 def problem_of_known_poses(samples: Sequence[Sample], config: Config) -> Problem:
@@ -143,15 +129,13 @@ def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:
     if not any(sample.moving for sample in samples):
         return problem
     clocked = ClockedPoses.of(samples)
-    unknown, stds = _unknown(config)
+    stds = config.time_offset_std, config.rotation_lag_std, config.clock_drift_std
     model = PoseModel(
-        partial(_poses_and_twists, clocked, unknown), tuple(CLOCK_KEYS[k] for k in unknown),
-        tuple(stds.tolist()), least_variance=1.0,
+        partial(_poses_and_twists, clocked), CLOCK_KEYS, stds, least_variance=1.0,
         blocks=partial(errors_in_motion, clocked.stamps),
-        jitter=np.array([config.noise.stamps, *np.zeros(len(stds) - 1)]))
-    known = next(s.clock_values for s in samples if s.moving)
-    return replace(problem, pose_model=model).with_pose_values(
-        np.array([known[k] for k in unknown]))
+        jitter=np.array([config.noise.stamps, 0.0, 0.0]))
+    known = next(sample.clock_values for sample in samples if sample.moving)
+    return replace(problem, pose_model=model).with_pose_values(np.array(known))
 
 
 def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
@@ -197,26 +181,21 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     if not any(sample.moving for sample in samples):
         return TimedSamples(list(samples), [])
     samples = evenly(samples, MOST_SAMPLES)
-    problem = problem_with_clocks(samples, config)
+    clocked, problem = ClockedPoses.of(samples), problem_with_clocks(samples, config)
     some = problem.subset(evenly_chosen(len(samples), SEARCH_SAMPLES))
     start = _best_over_offsets(some, np.random.default_rng(0))
-    _, near = _poses_at(samples, start)
+    known = start.problem.pose_values
     # profiles in gaps between the poses would pull the offset
-    inner = problem.subset(np.flatnonzero(near.inside))
-    fit = refined_robustly(inner.with_pose_values(start.problem.pose_values), start.estimate)
-    values, instants = _poses_at(samples, fit)
+    inner = problem.subset(np.flatnonzero(clocked.at(*known).inside))
+    fit = refined_robustly(inner.with_pose_values(known), start.estimate)
+    values = tuple(fit.problem.pose_values.tolist())
+    instants = clocked.at(*values)
     paired = [replace(sample, T_base_flange=T, clock_values=values)
               for sample, T, inside in zip(
                   samples, instants.T_base_flange, instants.inside, strict=True) if inside]
     rejects = [Reject(sample.stamp, NO_POSES)
                for sample, inside in zip(samples, instants.inside, strict=True) if not inside]
     return TimedSamples(paired, rejects, fit.estimate)
-
-
-def _poses_at(samples: Sequence[Sample], fit: Solution) -> tuple[tuple[float, ...], Instants]:
-    """Return offset, lag and drift of a fit, and the flange at each sample by them."""
-    values = _all_values(_unknown(fit.problem.config)[0], fit.problem.pose_values)
-    return values, ClockedPoses.of(samples).at(*values)
 
 
 def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Solution:
