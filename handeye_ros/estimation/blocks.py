@@ -14,7 +14,8 @@ PoseModel:
     def poses_and_twists(values):  # (k,), so far 0
         return interpolated(stamps + values[0]), velocities(stamps + values[0])[:, :, None]
 
-    offset = PoseModel(poses_and_twists, names=('time_offset',), stds=(0.05,))
+    offset = PoseModel(poses_and_twists, names=('time_offset',), stds=(0.05,),
+                       stations=np.arange(len(stamps)))
     solution = map_solution(Problem(target, poses, observations, config, offset), start, Noise())
     solution.problem.pose_values, solution.problem.poses  # as estimated
 

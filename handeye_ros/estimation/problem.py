@@ -135,7 +135,7 @@ class PoseModel:
     names (k,), stds (k,): 1 sigma of the prior about 0; a value with 0 is known
     jitter: (k,) 1 sigma of independent errors of the values at each station, as of stamps; None:
         none
-    stations: indices of the problem's stations among the N, None: all
+    stations: indices of the problem's stations among the N
     least_variance: see ParameterBlock
     blocks: source of further blocks for such poses, or None
     """
@@ -143,7 +143,7 @@ class PoseModel:
     evaluate: Callable[[Array], tuple[Array, Array]]
     names: tuple[str, ...]
     stds: tuple[float, ...]
-    stations: NDArray[np.intp] | None = None
+    stations: NDArray[np.intp]
     least_variance: float = 0.0
     blocks: Callable[[Linear], Iterable[ParameterBlock]] | None = None
     jitter: Array | None = None
@@ -151,13 +151,11 @@ class PoseModel:
     def at(self, values: Array) -> tuple[Array, Array]:
         """Return the poses (n, 4, 4) and twists (n, 6, k) of the stations of a problem."""
         poses, twists = self.evaluate(values)
-        return (poses, twists) if self.stations is None else (
-            poses[self.stations], twists[self.stations])
+        return poses[self.stations], twists[self.stations]
 
     def subset(self, stations: NDArray[np.intp]) -> PoseModel:
         """Return the model of some of the stations."""
-        kept = stations if self.stations is None else self.stations[stations]
-        return replace(self, stations=kept)
+        return replace(self, stations=self.stations[stations])
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,11 +3,12 @@
 """
 The whitened least squares (4) with all blocks, its solution, and the estimate of scales and noise.
 
-With whitened residuals r + J xi + K n = e, parameters n and noise e of unit variance, the least
-squares of [J K; 0 I] give the best linear unbiased xi (Henderson 1975, Biometrics 31:423). The
-variances of the noise are estimated by restricted maximum likelihood in multiplicative fixed-point
-steps (Patterson and Thompson 1971, Biometrika 58:545), held to the configured ones by a weak
-prior; the scales of the parameters from prior and likelihood (see noise).
+With whitened residuals r + J xi + K n = e, parameters n of variance tau^2 and noise e of unit
+variance, the least squares of [J K; 0 1/tau] give the best linear unbiased xi (Henderson 1975,
+Biometrics 31:423). The variances of the noise are estimated by restricted maximum likelihood in
+multiplicative fixed-point steps (Patterson and Thompson 1971, Biometrika 58:545), held to the
+configured ones by a weak prior; the scales of the parameters from prior and likelihood (see
+noise).
 
 The estimate and its reported covariance have different prior scales: an error without evidence in
 the data must not move the estimate, but it may exist.
@@ -227,9 +228,9 @@ class Solution:
         named = dict(zip([block.name for block in self.blocks], variances.tolist(), strict=True))
         return replace(self, noise=replace(self.noise, block_variances=named))
 
-    def with_factors(self, factors: Array) -> Solution:
-        """Return the solution with other variance factors (5,), at the same estimate."""
-        noise = replace(self.noise, variance_factors=factors)
+    def with_estimated_factors(self, stated: Array | float = 1.0) -> Solution:
+        """Return the solution with estimated variance factors, at the same estimate."""
+        noise = replace(self.noise, variance_factors=self.estimated_factors(stated))
         return Solution.of_linear(self.linear, noise, self.blocks)
 
     def with_conservative_scales(self, steps: int) -> Solution:
@@ -498,8 +499,7 @@ def _estimated(problem: Problem, start: Estimate, noise: Noise) -> tuple[Linear,
         for_estimate, conservative = map(reached.with_variances, posterior.prior_variances())
     # the noise of the estimate, at its own scales; that of the report stays as it converged
     for _ in range(LAST_STEPS):
-        for_estimate = for_estimate.with_factors(
-            for_estimate.estimated_factors(MAP_PRIOR_FACTORS))
+        for_estimate = for_estimate.with_estimated_factors(MAP_PRIOR_FACTORS)
     return for_estimate.relinearise(), for_estimate.noise, conservative.noise
 
 
@@ -545,6 +545,5 @@ def with_noise_reestimated(solution: Solution, further: tuple[ParameterBlock, ..
     linear = linearise(solution.problem, solution.estimate)
     estimated = Solution.of_linear(linear, solution.noise, (*further, *blocks_at(linear)))
     for _ in range(LAST_STEPS):
-        of_noise = estimated.with_factors(estimated.estimated_factors())
-        estimated = of_noise.with_conservative_scales(2)
+        estimated = estimated.with_estimated_factors().with_conservative_scales(2)
     return estimated

@@ -131,7 +131,8 @@ def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:
     clocked = ClockedPoses.of(samples)
     stds = config.time_offset_std, config.rotation_lag_std, config.clock_drift_std
     model = PoseModel(
-        partial(_poses_and_twists, clocked), CLOCK_KEYS, stds, least_variance=1.0,
+        partial(_poses_and_twists, clocked), CLOCK_KEYS, stds,
+        np.arange(len(samples)), least_variance=1.0,
         blocks=partial(errors_in_motion, clocked.stamps),
         jitter=np.array([config.noise.stamps, 0.0, 0.0]))
     known = next(sample.clock_values for sample in samples if sample.moving)
@@ -142,8 +143,7 @@ def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
     """Yield the blocks of errors of a moving robot: smooth in time, and of the exposure."""
     size, model = linear.problem.config.noise.robot_smooth, linear.problem.pose_model
     assert model is not None
-    own_stamps = stamps if model.stations is None else stamps[model.stations]
-    functions = smooth_basis_in_time((own_stamps - stamps[0]) * 1e-9)
+    functions = smooth_basis_in_time((stamps[model.stations] - stamps[0]) * 1e-9)
     shifts, turns = np.hsplit(np.eye(6), 2)
     for name, axes, std in (('tracking_position', shifts, size),
                             ('tracking_rotation', turns, size / TURN_LENGTH)):

@@ -154,7 +154,7 @@ def reported(true: Array) -> PoseModel:
         poses = se3.transform(R @ true[:, :3, :3], (R @ true[:, :3, 3, None])[..., 0])
         return poses, -np.stack([np.concatenate([np.cross(turn, poses[:, :3, 3]), turn], axis=1)
                                  for turn in about], axis=2)
-    return PoseModel(evaluate, ('first', 'second'), (1e-3, 1e-3))
+    return PoseModel(evaluate, ('first', 'second'), (1e-3, 1e-3), np.arange(len(true)))
 
 
 @pytest.mark.parametrize('scenario', ['plate', 'eye_on_base', 'sphere'])
