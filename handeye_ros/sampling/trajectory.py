@@ -129,38 +129,35 @@ class _Piece:
     std: Array
     root: Array
 
-    def _rows(self, stamps: NDArray[np.int64]) -> tuple[Any, Any]:
-        """Return values and rates by the coefficients; outside those of the nearest end."""
+    def _rows(self, stamps: NDArray[np.int64], rates: bool = False) -> Any:
         t = np.asarray((np.clip(stamps, self.first, self.last) - self.first) * 1e-9)
-        return _spline_rows(t, self.interval, len(self.coefficients))
+        return _spline_rows(t, self.interval, len(self.coefficients), rates)
 
     def at(self, stamps: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Return translation and quaternion (n, 7), and their rates."""
-        values, rates = self._rows(stamps)
-        return values @ self.coefficients, rates @ self.coefficients
+        """Return translation and quaternion (n, 7), and rates; outside those of the next end."""
+        return self._rows(stamps) @ self.coefficients, self._rows(stamps, True) @ self.coefficients
 
     def std_at(self, stamps: NDArray[np.int64]) -> Array:
         """Return 1 sigma of positions and rotations, (n, 2)."""
-        rows, _ = self._rows(stamps)
+        rows = self._rows(stamps)
         parts = (rows[k:k + AT_ONCE] for k in range(0, len(stamps), AT_ONCE))
         leverage = [part.multiply(cho_solve_banded((self.root, True), part.T.toarray()).T).sum(
             axis=1) for part in parts]
         return np.asarray(np.sqrt(np.concatenate(leverage).reshape(-1, 1)) * self.std)
 
 
-def _spline_rows(t: Array, interval: float, count: int) -> tuple[Any, Any]:
+def _spline_rows(t: Array, interval: float, count: int, rates: bool = False) -> Any:
     """
-    Return what makes values at times t (n,) of coefficients, and rates: both sparse (n, count).
+    Return what makes values, or their rates, at times t (n,) of coefficients: sparse (n, count).
 
     interval: between knots (s), from 0; the last one may be longer or shorter by half.
     """
     first = np.minimum((t / interval).astype(np.int64), count - 4)
     powers = np.vander(t / interval - first, 4, increasing=True)
-    derived = np.insert(powers[:, :3] * [1, 2, 3], 0, 0.0, axis=1) / interval
+    if rates:
+        powers = np.insert(powers[:, :3] * [1, 2, 3], 0, 0.0, axis=1) / interval
     columns, ends = first[:, None] + np.arange(4), np.arange(0, 4 * len(t) + 1, 4)
-    values, rates = (csr_array(((some @ CUBIC).ravel(), columns.ravel(), ends), (len(t), count))
-                     for some in (powers, derived))
-    return values, rates
+    return csr_array(((powers @ CUBIC).ravel(), columns.ravel(), ends), (len(t), count))
 
 
 def joined(parts: Sequence[Trajectory]) -> Trajectory:
@@ -227,7 +224,7 @@ def _smoothed(t: Array, values: Array) -> tuple[tuple[float, Array, Array, Array
         freedom = len(t) - count
         if best and freedom < len(t) / 3:
             break
-        rows, _ = _spline_rows(t, interval, count)
+        rows = _spline_rows(t, interval, count)
         bends = csr_array(diags([1.0, -2.0, 1.0], [0, 1, 2], (count - 2, count)))
         information = rows.T @ rows + STIFFNESS * bends.T @ bends
         root = cholesky_banded([np.append(information.diagonal(k), np.zeros(k))
