@@ -507,8 +507,9 @@ def _until_converged(start: Solution) -> tuple[Solution, bool]:
     """
     Return the solution at the minimum and True, or the nearest to one and False.
 
-    Each is linearised where the step of the one before leads, with the variance factors and the
-    conservative scales that follow from its residuals.
+    Each is linearised where the step of the one before leads, with the variance factors from its
+    residuals, and takes one step of the conservative scales. (Both from the same residuals may
+    swing from too much of one to too much of the other for ever.)
     """
     current = nearest = start
     least = np.inf
@@ -519,8 +520,8 @@ def _until_converged(start: Solution) -> tuple[Solution, bool]:
             nearest, least = current, size
         factors, before = current.estimated_factors(), current.noise.variance_factors
         steady = np.abs(np.log(factors / before)).max() < 0.1
-        noise = replace(current.with_conservative_scales(1).noise, variance_factors=factors)
-        current = Solution.of_linear(current.relinearise(), noise)
+        noise = replace(current.noise, variance_factors=factors)
+        current = Solution.of_linear(current.relinearise(), noise).with_conservative_scales(1)
         if size < CONVERGED_SIGMAS and steady:
             break
     # a variance factor of a few points may settle slowly, and hardly moves the solution
