@@ -190,9 +190,10 @@ class Problem:
         """Set the pose values to 0, and their twists, if it comes without."""
         if not len(self.pose_values):
             object.__setattr__(self, 'pose_values', np.zeros(len(self.pose_stds)))
-        if not len(self.pose_twists):
-            object.__setattr__(self, 'pose_twists', self.pose_model.at(self.pose_values)[1]
-                               if self.pose_model else np.zeros((len(self.poses), 6, 0)))
+        if self.pose_model is None:
+            object.__setattr__(self, 'pose_twists', np.zeros((len(self.poses), 6, 0)))
+        elif not len(self.pose_twists):
+            object.__setattr__(self, 'pose_twists', self.pose_model.at(self.pose_values)[1])
 
     @cached_property
     def free_columns(self) -> NDArray[np.intp]:
