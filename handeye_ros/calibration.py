@@ -235,27 +235,28 @@ def block_estimates(solution: Solution) -> dict[str, BlockEstimate]:
     estimates = dict[str, BlockEstimate]()
     variances = np.diag(solution.covariance)[solution.unknowns:]
     for block, columns in with_columns(solution.blocks):
-        n = float(solution.nuisance[columns][0])
-        p = min(float(variances[columns][0]), 1 - 1e-9)  # of a prior variance of 1
-        alone, variance = n / (1 - p), p / (1 - p)
-        stated = 1 / solution.noise.block_variances.get(block.name, 1.0)
-        estimates[block.name] = BlockEstimate(block, n * block.std, p ** 0.5 * block.std,
-                                              alone / math.sqrt(stated + variance),
-                                              alone / math.sqrt(max(variance, 1e-300)))
+        n, variance = float(solution.nuisance[columns][0]), float(variances[columns][0])
+        rest = max(1 - variance / solution.scale(block) ** 2, 1e-9)  # without the prior
+        alone, of_alone = n / rest, variance / rest
+        estimates[block.name] = BlockEstimate(block, n * block.std, variance ** 0.5 * block.std,
+                                              alone / math.sqrt(1 + of_alone),
+                                              alone / math.sqrt(max(of_alone, 1e-300)))
     return estimates
 
 
 def reported_parameters(solution: Solution) -> dict[str, Any]:
     """Return the reported nuisance parameters: values of single ones, scales of others."""
     report: dict[str, Any] = {}
-    estimates = block_estimates(solution.conservative).values()
+    conservative = solution.conservative
+    estimates = block_estimates(conservative).values()
     for estimate in estimates:
         if estimate.block.report and estimate.block.count == 1:
             report |= {estimate.block.report: estimate.block.origin + estimate.value,
                        f'{estimate.block.report}_std': estimate.std}
-    for block in (estimate.block for estimate in estimates):
+    for block in conservative.blocks:
         if block.report and block.count > 1:
-            report[block.report] = math.hypot(report.get(block.report, 0.0), block.std)
+            report[block.report] = math.hypot(report.get(block.report, 0.0),
+                                              block.std * conservative.scale(block))
     return report
 
 

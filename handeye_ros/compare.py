@@ -23,7 +23,7 @@ from handeye_ros.data import Arc, Array, Reject, rms, Sample
 from handeye_ros.errors import DataError, InputError, SingularError
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import Estimate, Problem
-from handeye_ros.estimation.search import least_squares_estimate
+from handeye_ros.estimation.search import least_squares_fit
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.published import chen2023, cn105021139a, jing2020, wu2017, zheng2018
 from handeye_ros.results.calibration_file import errors_against, field_points, FIELD_TEXT
@@ -92,7 +92,8 @@ class ComparedStations:
         """Return distances (m) of `measured` stations for X, the target fitted to `fitted`."""
         part = self.problem.subset(fitted)
         given = _GivenTransform(part.target, part.poses, part.observations, part.config)
-        estimate = least_squares_estimate(given, Estimate(X, self.estimate.state), self.noise)
+        estimate = least_squares_fit(
+            given, Estimate(X, self.estimate.state), self.noise).estimate
         points = measured_points(self.samples, self.problem)
         return points.select(np.isin(points.station, measured)).residuals(self.problem, estimate)
 

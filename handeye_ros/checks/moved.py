@@ -107,7 +107,7 @@ def _same_target(first: Solution, second: Solution) -> bool:
     near = Estimate(second.estimate.X, first.estimate.state)
     after = solution_at(reassigned(second.problem, near), near, BLOCKS_AS_NOISE)
     # both parts in one fit: two transforms, and the target in common
-    own, other = first.white_jacobian, after.white_jacobian
+    own, other = first.jacobian, after.jacobian
     J = np.vstack([np.insert(own, [6] * 6, 0.0, axis=1), np.insert(other, [0] * 6, 0.0, axis=1)])
     J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
     r = np.concatenate([first.prefit_residuals, after.prefit_residuals])
@@ -145,8 +145,8 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     evidence = min(other.deviance for other in (unmoved, *others)) - moved.deviance
     shift, turn, size = _size(moved, body)
     # a smaller move may be part of the robot's smooth error, which a move can only explain
-    smooth = min(max((b.std for b in one.blocks if b.name == 'robot_smooth'), default=0.0)
-                 for one in (moved, unmoved))
+    smooth = min(max((b.std * one.scale(b) for b in one.blocks if b.name == 'robot_smooth'),
+                     default=0.0) for one in (moved, unmoved))
     # that error of a sweep is smooth in time, as a move is
     least = max(LEAST_MOVE_SIGMAS * smooth, sweep * config.noise.robot_smooth)
     if evidence < WARNING_EVIDENCE or size < least:

@@ -14,7 +14,8 @@ PoseModel:
     def poses_and_twists(values):  # (k,), so far 0
         return interpolated(stamps + values[0]), velocities(stamps + values[0])[:, :, None]
 
-    offset = PoseModel(poses_and_twists, names=('time_offset',), counts=(1,), stds=(0.05,))
+    offset = PoseModel(poses_and_twists, names=('time_offset',), stds=(0.05,),
+                       stations=np.arange(len(stamps)))
     solution = map_solution(Problem(target, poses, observations, config, offset), start, Noise())
     solution.problem.pose_values, solution.problem.poses  # as estimated
 
@@ -45,6 +46,8 @@ LINE_BEND = 'line_bend'
 # RMS of the polynomials of each degree over noise.distortion.
 DISTORTION_SHARES = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}
 DEGREES = list(DISTORTION_SHARES)
+# what errors (m) of a robot make of its poses: shifts, and turns with the same shift by a joint
+ROBOT_AXES = np.diag(np.repeat([1.0, 1 / TURN_LENGTH], 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +61,8 @@ class ParameterBlock:
         None: no change
     best_fit(linear): (6, k) derivatives of the transform that maps points best, (9); None: none
     parameter: index of the target's parameter that it is, None for a mere correction of residuals
-    pose_slice: which values of the pose model it is, likewise
-    value: (k,) of these parameters at present
+    pose_value: index of the value of the pose model that it is, likewise
+    value: (1,) of such a parameter at present
     least_variance, largest_variance: bounds of the variance over the configured one
     report: key in the answer, '' for none
     origin: added to the reported value of one parameter
@@ -71,7 +74,7 @@ class ParameterBlock:
     twists: Array | None = None
     best_fit: Callable[[Linear], Array] | None = None
     parameter: int | None = None
-    pose_slice: slice | None = None
+    pose_value: int | None = None
     value: Array | None = None
     least_variance: float = 0.0
     largest_variance: float = 400.0  # 20 times the sigma
@@ -125,27 +128,31 @@ def robot_scale(linear: Linear) -> Blocks:
                          origin=1.0)
 
 
-def wrt_smooth(wrt_pose: Array, smooth: Array) -> Array:
+def wrt_smooth(wrt_pose: Array, smooth: Array, axes: Array = ROBOT_AXES) -> Array:
     """
-    Return derivatives (m, 6 k) by a smooth error of the robot, of unit size.
+    Return derivatives (m, a k) by a smooth error of the robot, of unit size.
 
-    wrt_pose: (m, 6) by pose errors; smooth: (m, k) the basis functions at the pose of each.
+    wrt_pose: (m, 6) by pose errors; smooth: (m, k) the basis functions at the pose of each; axes:
+    (6, a) the errors that each of them makes.
     """
-    by_each = wrt_pose / np.repeat([1.0, TURN_LENGTH], 3)
-    return np.asarray((by_each[:, :, None] * smooth[:, None]).reshape(len(wrt_pose), -1))
+    by_each = (wrt_pose @ axes)[:, :, None] * smooth[:, None]
+    return np.asarray(by_each.reshape(len(wrt_pose), -1))
+
+
+def smooth_errors(name: str, linear: Linear, smooth: Array, std: float, axes: Array = ROBOT_AXES,
+                  best_fit: Callable[[Linear], Array] | None = None, report: str = ''
+                  ) -> ParameterBlock:
+    """Return the block of smooth errors of the poses, by functions (n, k) of these."""
+    columns = wrt_smooth(linear.wrt_pose, smooth[linear.problem.observations.station], axes)
+    twists = np.einsum('xa,nk->nxak', axes, smooth).reshape(len(smooth), 6, -1)
+    return ParameterBlock(name, columns * std, std, twists, best_fit, report=report)
 
 
 def robot_smooth(linear: Linear) -> Blocks:
     """Yield the block of the robot's smooth errors, of position and rotation."""
-    problem, size = linear.problem, linear.problem.config.noise.robot_smooth
-    if not size:
-        return
-    n, smooth = len(problem.poses), problem.smooth_error_basis
-    axes = np.diag(np.repeat([1.0, 1 / TURN_LENGTH], 3))
-    twists = np.einsum('xa,nk->nxak', axes, smooth).reshape(n, 6, -1)
-    columns = wrt_smooth(linear.wrt_pose, smooth[problem.observations.station])
-    yield ParameterBlock('robot_smooth', columns * size, size, twists,
-                         _motions_of_smooth, report='robot_position_error')
+    if size := linear.problem.config.noise.robot_smooth:
+        yield smooth_errors('robot_smooth', linear, linear.problem.smooth_error_basis, size,
+                            best_fit=_motions_of_smooth, report='robot_position_error')
 
 
 def _motions_of_smooth(linear: Linear) -> Array:
@@ -218,12 +225,10 @@ def pose_parameters(linear: Linear) -> Blocks:
     problem, model = linear.problem, linear.problem.pose_model
     if model is None:
         return
-    last = np.cumsum(model.counts)
-    for name, count, std, end in zip(model.names, model.counts, model.stds, last, strict=True):
-        some = slice(int(end) - count, int(end))
-        moves = problem.pose_twists[:, :, some]
-        yield ParameterBlock(name, linear.wrt_twists(moves) * std, std, moves, pose_slice=some,
-                             value=problem.pose_values[some],
+    for k, (name, std) in enumerate(zip(model.names, model.stds, strict=True)):
+        moves = problem.pose_twists[:, :, [k]]
+        yield ParameterBlock(name, linear.wrt_twists(moves) * std, std, moves, pose_value=k,
+                             value=problem.pose_values[[k]],
                              least_variance=model.least_variance, report=name)
 
 
@@ -240,21 +245,6 @@ def best_fit_motions(linear: Linear, blocks: Sequence[ParameterBlock]) -> Array:
     parts = [np.zeros((6, block.count)) if block.best_fit is None else
              block.best_fit(linear) * block.std for block in blocks]
     return np.concatenate([np.zeros((6, 0)), *parts], axis=1)
-
-
-def pose_corrections(problem: Problem, blocks: Sequence[ParameterBlock], values: Array) -> Array:
-    """
-    Return the corrections (n, 6) of the reported poses by the parameters of blocks.
-
-    values: (q,) parameters of all blocks in order, in their present sigmas, or (n, q) for each
-    pose.
-    """
-    n = len(problem.poses)
-    errors, values = np.zeros((n, 6)), np.broadcast_to(values, (n, values.shape[-1]))
-    for block, columns in with_columns(blocks):
-        if block.twists is not None:
-            errors += block.std * np.einsum('nxk,nk->nx', block.twists, values[:, columns])
-    return errors
 
 
 BLOCK_SOURCES: tuple[BlockSource, ...] = (

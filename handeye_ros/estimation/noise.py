@@ -10,7 +10,7 @@ Its most likely value is 0 if few parameters happen to be small, so it is averag
 """
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from handeye_ros.data import Array
@@ -74,9 +74,6 @@ class Whitening:
 
     def __call__(self, values: Array) -> Array:
         """Return values (m, ...) whitened to unit covariance."""
-        if len(self.rows) == 1:  # all rows, in their order
-            stacked = values.reshape(*self.rows[0].shape, -1)
-            return np.asarray((self.roots[0] @ stacked).reshape(values.shape))
         whitened = np.empty_like(values)
         for rows, root in zip(self.rows, self.roots, strict=True):
             stacked = values[rows]
@@ -132,27 +129,26 @@ def whitening(linear: Linear, noise: Noise) -> Whitening:
         inverse_roots(total_covariance(linear, group, noise)) for group in groups))
 
 
-def prior_variances(covariance: Array, value: Array, first: NDArray[np.intp], before: Array,
+def prior_variances(covariance: Array, value: Array, counts: Sequence[int], before: Array,
                     largest: Array) -> tuple[Array, Array]:
     """
     Return the scales of blocks, (6), for the estimate and for the report, as variances (d,).
 
-    value (q,), covariance (q, q): of the parameters, in units of their sigma when the variance of
-    each block is before (d,) times the configured one; first: (d,) ascending, index of each
-    block's first parameter; largest: (d,) bound of the variance.
+    value (q,), covariance (q, q): of the parameters, in configured sigmas, when the variance of
+    each block is before (d,) times the configured one; counts: (d,) number of parameters of each
+    block; largest: (d,) bound of the variance.
     """
-    counts = np.diff([*first, len(value)])
-    # along the axes in which a block's parameters are independent: posterior over prior variance
-    ratios, along = np.diag(covariance).copy(), value.copy()
-    for start, count in zip(first.tolist(), counts.tolist(), strict=True):
-        if count > 1:
-            block = slice(start, start + count)
-            ratios[block], axes = eigen(covariance[block, block])
-            along[block] = axes.T @ value[block]
-    ratios = np.clip(ratios, 1e-12, 1 - 1e-9)
+    first = np.cumsum([0, *counts])[:-1]
+    # along the axes in which a block's parameters are independent
+    posterior, along = np.empty((2, len(value)))
+    for start, count in zip(first.tolist(), counts, strict=True):
+        block = slice(start, start + count)
+        posterior[block], axes = eigen(covariance[block, block])
+        along[block] = axes.T @ value[block]
     # without a prior: the information of the data about each parameter, and its gradient
     present = np.repeat(before, counts)
-    information, gradient = (1 / ratios - 1) / present, along / (ratios * np.sqrt(present))
+    posterior = np.clip(posterior, 1e-12 * present, (1 - 1e-9) * present)
+    information, gradient = 1 / posterior - 1 / present, along / posterior
     # with each variance that is tried, of each parameter: its posterior variance (s, q), and the
     # first term of (6), its squared estimate over that variance
     tried = TRIED_VARIANCES[:, None]
@@ -164,7 +160,7 @@ def prior_variances(covariance: Array, value: Array, first: NDArray[np.intp], be
     evidence[tried > largest] = -np.inf
     of_estimate = np.add.reduceat(explained, first, axis=1)
     of_report = np.add.reduceat(variance * (1 + explained), first, axis=1)
-    prior = np.where(counts == 1, SINGLE_PRIOR[:, None], CONSERVATIVE_PRIOR[:, None])
+    prior = np.where(np.equal(counts, 1), SINGLE_PRIOR[:, None], CONSERVATIVE_PRIOR[:, None])
     return (_moment_matched(MAP_PRIOR[:, None] + evidence, of_estimate),
             _moment_matched(prior + evidence, of_report))
 

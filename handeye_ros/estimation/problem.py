@@ -132,19 +132,18 @@ class PoseModel:
     their derivatives by the values: translation, and rotation vector about the flange's origin,
     both in the base frame.
 
-    names, counts, stds: of the blocks of parameters in order, stds: 1 sigma of the prior about 0
+    names (k,), stds (k,): 1 sigma of the prior about 0; a value with 0 is known
     jitter: (k,) 1 sigma of independent errors of the values at each station, as of stamps; None:
         none
-    stations: indices of the problem's stations among the N, None: all
+    stations: indices of the problem's stations among the N
     least_variance: see ParameterBlock
     blocks: source of further blocks for such poses, or None
     """
 
     evaluate: Callable[[Array], tuple[Array, Array]]
     names: tuple[str, ...]
-    counts: tuple[int, ...]
     stds: tuple[float, ...]
-    stations: NDArray[np.intp] | None = None
+    stations: NDArray[np.intp]
     least_variance: float = 0.0
     blocks: Callable[[Linear], Iterable[ParameterBlock]] | None = None
     jitter: Array | None = None
@@ -152,13 +151,11 @@ class PoseModel:
     def at(self, values: Array) -> tuple[Array, Array]:
         """Return the poses (n, 4, 4) and twists (n, 6, k) of the stations of a problem."""
         poses, twists = self.evaluate(values)
-        return (poses, twists) if self.stations is None else (
-            poses[self.stations], twists[self.stations])
+        return poses[self.stations], twists[self.stations]
 
     def subset(self, stations: NDArray[np.intp]) -> PoseModel:
         """Return the model of some of the stations."""
-        kept = stations if self.stations is None else self.stations[stations]
-        return replace(self, stations=kept)
+        return replace(self, stations=self.stations[stations])
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,12 +187,12 @@ class Problem:
     long_errors: bool = False
 
     def __post_init__(self) -> None:
-        """Set the pose values to 0, and their twists, if a pose model comes without."""
-        if self.pose_model is None:
-            return
+        """Set the pose values to 0, and their twists, if it comes without."""
         if not len(self.pose_values):
-            object.__setattr__(self, 'pose_values', np.zeros(sum(self.pose_model.counts)))
-        if not len(self.pose_twists):
+            object.__setattr__(self, 'pose_values', np.zeros(len(self.pose_stds)))
+        if self.pose_model is None:
+            object.__setattr__(self, 'pose_twists', np.zeros((len(self.poses), 6, 0)))
+        elif not len(self.pose_twists):
             object.__setattr__(self, 'pose_twists', self.pose_model.at(self.pose_values)[1])
 
     @cached_property
@@ -203,6 +200,11 @@ class Problem:
         """Return the columns of the Jacobian that belong to unknowns."""
         free = self.target.is_free(self.config)
         return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
+
+    @property
+    def pose_stds(self) -> Array:
+        """Return 1 sigma (k,) of the prior of the pose values."""
+        return np.array(self.pose_model.stds if self.pose_model else ())
 
     @cached_property
     def mounts_of_rows(self) -> tuple[Array, Array]:
@@ -285,9 +287,8 @@ class Problem:
             return self
         fewer = self.observations.select(np.isin(self.observations.station, stations))
         renumbered = np.searchsorted(stations, fewer.station)
-        model = self.pose_model and self.pose_model.subset(stations)
-        twists = self.pose_twists if model is None else self.pose_twists[stations]
-        return replace(self, poses=self.poses[stations], pose_model=model, pose_twists=twists,
+        return replace(self, poses=self.poses[stations], pose_twists=self.pose_twists[stations],
+                       pose_model=self.pose_model and self.pose_model.subset(stations),
                        observations=replace(fewer, station=renumbered))
 
 

@@ -12,7 +12,7 @@ share as noise of each, and again with all nuisance parameters.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import chain, islice
@@ -33,7 +33,7 @@ from handeye_ros.estimation.least_squares import (
 )
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise, Whitening, whitening
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem, UNUSED
-from handeye_ros.estimation.solve import extended_solution, map_solution, Solution, solution_at
+from handeye_ros.estimation.solve import map_solution, Solution, solution_of_many
 import numpy as np
 from numpy.typing import NDArray
 
@@ -68,7 +68,7 @@ def quick_solution(problem: Problem) -> Solution | None:
     try:
         for start in islice(problem.target.starts(problem, np.random.default_rng(0)), 2):
             trial = refined_robustly(problem, start)
-            if typical_square(_squares_of(trial)) < LARGEST_SQUARE:
+            if typical_square(station_squares(trial)) < LARGEST_SQUARE:
                 return without_outliers(trial)
     except (HandeyeError, np.linalg.LinAlgError):
         pass
@@ -80,7 +80,7 @@ def without_outliers(robust: Solution) -> Solution:
     problem = robust.full_problem
     # least squares could move to a fit between the target and another surface
     limit = LARGEST_SQUARE if problem.ambiguous else GROSS_SQUARE
-    squares = _squares_of(robust)
+    squares = station_squares(robust)
     good = squares <= limit * max(1.0, typical_square(squares))
     good[np.argsort(squares, kind='stable')[:problem.target.min_samples]] = True
     gross = {int(i): float(squares[i]) for i in np.flatnonzero(~good)}
@@ -88,7 +88,7 @@ def without_outliers(robust: Solution) -> Solution:
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         kept = robust.problem.subset(used)
         start = (before or robust).estimate
-        return solution_at(kept, least_squares_estimate(kept, start), BLOCKS_AS_NOISE)
+        return Solution.of_linear(least_squares_fit(kept, start), BLOCKS_AS_NOISE)
 
     def left_out_squares(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
         squares, freedom = solution.left_out_squares()
@@ -110,8 +110,9 @@ def with_systematic_errors(agreed: Solution) -> Solution:
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         kept = agreed.problem.subset(np.flatnonzero(np.isin(agreed.used, used)))
-        solution = (map_solution(kept, agreed.estimate, Noise()) if before is None or
-                    len(used) < 2 * problem.many else extended_solution(before, kept))
+        solution = (map_solution(kept, agreed.estimate, Noise())
+                    if before is None or len(used) < 2 * problem.many else
+                    solution_of_many(kept, before.linear, before.noise, before.conservative.noise))
         return with_possibly_wrong_station(solution, len(problem.poses) - len(used))
 
     solution, used, dropped = drop_outliers(
@@ -121,39 +122,30 @@ def with_systematic_errors(agreed: Solution) -> Solution:
                    dropped_squares={**agreed.dropped_squares, **dropped})
 
 
-def refined_robustly(problem: Problem, estimate: Estimate) -> Solution:
-    """Return the solution that graduated non-convexity reaches from a start."""
-    fit = graduated_fit(problem, estimate,
-                        lambda fit, weights: _system(fit.problem).few_weighted_steps(fit, weights))
-    return replace(Solution.of_linear(fit, BLOCKS_AS_NOISE), full_problem=problem)
-
-
-def graduated_fit(problem: Problem, start: Estimate,
-                  few_steps: Callable[[Linear, Array], Linear]) -> Linear:
+def refined_robustly(problem: Problem, start: Estimate) -> Solution:
     """
-    Return the fit that graduated non-convexity reaches from a start, with labels of its own.
+    Return the solution that graduated non-convexity reaches from a start, with labels of its own.
 
-    few_steps(fit, weights (n,)): the fit after a few steps with the labels it has. The weights
-    come from residuals with these labels, so observations are assigned again only after the steps,
-    and the next weights come from the new labels.
+    The weights come from residuals with the labels that a fit has, so observations are assigned
+    again only after its steps, and the next weights come from the new labels. What the poses
+    depend on is found, too.
     """
     def refit(before: Linear, weights: Array) -> Linear:
-        after = few_steps(before, weights)
+        # the priors of the pose values keep their weight
+        after = _system(before.problem).few_weighted_steps(before, np.append(weights, 1.0))
         every = replace(after.problem, observations=problem.observations)
         labelled = reassigned(every, after.estimate, after.problem)
         return after if labelled is after.problem else linearise(labelled, after.estimate)
-    return graduated(linearise(reassigned(problem, start), start), mean_squares, refit)
+    fit = graduated(linearise(reassigned(problem, start), start), mean_squares, refit)
+    return replace(Solution.of_linear(fit, BLOCKS_AS_NOISE),
+                   full_problem=problem.with_pose_values(fit.problem.pose_values))
 
 
-def station_squares(fit: Linear, whole: Problem) -> Array:
-    """Return the mean squares (n,) of a fit; large where it uses no essential observation."""
-    squares = mean_squares(fit)
-    unused = whole.shows_essential & ~fit.problem.shows_essential
+def station_squares(solution: Solution) -> Array:
+    """Return the mean squares (n,) of stations; large where no essential observation is used."""
+    squares = mean_squares(solution.linear)
+    unused = solution.full_problem.shows_essential & ~solution.problem.shows_essential
     return np.where(unused, np.maximum(squares, LARGEST_SQUARE), squares)
-
-
-def _squares_of(solution: Solution) -> Array:
-    return station_squares(solution.linear, solution.full_problem)
 
 
 def loss(solution: Solution) -> float:
@@ -162,7 +154,7 @@ def loss(solution: Solution) -> float:
 
     Its logarithm ranks estimates independently of the noise level above SMALL_SQUARE.
     """
-    return float(np.log(SMALL_SQUARE + _squares_of(solution)).mean())
+    return float(np.log(SMALL_SQUARE + station_squares(solution)).mean())
 
 
 def is_convincing(solution: Solution) -> bool:
@@ -172,7 +164,7 @@ def is_convincing(solution: Solution) -> bool:
     If stations show several surfaces, a better fit is required: a plane partly on one and partly
     on another near surface also fits within such errors.
     """
-    squares = _squares_of(solution)
+    squares = station_squares(solution)
     typical = typical_square(squares)
     far = squares > LARGEST_SQUARE * max(1.0, typical)
     unused = solution.full_problem.shows_essential & ~solution.problem.shows_essential
@@ -254,17 +246,38 @@ def mean_squares(linear: Linear) -> Array:
 
 
 def _system(problem: Problem, noise: Noise = BLOCKS_AS_NOISE) -> System[Linear]:
-    """Return the least-squares system of a problem; each station is an item."""
+    """
+    Return the least-squares system of a problem, with the pose values among its unknowns.
+
+    Each station is an item, and the priors of the pose values are the last.
+    """
+    values = np.flatnonzero(problem.pose_stds)  # the unknown ones
+    stds, k, u = problem.pose_stds[values], len(values), len(problem.free_columns)
+
     def rows(linear: Linear) -> Rows:
-        return Rows(linear.residuals, lambda: linear.jacobian[:, problem.free_columns],
-                    lambda: whitening_at(linear, noise))
+        m = len(linear.residuals)
+
+        def jacobian() -> Array:
+            J = np.zeros((m + k, u + k))
+            J[:m, :u] = linear.jacobian[:, problem.free_columns]
+            J[:m, u:] = linear.wrt_twists(linear.problem.pose_twists[:, :, values])
+            J[m:, u:] = np.diag(1 / stds)
+            return J
+
+        def whiten(rows: Array) -> Array:
+            return np.concatenate([whitening_at(linear, noise)(rows[:m]), rows[m:]])
+        of_priors = linear.problem.pose_values[values] / stds
+        return Rows(np.append(linear.residuals, of_priors), jacobian, lambda: whiten)
 
     def retracted(linear: Linear, step: Array) -> Linear:
-        return linearise(problem, problem.retracted(linear.estimate, step))
-    return System(rows, retracted, problem.observations.station)
+        after = linear.problem.pose_values.copy()
+        after[values] += step[u:]
+        moved = linear.problem.with_pose_values(after)
+        return linearise(moved, moved.retracted(linear.estimate, step[:u]))
+    return System(rows, retracted, np.append(
+        problem.observations.station, np.full(k, len(problem.poses))))
 
 
-def least_squares_estimate(problem: Problem, start: Estimate, noise: Noise = BLOCKS_AS_NOISE
-                           ) -> Estimate:
-    """Return the estimate with the least squared whitened residuals."""
-    return _system(problem, noise).least_squares(linearise(problem, start)).estimate
+def least_squares_fit(problem: Problem, start: Estimate, noise: Noise = BLOCKS_AS_NOISE) -> Linear:
+    """Return the fit with the least squared whitened residuals."""
+    return _system(problem, noise).least_squares(linearise(problem, start))

@@ -3,11 +3,12 @@
 """
 The whitened least squares (4) with all blocks, its solution, and the estimate of scales and noise.
 
-With whitened residuals r + J xi + K n = e, parameters n and noise e of unit variance, the least
-squares of [J K; 0 I] give the best linear unbiased xi (Henderson 1975, Biometrics 31:423). The
-variances of the noise are estimated by restricted maximum likelihood in multiplicative fixed-point
-steps (Patterson and Thompson 1971, Biometrika 58:545), held to the configured ones by a weak
-prior; the scales of the parameters from prior and likelihood (see noise).
+With whitened residuals r + J xi + K n = e, parameters n of variance tau^2 and noise e of unit
+variance, the least squares of [J K; 0 1/tau] give the best linear unbiased xi (Henderson 1975,
+Biometrics 31:423). The variances of the noise are estimated by restricted maximum likelihood in
+multiplicative fixed-point steps (Patterson and Thompson 1971, Biometrika 58:545), held to the
+configured ones by a weak prior; the scales of the parameters from prior and likelihood (see
+noise).
 
 The estimate and its reported covariance have different prior scales: an error without evidence in
 the data must not move the estimate, but it may exist.
@@ -25,7 +26,6 @@ from handeye_ros.estimation.blocks import (
     best_fit_motions,
     blocks_at,
     ParameterBlock,
-    pose_corrections,
     with_columns,
 )
 from handeye_ros.estimation.least_squares import (
@@ -51,7 +51,7 @@ from numpy.typing import NDArray
 
 # sigmas: the last step of the unknowns; one more follows with the final scales. After MOST_STEPS a
 # step of NEAR_SIGMAS is small enough.
-CONVERGED_SIGMAS, NEAR_SIGMAS, MOST_STEPS = 0.1, 1.0, 10
+CONVERGED_SIGMAS, NEAR_SIGMAS, MOST_STEPS = 0.25, 1.0, 10
 LEFT_BY_OTHERS = 1e-6  # rest of a variance that the other stations leave
 LAST_STEPS = 3  # iterations of variance factors and scales after it
 MAP_PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
@@ -65,11 +65,10 @@ class Solution:
     Of the stations used:
 
     linear: their observations with the labels that these have, linearised
-    configured_blocks: blocks with their configured sigmas
+    blocks: their q nuisance parameters are in units of the configured sigmas
     prefit_residuals: (m,) whitened residuals with all parameters of blocks at 0
-    white_jacobian: (m, u + q) whitened derivatives by u unknowns (first six: X) and by q
-        parameters in configured sigmas
-    white_information: (u + q, u + q) their information
+    jacobian: (m, u + q) whitened derivatives A by u unknowns (first six: X) and q parameters
+    normal_matrix: (u + q, u + q) A' A
 
     How these were chosen:
 
@@ -89,11 +88,11 @@ class Solution:
 
     linear: Linear
     noise: Noise
-    configured_blocks: tuple[ParameterBlock, ...]
+    blocks: tuple[ParameterBlock, ...]
     whitening: Whitening
     prefit_residuals: Array
-    white_jacobian: Array
-    white_information: Array
+    jacobian: Array
+    normal_matrix: Array
     full_problem: Problem
     used: NDArray[np.intp]
     dropped_squares: Mapping[int, float] = field(default_factory=dict)
@@ -130,33 +129,31 @@ class Solution:
         """Return the number of unknowns without the nuisance parameters."""
         return len(self.problem.free_columns)
 
-    @cached_property
-    def scales(self) -> Array:
-        """Return the scale of each parameter (u + q,): 1 for unknowns, tau for the others."""
-        tau = np.sqrt(self._tau_squared)
-        return np.concatenate([np.ones(self.unknowns), np.repeat(tau, self._block_sizes)])
+    def scale(self, block: ParameterBlock) -> float:
+        """Return tau of a block: its sigma over the configured one."""
+        return float(self.noise.block_variances.get(block.name, 1.0) ** 0.5)
 
     @property
-    def _block_sizes(self) -> list[int]:
-        return [block.count for block in self.configured_blocks]
-
-    @property
-    def _tau_squared(self) -> Array:
-        """Return the variance of each block (d,) relative to the configured one."""
-        known = self.noise.block_variances
-        return np.array([known.get(block.name, 1.0) for block in self.configured_blocks])
+    def variances(self) -> Array:
+        """Return tau^2 of each block (d,)."""
+        return np.array([self.scale(block) for block in self.blocks]) ** 2
 
     @cached_property
-    def blocks(self) -> tuple[ParameterBlock, ...]:
-        """Return the blocks; their sigmas are tau times the configured ones."""
-        return tuple(replace(block, std=block.std * float(tau)) for block, tau
-                     in zip(self.configured_blocks, np.sqrt(self._tau_squared), strict=True))
+    def prior(self) -> Array:
+        """Return the diagonal (u + q,) of P in (5): no information about the unknowns."""
+        counts = [block.count for block in self.blocks]
+        return np.append(np.zeros(self.unknowns), np.repeat(1 / self.variances, counts))
+
+    @cached_property
+    def information(self) -> Array:
+        """Return the (u + q, u + q) information of residuals and priors."""
+        return np.asarray(self.normal_matrix + np.diag(self.prior))
 
     @cached_property
     def covariance(self) -> Array:
-        """Return C (u + q, u + q) of (5), in present sigmas of the nuisance parameters."""
+        """Return C (u + q, u + q) of (5)."""
         if self.noise.blocks_as_noise:
-            return covariance_of(self.white_jacobian)
+            return covariance_of(self.jacobian)
         return bounded_inverse(self.information)
 
     @cached_property
@@ -164,30 +161,21 @@ class Solution:
         """Return the change (u + q,) of unknowns and nuisance parameters to the minimum, (5)."""
         if self.noise.blocks_as_noise:  # the search ends where no step is left
             return np.zeros(self.unknowns)
-        gradient = self.scales * (self.white_jacobian.T @ self.prefit_residuals)
-        return np.asarray(-self.covariance @ gradient)
+        return np.asarray(-self.covariance @ (self.jacobian.T @ self.prefit_residuals))
 
     @property
     def nuisance(self) -> Array:
-        """Return the estimates (q,) of the nuisance parameters, in their present sigmas."""
+        """Return the estimates (q,) of the nuisance parameters."""
         return self._step_to_minimum[self.unknowns:]
-
-    @cached_property
-    def jacobian(self) -> Array:
-        """Return the whitened derivatives (m, u + q), by nuisance parameters in present sigmas."""
-        return self.white_jacobian * self.scales
 
     @cached_property
     def postfit_residuals(self) -> Array:
         """Return the whitened residuals (m,) at the solution, without the part of the blocks."""
-        step = self.scales * self._step_to_minimum
-        return np.asarray(self.prefit_residuals + self.white_jacobian @ step)
+        return np.asarray(self.prefit_residuals + self.jacobian @ self._step_to_minimum)
 
     @cached_property
     def estimate(self) -> Estimate:
         """Return the estimate after the last step, the stated measures of the target too."""
-        if self.noise.blocks_as_noise:
-            return self.linear.estimate
         moved = self.problem.retracted(
             self.linear.estimate, self._step_to_minimum[:self.unknowns])
         delta = np.zeros(len(self.problem.target.labels))
@@ -201,11 +189,9 @@ class Solution:
         """Return the problem linearised after the step, with the poses at their values then."""
         problem, values = self.problem, self.problem.pose_values.copy()
         for block, columns in with_columns(self.blocks):
-            if block.pose_slice is not None:
-                values[block.pose_slice] = self.nuisance[columns] * block.std
-        if len(values):
-            problem = problem.with_pose_values(values)
-        return linearise(problem, self.estimate)
+            if block.pose_value is not None:
+                values[block.pose_value] = self.nuisance[columns][0] * block.std
+        return linearise(problem.with_pose_values(values), self.estimate)
 
     def predicted_covariance(self, rows: NDArray[np.intp]) -> Array:
         """Return the covariance (s, c, c) of whitened predictions in the rows (s, c)."""
@@ -231,21 +217,21 @@ class Solution:
 
     def prior_variances(self) -> tuple[Array, Array]:
         """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
-        x, covariance = self._step_to_minimum, self.covariance
-        u, first = self.unknowns, np.cumsum([0, *self._block_sizes])[:-1]
-        largest = np.array([block.largest_variance for block in self.configured_blocks])
-        return prior_variances(covariance[u:, u:], x[u:], first, self._tau_squared, largest)
+        u, least = self.unknowns, [block.least_variance for block in self.blocks]
+        largest = np.array([block.largest_variance for block in self.blocks])
+        found = prior_variances(self.covariance[u:, u:], self.nuisance,
+                                [block.count for block in self.blocks], self.variances, largest)
+        return np.maximum(found[0], least), np.maximum(found[1], least)
 
     def with_variances(self, variances: Array) -> Solution:
         """Return the solution with variances (d,) of blocks, relative to the configured ones."""
-        named = {block.name: max(float(v), block.least_variance)
-                 for block, v in zip(self.configured_blocks, variances, strict=True)}
+        named = dict(zip([block.name for block in self.blocks], variances.tolist(), strict=True))
         return replace(self, noise=replace(self.noise, block_variances=named))
 
-    def with_factors(self, factors: Array) -> Solution:
-        """Return the solution with other variance factors (5,), at the same estimate."""
-        noise = replace(self.noise, variance_factors=factors)
-        return Solution.of_linear(self.linear, noise, self.configured_blocks)
+    def with_estimated_factors(self, stated: Array | float = 1.0) -> Solution:
+        """Return the solution with estimated variance factors, at the same estimate."""
+        noise = replace(self.noise, variance_factors=self.estimated_factors(stated))
+        return Solution.of_linear(self.linear, noise, self.blocks)
 
     def with_conservative_scales(self, steps: int) -> Solution:
         """
@@ -254,9 +240,9 @@ class Solution:
         Ends early if a step hardly changes the variances.
         """
         current = self
-        for _ in range(steps if self.configured_blocks else 0):
+        for _ in range(steps if self.blocks else 0):
             _, variances = current.prior_variances()
-            if np.abs(np.log(variances / current._tau_squared)).max() < 0.03:
+            if np.abs(np.log(variances / current.variances)).max() < 0.03:
                 break
             current = current.with_variances(variances)
         return current
@@ -301,13 +287,6 @@ class Solution:
         return np.asarray(columns @ conservative.covariance @ columns.T + np.outer(shift, shift))
 
     @cached_property
-    def information(self) -> Array:
-        """Return the (u + q, u + q) information of residuals and priors."""
-        prior = np.repeat([0.0, 1.0], [self.unknowns, len(self.scales) - self.unknowns])
-        scaled = self.white_information * self.scales * self.scales[:, None]
-        return np.asarray(scaled + np.diag(prior))
-
-    @cached_property
     def ranks(self) -> NDArray[np.intp]:
         """
         Return the rank (n,) of each station's derivatives by the unknowns.
@@ -316,7 +295,7 @@ class Solution:
         """
         station = self.problem.observations.station
         ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
-        J = self.white_jacobian[:, :self.unknowns]
+        J = self.jacobian[:, :self.unknowns]
         J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
         for group in self.problem.station_groups:
             s = np.linalg.svd(J[group.rows], compute_uv=False)
@@ -327,8 +306,8 @@ class Solution:
     @property
     def sum_of_squares(self) -> float:
         """Return the sum of squares of residuals and nuisance parameters."""
-        r, n = self.postfit_residuals, self.nuisance
-        return float(r @ r + n @ n)
+        r, step = self.postfit_residuals, self._step_to_minimum
+        return float(r @ r + step ** 2 @ self.prior)
 
     @property
     def variance_factor(self) -> float:
@@ -379,9 +358,10 @@ class Solution:
         """Return -2 log of the marginal likelihood, the prior of the noise factors included."""
         spread = -2 * sum(float(np.log(np.einsum('nii->ni', f)).sum())
                           for f in self.whitening.roots)
-        factors = self.noise.variance_factors
+        factors, information = self.noise.variance_factors, self.prior[self.unknowns:]
         prior = PRIOR_FREEDOM * float((np.log(factors) + 1 / factors - 1).sum())
-        return float(spread + np.linalg.slogdet(self.information)[1] + self.sum_of_squares + prior)
+        return float(spread + np.linalg.slogdet(self.information)[1] - np.log(information).sum()
+                     + self.sum_of_squares + prior)
 
     @property
     def stations_without_edges(self) -> NDArray[np.intp]:
@@ -400,12 +380,15 @@ class Solution:
 
         nuisance: (n, q) parameters of the blocks at each pose, None: as estimated.
         """
-        problem, estimated = self.problem, self.nuisance
-        # the poses already include the parameters that they depend on
-        inside = [np.full(b.count, float(b.value is not None)) for b in self.blocks]
-        values = (estimated if nuisance is None else nuisance) - estimated * np.concatenate(
-            [[], *inside])
-        errors, T = pose_corrections(problem, self.blocks, values), problem.robot_poses
+        problem, T = self.problem, self.problem.robot_poses
+        values = np.zeros((len(T), 1)) + (self.nuisance if nuisance is None else nuisance)
+        errors = np.zeros((len(T), 6))
+        for block, columns in with_columns(self.blocks):
+            if block.twists is not None:
+                # the poses already include the parameters that they depend on
+                inside = self.nuisance[columns] * (block.value is not None)
+                errors += block.std * np.einsum(
+                    'nxk,nk->nx', block.twists, values[:, columns] - inside)
         corrected = se3.transform(se3.exp_rotation(errors[:, 3:]) @ T[:, :3, :3],
                                   T[:, :3, 3] + errors[:, :3])
         return corrected if problem.config.in_hand else se3.inverse(corrected)
@@ -448,7 +431,7 @@ class Solution:
         robot's smooth error as estimated from the other folds.
         """
         of_row, u = fold[self.problem.observations.station], self.unknowns
-        steps = np.empty((fold.max() + 1, len(self.scales)))
+        steps = np.empty((fold.max() + 1, len(self.prior)))
         for k in range(len(steps)):
             J, r = self.jacobian[of_row == k], self.postfit_residuals[of_row == k]
             if len(r) < J.shape[1]:
@@ -481,38 +464,43 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
     conservative scales, with long errors of the robot only. noise: to start with.
     """
     n = len(problem.poses)
-    if n >= 2 * problem.many:  # some of them tell the scales and the noise
-        some = problem.subset(np.arange(0, n, round(n / problem.many)))
-        return extended_solution(map_solution(some, start, noise), problem)
+    if n < 2 * problem.many:
+        linear, for_estimate, for_report = _estimated(problem, start, noise)
+        return _with_conservative(Solution.of_linear(linear, for_estimate), for_report, LAST_STEPS)
+    some = problem.subset(np.arange(0, n, round(n / problem.many)))
+    return solution_of_many(problem, *_estimated(some, start, noise), LAST_STEPS)
+
+
+def solution_of_many(problem: Problem, linear: Linear, noise: Noise, reported: Noise,
+                     steps: int = 1) -> Solution:
+    """
+    Return the MAP solution of many stations from that of a part of them, or of a few more.
+
+    It is linearised where that was, and has its noise, for the estimate and as reported. Scales
+    take one step from its own, those of the report some steps.
+    """
+    problem = problem.with_pose_values(linear.problem.pose_values)
+    near = solution_at(problem, linear.estimate, noise)
+    conservative = replace(near, noise=replace(noise, block_variances=reported.block_variances))
+    for_estimate = near.with_variances(conservative.prior_variances()[0])
+    return _with_conservative(for_estimate, reported, steps)
+
+
+def _estimated(problem: Problem, start: Estimate, noise: Noise) -> tuple[Linear, Noise, Noise]:
+    """Return the problem at its minimum, and noise and scales for the estimate and the report."""
     # near the minimum, at conservative scales
     reached, converged = _until_converged(solution_at(problem, start, noise))
     if not converged:  # where it is stays the answer, as uncertain as any
-        return _with_conservative(reached, reached.noise, LAST_STEPS)
+        return reached.linear, reached.noise, reached.noise
     # both scales follow from the posterior at the conservative ones
     for_estimate = conservative = reached
-    if reached.configured_blocks:
+    if reached.blocks:
         posterior = reached.with_conservative_scales(LAST_STEPS - 1)
         for_estimate, conservative = map(reached.with_variances, posterior.prior_variances())
     # the noise of the estimate, at its own scales; that of the report stays as it converged
     for _ in range(LAST_STEPS):
-        for_estimate = for_estimate.with_factors(
-            for_estimate.estimated_factors(MAP_PRIOR_FACTORS))
-    # the last step of the estimate, and from there the solution for the report
-    for_estimate = Solution.of_linear(for_estimate.relinearise(), for_estimate.noise)
-    return _with_conservative(for_estimate, conservative.noise, LAST_STEPS)
-
-
-def extended_solution(before: Solution, problem: Problem) -> Solution:
-    """
-    Return the MAP solution of many stations, from that of a part of them, or of a few more.
-
-    It is linearised where that one was, and has its noise. Scales take one step from its own.
-    """
-    problem, noise = problem.with_pose_values(before.problem.pose_values), before.noise
-    near, reported = solution_at(problem, before.linear.estimate, noise), before.conservative.noise
-    conservative = replace(near, noise=replace(noise, block_variances=reported.block_variances))
-    for_estimate = near.with_variances(conservative.prior_variances()[0])
-    return _with_conservative(for_estimate, reported, 1)
+        for_estimate = for_estimate.with_estimated_factors(MAP_PRIOR_FACTORS)
+    return for_estimate.relinearise(), for_estimate.noise, conservative.noise
 
 
 def _until_converged(start: Solution) -> tuple[Solution, bool]:
@@ -520,7 +508,8 @@ def _until_converged(start: Solution) -> tuple[Solution, bool]:
     Return the solution at the minimum and True, or the nearest to one and False.
 
     Each is linearised where the step of the one before leads, with the variance factors from its
-    residuals, and takes one step of the conservative scales.
+    residuals, and takes one step of the conservative scales. (Both from the same residuals may
+    swing from too much of one to too much of the other for ever.)
     """
     current = nearest = start
     least = np.inf
@@ -557,6 +546,5 @@ def with_noise_reestimated(solution: Solution, further: tuple[ParameterBlock, ..
     linear = linearise(solution.problem, solution.estimate)
     estimated = Solution.of_linear(linear, solution.noise, (*further, *blocks_at(linear)))
     for _ in range(LAST_STEPS):
-        of_noise = estimated.with_factors(estimated.estimated_factors())
-        estimated = of_noise.with_conservative_scales(2)
+        estimated = estimated.with_estimated_factors().with_conservative_scales(2)
     return estimated

@@ -269,10 +269,11 @@ def noise_and_scales(fit: ArmFit, conservative: bool = False) -> tuple[Array, Ar
     variances = fit.variances
     if len(variances):
         order = np.argsort(fit.kind_numbers, kind='stable')
-        sigma, covariance = fit.stds[order], fit.covariance[np.ix_(6 + order, 6 + order)]
-        first = np.searchsorted(fit.kind_numbers[order], np.arange(len(variances)))
+        stated = fit.stds[order] / np.sqrt(variances[fit.kind_numbers[order]])
+        covariance = fit.covariance[np.ix_(6 + order, 6 + order)]
+        counts = np.bincount(fit.kind_numbers).tolist()
         variances = prior_variances(
-            covariance / np.outer(sigma, sigma), fit.errors[order] / sigma, first,
+            covariance / np.outer(stated, stated), fit.errors[order] / stated, counts,
             variances, np.full(len(variances), LARGEST_SCALE))[int(conservative)]
     (r, J), axis = fit.linear, fit.rows % len(fit.noise)
     free, squares = (np.bincount(axis, values) for values in (

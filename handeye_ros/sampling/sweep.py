@@ -31,7 +31,7 @@ A sweep differs from stops in these places, found by Sample.moving and sampling.
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -40,16 +40,17 @@ from handeye_ros import targets
 from handeye_ros.config import Config
 from handeye_ros.data import Array, CLOCK_DRIFT, Reject, ROTATION_LAG, Sample, TIME_OFFSET
 from handeye_ros.estimation.basis import smooth_basis_in_time
-from handeye_ros.estimation.blocks import Blocks, ParameterBlock
-from handeye_ros.estimation.least_squares import Rows, System, typical_square
+from handeye_ros.estimation.blocks import Blocks, ParameterBlock, smooth_errors
+from handeye_ros.estimation.least_squares import typical_square
 from handeye_ros.estimation.noise import TURN_LENGTH
-from handeye_ros.estimation.problem import Estimate, Linear, linearise, PoseModel, Problem
+from handeye_ros.estimation.problem import Estimate, Linear, PoseModel, Problem
 from handeye_ros.estimation.search import (
     CONVINCING_SQUARE,
-    graduated_fit,
+    loss,
+    refined_robustly,
     station_squares,
-    whitening_at,
 )
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_poses_of
 from handeye_ros.sampling.stops import evenly, evenly_chosen
 from handeye_ros.sampling.trajectory import Instants, joined, Trajectory
@@ -107,27 +108,13 @@ class ClockedPoses:
         return Instants(T, twists, inside)
 
 
-def _poses_and_twists(clocked: ClockedPoses, unknown: tuple[int, ...], values: Array
-                      ) -> tuple[Array, Array]:
-    """Return poses (n, 4, 4) and twists (n, 6, k) for values of the unknown clocks."""
-    poses = clocked.at(*_all_values(unknown, values))
+def _poses_and_twists(clocked: ClockedPoses, values: Array) -> tuple[Array, Array]:
+    """Return poses (n, 4, 4) and twists (n, 6, 3) for offset, lag and drift."""
+    poses = clocked.at(*values)
     twists = np.stack([poses.twists] * len(CLOCK_KEYS), axis=2)
     twists[:, :3, 1] = 0.0  # a lag is of the rotation alone
     twists[:, :, 2] *= clocked.since_middle[:, None]
-    return poses.T_base_flange, twists[:, :, list(unknown)]
-
-
-def _all_values(unknown: tuple[int, ...], values: Iterable[float]) -> tuple[float, ...]:
-    """Return offset, lag and drift from those that are unknown; the others are 0."""
-    known = dict(zip(unknown, values, strict=True))
-    return tuple(float(known.get(k, 0.0)) for k in range(len(CLOCK_KEYS)))
-
-
-def _unknown(config: Config) -> tuple[tuple[int, ...], Array]:
-    """Return which of the CLOCK_KEYS are unknown, and 1 sigma (k,) of their priors."""
-    stds = np.array([config.time_offset_std, config.rotation_lag_std, config.clock_drift_std])
-    unknown = np.append(0, 1 + np.flatnonzero(stds[1:]))
-    return tuple(unknown.tolist()), stds[unknown]
+    return poses.T_base_flange, twists
 
 
 def problem_of_known_poses(samples: Sequence[Sample], config: Config) -> Problem:
@@ -142,28 +129,25 @@ def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:
     if not any(sample.moving for sample in samples):
         return problem
     clocked = ClockedPoses.of(samples)
-    unknown, stds = _unknown(config)
+    stds = config.time_offset_std, config.rotation_lag_std, config.clock_drift_std
     model = PoseModel(
-        partial(_poses_and_twists, clocked, unknown), tuple(CLOCK_KEYS[k] for k in unknown),
-        (1,) * len(stds), tuple(stds.tolist()), least_variance=1.0,
+        partial(_poses_and_twists, clocked), CLOCK_KEYS, stds,
+        np.arange(len(samples)), least_variance=1.0,
         blocks=partial(errors_in_motion, clocked.stamps),
-        jitter=np.array([config.noise.stamps, *np.zeros(len(stds) - 1)]))
-    known = next(s.clock_values for s in samples if s.moving)
-    return replace(problem, pose_model=model, pose_values=np.array([known[k] for k in unknown]))
+        jitter=np.array([config.noise.stamps, 0.0, 0.0]))
+    known = next(sample.clock_values for sample in samples if sample.moving)
+    return replace(problem, pose_model=model).with_pose_values(np.array(known))
 
 
 def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
     """Yield the blocks of errors of a moving robot: smooth in time, and of the exposure."""
     size, model = linear.problem.config.noise.robot_smooth, linear.problem.pose_model
     assert model is not None
-    own_stamps = stamps if model.stations is None else stamps[model.stations]
-    functions = smooth_basis_in_time((own_stamps - stamps[0]) * 1e-9)
-    for name, axes, std in (('tracking_position', slice(0, 3), size),
-                            ('tracking_rotation', slice(3, 6), size / TURN_LENGTH)):
-        twists = np.einsum('xa,nk->nxak', np.eye(6)[:, axes], functions)
-        twists = twists.reshape(len(functions), 6, -1)
-        yield ParameterBlock(name, linear.wrt_twists(twists) * std, std, twists=twists,
-                             report=f'{name}_error')
+    functions = smooth_basis_in_time((stamps[model.stations] - stamps[0]) * 1e-9)
+    shifts, turns = np.hsplit(np.eye(6), 2)
+    for name, axes, std in (('tracking_position', shifts, size),
+                            ('tracking_rotation', turns, size / TURN_LENGTH)):
+        yield smooth_errors(name, linear, functions, std, axes, report=f'{name}_error')
     exposure = linear.problem.config.profile.exposure
     if exposure:
         # a profile averages over the exposure, and shows a face only while the face is seen: an
@@ -197,14 +181,15 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     if not any(sample.moving for sample in samples):
         return TimedSamples(list(samples), [])
     samples = evenly(samples, MOST_SAMPLES)
-    problem = problem_with_clocks(samples, config)
+    clocked, problem = ClockedPoses.of(samples), problem_with_clocks(samples, config)
     some = problem.subset(evenly_chosen(len(samples), SEARCH_SAMPLES))
     start = _best_over_offsets(some, np.random.default_rng(0))
-    _, near = _poses_at(samples, start)
+    known = start.problem.pose_values
     # profiles in gaps between the poses would pull the offset
-    inner = problem.subset(np.flatnonzero(near.inside))
-    fit = _refined(inner.with_pose_values(start.problem.pose_values), start.estimate)
-    values, instants = _poses_at(samples, fit)
+    inner = problem.subset(np.flatnonzero(clocked.at(*known).inside))
+    fit = refined_robustly(inner.with_pose_values(known), start.estimate)
+    values = tuple(fit.problem.pose_values.tolist())
+    instants = clocked.at(*values)
     paired = [replace(sample, T_base_flange=T, clock_values=values)
               for sample, T, inside in zip(
                   samples, instants.T_base_flange, instants.inside, strict=True) if inside]
@@ -213,54 +198,15 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     return TimedSamples(paired, rejects, fit.estimate)
 
 
-def _poses_at(samples: Sequence[Sample], fit: Linear) -> tuple[tuple[float, ...], Instants]:
-    """Return offset, lag and drift of a fit, and the flange at each sample by them."""
-    values = _all_values(_unknown(fit.problem.config)[0], fit.problem.pose_values)
-    return values, ClockedPoses.of(samples).at(*values)
-
-
-def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Linear:
+def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Solution:
     """Return the best fit over several offsets, or the first convincing one."""
-    best: tuple[float, Linear] | None = None
+    fits = list[Solution]()
     for offset in sorted(np.arange(-10, 11, 2), key=abs):  # prior sigmas
         values = np.zeros(len(problem.pose_values))
         values[0] = offset * problem.config.time_offset_std
         shifted = problem.with_pose_values(values)
-        for start in islice(shifted.target.starts(shifted, rng), 3):
-            fit = _refined(shifted, start)
-            loss = float(np.log1p(station_squares(fit, problem)).mean())
-            best = (loss, fit) if best is None or loss < best[0] else best
-        if best and typical_square(station_squares(best[1], problem)) < CONVINCING_SQUARE:
+        fits += [refined_robustly(shifted, start)
+                 for start in islice(shifted.target.starts(shifted, rng), 3)]
+        if typical_square(station_squares(min(fits, key=loss))) < CONVINCING_SQUARE:
             break
-    assert best is not None
-    return best[1]
-
-
-def _refined(problem: Problem, start: Estimate) -> Linear:
-    """Return the fit with the clocks among the unknowns that a start leads to."""
-    def few_steps(fit: Linear, weights: Array) -> Linear:
-        of_all = np.append(weights, 1.0)  # the priors of the clocks keep theirs
-        return _system(fit.problem).few_weighted_steps(fit, of_all)
-    return graduated_fit(problem, start, few_steps)
-
-
-def _system(problem: Problem) -> System[Linear]:
-    """Return the least-squares system of a labelled problem; priors of the clocks come last."""
-    (_, stds), n = _unknown(problem.config), len(problem.poses)
-    k = len(stds)
-
-    def rows(linear: Linear) -> Rows:
-        def jacobian() -> Array:
-            J = np.hstack([linear.jacobian[:, linear.problem.free_columns],
-                           linear.wrt_twists(linear.problem.pose_twists)])
-            return np.vstack([J, np.eye(J.shape[1])[-k:] / stds[:, None]])
-
-        def whiten(values: Array) -> Array:
-            return np.concatenate([whitening_at(linear)(values[:-k]), values[-k:]])
-        return Rows(np.append(linear.residuals, linear.problem.pose_values / stds), jacobian,
-                    lambda: whiten)
-
-    def retracted(linear: Linear, step: Array) -> Linear:
-        moved = linear.problem.with_pose_values(linear.problem.pose_values + step[-k:])
-        return linearise(moved, moved.retracted(linear.estimate, step[:-k]))
-    return System(rows, retracted, np.append(problem.observations.station, np.full(k, n)))
+    return min(fits, key=loss)

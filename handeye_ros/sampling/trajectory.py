@@ -3,11 +3,11 @@
 """
 Pose and velocity of the flange as a function of time, with their uncertainty.
 
-Reported poses have errors, are rounded, and their stamps jitter. Cubic splines are fitted to the
-translation and to the four numbers of the quaternion, which is normalised afterwards (between two
-poses that differ by an angle a the error is of order a^4). Least squares with knots as far apart
-as the poses allow averages white errors. Generalised cross-validation determines the spacing of
-the knots (Craven and Wahba 1979, Numer. Math. 31:377).
+Reported poses have errors, are rounded, and their stamps jitter. Uniform cubic B-splines are
+fitted to the translation and to the four numbers of the quaternion, which is normalised afterwards
+(between two poses that differ by an angle a the error is of order a^4). Least squares with knots
+as far apart as the poses allow averages white errors. Generalised cross-validation determines the
+spacing of the knots (Craven and Wahba 1979, Numer. Math. 31:377).
 """
 from __future__ import annotations
 
@@ -22,13 +22,16 @@ from handeye_ros.data import Array, robust_std, TimedPose
 from handeye_ros.sampling.stream import fitting
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.sparse import csr_array, diags
 
-SPLINE_DEGREE = 3
 # spacings of knots that are tried (s)
 KNOT_SPACINGS = (0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018, 0.012)
 FEWEST_POSES = 8  # fewest poses of a piece
 AT_ONCE = 500  # stamps of which the uncertainty is evaluated together
-AVERAGING_TIME = 0.004  # time over which many poses are averaged (s)
+# the four functions at a time, by the powers of its share of the interval between two knots
+CUBIC = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6
+STIFFNESS = 1e-8  # of the spline, where there are no poses
 OUTLIER_SCATTERS = 8.0  # residual, in robust scatters, above which a pose is an outlier
 
 
@@ -77,14 +80,19 @@ class Trajectory:
     def at(self, stamps: NDArray[np.int64], lag: float = 0.0) -> Instants:
         """Return the flange at stamps (n,); lag: of the reported rotation (s)."""
         n, both = len(stamps), np.concatenate([stamps, stamps + round(lag * 1e9)])
-        T, twists = np.tile(np.eye(4), (2 * n, 1, 1)), np.zeros((2 * n, 6))
-        inside = np.zeros(2 * n, dtype=bool)
+        value, rate = np.zeros((2, 2 * n, 7))
+        value[:, 6], inside = 1.0, np.zeros(2 * n, dtype=bool)
         for piece, chosen in self._by_piece(both):
             some = both[chosen]
             inside[chosen] = (some >= piece.first) & (some <= piece.last)
-            T[chosen], twists[chosen] = piece.at(some)
-        T[:n, :3, :3], twists[:n, 3:] = T[n:, :3, :3], twists[n:, 3:]
-        return Instants(T[:n], twists[:n], inside[:n] & inside[n:])
+            value[chosen], rate[chosen] = piece.at(some)
+        length = np.linalg.norm(value[n:, 3:], axis=1, keepdims=True)
+        q, dq = value[n:, 3:] / length, rate[n:, 3:] / length
+        # the vector of 2 dq/dt q*, in which the change of length is of the scalar part alone
+        turning = 2 * (q[:, 3:] * dq[:, :3] - dq[:, 3:] * q[:, :3]
+                       - np.cross(dq[:, :3], q[:, :3]))
+        return Instants(se3.from_quaternion(value[:n, :3], q), np.hstack([rate[:n, :3], turning]),
+                        inside[:n] & inside[n:])
 
     def std(self, stamps: NDArray[np.int64]) -> Array:
         """Return 1 sigma of the poses at stamps (n,), each axis: (n, 2) in m and rad."""
@@ -107,42 +115,49 @@ class Trajectory:
 @dataclass(frozen=True, eq=False)
 class _Piece:
     """
-    A spline of translation and quaternion over seconds since first.
+    A spline of translation and quaternion from first to last, with knots at equal intervals.
 
-    std: (2,) 1 sigma of single poses (m, rad); information: (k, k) of the spline coefficients, for
-    poses of unit variance, sparse.
+    interval: seconds; coefficients: (intervals + 3, 7); std: (2,) 1 sigma of single poses (m,
+    rad); root: the banded Cholesky factor of the information about coefficients by poses of unit
+    variance.
     """
 
     first: int
     last: int
-    spline: Any
+    interval: float
+    coefficients: Array
     std: Array
-    information: Any
+    root: Array
 
-    def _time(self, stamps: NDArray[np.int64]) -> Array:
-        return np.asarray((np.clip(stamps, self.first, self.last) - self.first) * 1e-9)
+    def _rows(self, stamps: NDArray[np.int64], rates: bool = False) -> Any:
+        t = np.asarray((np.clip(stamps, self.first, self.last) - self.first) * 1e-9)
+        return _spline_rows(t, self.interval, len(self.coefficients), rates)
 
     def at(self, stamps: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Return poses (n, 4, 4) and twists (n, 6); outside the piece those of its nearest end."""
-        t = self._time(stamps)
-        value, rate = self.spline(t), self.spline(t, 1)
-        length = np.linalg.norm(value[:, 3:], axis=1, keepdims=True)
-        q, dq = value[:, 3:] / length, rate[:, 3:] / length
-        # the vector of 2 dq/dt q*, in which the change of length is of the scalar part alone
-        turning = 2 * (q[:, 3:] * dq[:, :3] - dq[:, 3:] * q[:, :3]
-                       - np.cross(dq[:, :3], q[:, :3]))
-        return (se3.from_quaternion(value[:, :3], q),
-                np.concatenate([rate[:, :3], turning], axis=1))
+        """Return translation and quaternion (n, 7), and rates; outside those of the next end."""
+        return self._rows(stamps) @ self.coefficients, self._rows(stamps, True) @ self.coefficients
 
     def std_at(self, stamps: NDArray[np.int64]) -> Array:
         """Return 1 sigma of positions and rotations, (n, 2)."""
-        from scipy.interpolate import BSpline  # 0.09 s, only for sweeps
-        from scipy.sparse.linalg import splu
-        rows = BSpline.design_matrix(self._time(stamps), self.spline.t, SPLINE_DEGREE)
-        solve = splu(self.information).solve
+        rows = self._rows(stamps)
         parts = (rows[k:k + AT_ONCE] for k in range(0, len(stamps), AT_ONCE))
-        leverage = [part.multiply(solve(part.T.toarray()).T).sum(axis=1) for part in parts]
+        leverage = [part.multiply(cho_solve_banded((self.root, True), part.T.toarray()).T).sum(
+            axis=1) for part in parts]
         return np.asarray(np.sqrt(np.concatenate(leverage).reshape(-1, 1)) * self.std)
+
+
+def _spline_rows(t: Array, interval: float, count: int, rates: bool = False) -> Any:
+    """
+    Return what makes values, or their rates, at times t (n,) of coefficients: sparse (n, count).
+
+    interval: between knots (s), from 0; the last one may be longer or shorter by half.
+    """
+    first = np.minimum((t / interval).astype(np.int64), count - 4)
+    powers = np.vander(t / interval - first, 4, increasing=True)
+    if rates:
+        powers = np.insert(powers[:, :3] * [1, 2, 3], 0, 0.0, axis=1) / interval
+    columns, ends = first[:, None] + np.arange(4), np.arange(0, 4 * len(t) + 1, 4)
+    return csr_array(((powers @ CUBIC).ravel(), columns.ravel(), ends), (len(t), count))
 
 
 def joined(parts: Sequence[Trajectory]) -> Trajectory:
@@ -165,22 +180,6 @@ def trajectory_of(poses: Iterable[TimedPose], max_gap: float) -> Trajectory:
     return Trajectory(stamps, rows['pose'][first_of], max_gap)
 
 
-def _averaged(t: Array, values: Array) -> tuple[Array, Array]:
-    """
-    Return means of consecutive poses over a time of nearly constant speed.
-
-    The first and last pose are kept, so that the trajectory covers the same time.
-    """
-    count = int(AVERAGING_TIME * (len(t) - 1) / max(t[-1], AVERAGING_TIME))
-    if count < 2:
-        return t, values
-    begins = np.array([0, *range(1, len(t) - 1, count), len(t) - 1])
-    number = np.diff([*begins, len(t)])
-    t, values = (np.add.reduceat(v, begins) / number.reshape(-1, *[1] * (v.ndim - 1))
-                 for v in (t, values))
-    return t, values
-
-
 def _piece_through(stamps: NDArray[np.int64], values: Array) -> _Piece:
     """
     Return the piece through poses (n, 7) with the knots that predict them best.
@@ -188,12 +187,12 @@ def _piece_through(stamps: NDArray[np.int64], values: Array) -> _Piece:
     A few poses far from the spline through all are not used; of many, it is the spline that is
     wrong.
     """
-    t, values = _averaged((stamps - stamps[0]) * 1e-9, _with_steady_signs(values))
-    spline, pose_std, information = _smoothed(t, values)
-    near = _near_most(values - spline(t))
+    t, values = (stamps - stamps[0]) * 1e-9, _with_steady_signs(values)
+    spline, off = _smoothed(t, values)
+    near = _near_most(off)
     if not near.all() and near.mean() > 0.95:
-        spline, pose_std, information = _smoothed(t[near], values[near])
-    return _Piece(int(stamps[0]), int(stamps[-1]), spline, pose_std, information)
+        spline, _ = _smoothed(t[near], values[near])
+    return _Piece(int(stamps[0]), int(stamps[-1]), *spline)
 
 
 def _with_steady_signs(values: Array) -> Array:
@@ -212,40 +211,32 @@ def _near_most(off: Array) -> NDArray[np.bool_]:
     return np.asarray(near)
 
 
-def _smoothed(t: Array, values: Array) -> tuple[Any, Array, Any]:
+def _smoothed(t: Array, values: Array) -> tuple[tuple[float, Array, Array, Array], Array]:
     """
-    Return the spline with the best knots, the std (2,) of single poses, and its information.
+    Return interval, coefficients, std and root of the best piece, and its residuals (n, 7).
 
     The knots have the least generalised cross-validation error, log(squares / freedom^2), of
     positions and rotations together.
     """
-    from scipy.interpolate import BSpline
-    from scipy.sparse.linalg import splu
     least, best = np.inf, None
-    for spacing in KNOT_SPACINGS:
-        knots = _knots(t, spacing)
-        freedom = len(t) - (len(knots) - SPLINE_DEGREE - 1)
+    for interval in KNOT_SPACINGS:
+        count = max(int(t[-1] / interval + 0.5), 1) + 3
+        freedom = len(t) - count
         if best and freedom < len(t) / 3:
             break
-        rows = BSpline.design_matrix(t, knots, SPLINE_DEGREE)
-        information = (rows.T @ rows).tocsc()
-        spline = BSpline(knots, splu(information).solve(rows.T @ values), SPLINE_DEGREE)
-        squares = (values - rows @ spline.c) ** 2
+        rows = _spline_rows(t, interval, count)
+        bends = csr_array(diags([1.0, -2.0, 1.0], [0, 1, 2], (count - 2, count)))
+        information = rows.T @ rows + STIFFNESS * bends.T @ bends
+        root = cholesky_banded([np.append(information.diagonal(k), np.zeros(k))
+                                for k in range(4)], lower=True)
+        coefficients = cho_solve_banded((root, True), rows.T @ values)
+        off = values - rows @ coefficients
         # of each axis; a quaternion has half of the angle about three axes
+        squares = off ** 2
         sums = np.array([squares[:, :3].sum() / 3, squares[:, 3:].sum() * 4 / 3]) + 1e-30
         error = float(np.log(sums / max(freedom, 1) ** 2).sum())
         if error < least + 2 * np.log(0.98):  # nearer knots must be worth 2 %
-            least, best = error, (spline, np.sqrt(sums / max(freedom, 1)), information)
+            least = error
+            best = (interval, coefficients, np.sqrt(sums / max(freedom, 1)), root), off
     assert best is not None
     return best
-
-
-def _knots(t: Array, spacing: float) -> Array:
-    """Return knots at times of poses, at least a spacing apart, with two poses between them."""
-    inner, last = [], 0
-    candidates = np.searchsorted(t, np.arange(t[0] + spacing, t[-1] - 0.5 * spacing, spacing))
-    for k in candidates.tolist():
-        if k - last >= 2 and len(t) - 1 - k >= 2:
-            inner.append(float(t[k]))
-            last = k
-    return np.concatenate([[t[0]] * (SPLINE_DEGREE + 1), inner, [t[-1]] * (SPLINE_DEGREE + 1)])

@@ -26,7 +26,7 @@ from handeye_ros.config import with_values
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.covariance import budget
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, covariance_parts
-from handeye_ros.estimation.search import least_squares_estimate
+from handeye_ros.estimation.search import least_squares_fit
 from handeye_ros.estimation.solve import cover, solution_at
 from handeye_ros.simulate import FAULTS, simulate_samples
 import numpy as np
@@ -94,8 +94,8 @@ def test_the_left_out_rms_is_that_of_real_refits(name: str) -> None:
     squares, own = [], []
     for station in range(len(ordered)):
         others = np.setdiff1d(np.arange(len(ordered)), [station])
-        refit = least_squares_estimate(solution.problem.subset(others), solution.estimate,
-                                       solution.noise)
+        refit = least_squares_fit(solution.problem.subset(others), solution.estimate,
+                                  solution.noise).estimate
         mine = measured.select(measured.station == station)
         squares.append(mine.residuals(solution.problem, refit) ** 2)
         own.append(mine.residuals(solution.problem, solution.estimate) ** 2)

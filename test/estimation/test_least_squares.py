@@ -116,7 +116,7 @@ def conservative(value: float, std: float) -> float:
     information = 1 / std ** 2
     covariance = np.array([[1 / (1 + information)]])
     _, found = prior_variances(covariance, covariance[0] * value * information,
-                               np.array([0]), np.ones(1), np.array([1e8]))
+                               [1], np.ones(1), np.array([1e8]))
     return float(np.sqrt(found[0]))
 
 
