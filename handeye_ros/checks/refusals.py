@@ -19,6 +19,7 @@ from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import axes_across, mount_frame, name_direction
+from handeye_ros.results.table import count_of
 from handeye_ros.se3 import mapped_covariance, worst_rotation, worst_translation
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -64,7 +65,7 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
     """
     if len(samples) < target.min_samples:
         reasons = Counter(reject.reason for reject in rejects).most_common(1)
-        why = (f' ({len(rejects)} stops gave none, most often: {reasons[0][0]})' if reasons
+        why = (f' ({count_of(len(rejects), "stop")} gave none, most often: {reasons[0][0]})' if reasons
                else '')
         enough = len(samples) + len(rejects) >= target.min_samples
         raise (UnexplainedError if enough else DataError)(

@@ -153,7 +153,7 @@ class LiveVerification:
         self.verdict = sentence(content)
         text = f'{self.verdict}; {saved}'
         if result.verdict not in ('pass', 'fail'):
-            raise DataError(f'{result.verdict}: ' + '; '.join((*result.reasons, text)))
+            raise DataError(text)
         if self._parts is parts:  # no other part or verification was begun meanwhile
             self.end()
         return text

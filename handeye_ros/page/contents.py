@@ -68,7 +68,7 @@ def source(node: HandeyeNode) -> PageSource:
         **{name: partial(_call, node, name) for name in PAGE_SERVICES},
         'remove_last_sample': partial(_remove_last, node),
         'exclude': partial(_exclude, node), 'set': partial(_set, node),
-        'open': lambda values: (True, node.open_session(str(values['session'])))}
+        'open': lambda values: (True, node.open_session(str(values.get('session'))))}
     queries: dict[str, Read] = {
         'stop': lambda values: stop_profile(node.live, values.get('number', '')),
         'cell': lambda values: _cell(node),

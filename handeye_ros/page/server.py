@@ -23,13 +23,14 @@ import hmac
 from importlib import resources
 import ipaddress
 import json
+import logging
 from pathlib import Path
+import re
 import secrets
 import socket
 import threading
 import time
 from typing import Any, TYPE_CHECKING
-from urllib.parse import urlsplit
 
 from aiohttp import web
 from handeye_ros.errors import BadValueError, HandeyeError, InputError, sentence_and_log
@@ -95,6 +96,8 @@ class PageServer:
         except OSError as error:
             raise InputError(f'{address}:{port} cannot be served ({error.strerror or error}); set '
                              'page.port to another one, or to 0 for no page') from error
+        # all that handlers raise is told by _guarded: left is a traceback for bytes that are no HTTP
+        logging.getLogger('aiohttp.server').setLevel(logging.CRITICAL)
         run = partial(web.run_app, self._app(), sock=listening, print=None, access_log=None,
                       handle_signals=False)
         threading.Thread(target=run, name='page', daemon=True).start()
@@ -140,7 +143,8 @@ class PageServer:
         site = request.headers.get('Sec-Fetch-Site', 'same-origin')
         token = request.query.get('token') or request.cookies.get(self.cookie, '')
         try:
-            if not self.token and urlsplit(f'//{host}').hostname not in (  # with any port
+            name = re.sub(r':\d*$', '', host).strip('[]').lower()  # without the port
+            if not self.token and name not in (
                     'localhost', '127.0.0.1', '::1', self._address, socket.gethostname().lower()):
                 return _sentence(403, 'this page is served for its own machine alone, as '
                                  f'{self.url}')
@@ -195,7 +199,7 @@ class PageServer:
             values = json.loads(await asyncio.wait_for(request.read(), LONGEST_BODY) or b'{}')
         except TimeoutError:
             return _sentence(408, 'the request was not complete in time')
-        except (ValueError, RecursionError):
+        except (ValueError, RecursionError, web.RequestPayloadError):
             values = None
         if not isinstance(values, dict):
             return _sentence(400, 'expected a JSON object')

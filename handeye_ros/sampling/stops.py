@@ -234,7 +234,7 @@ class StopFinder(Copyable):
         still, seconds = (last.stamp - self._rest.stamp) / NS, (last.stamp - first.stamp) / NS
         speed = np.linalg.norm(last.translation - first.translation) / seconds
         turning = np.degrees(_angle_between(first, last)) / seconds
-        return Motion(still, f'it has stood still for {still:.1f} s' if still > MOTION_TIME / NS
+        return Motion(still, f'it has stood still for {still:.2f} s' if still > MOTION_TIME / NS
                       else f'it moves by {speed * 1e3:.1f} mm/s and {turning:.1f} degrees/s')
 
     def window(self) -> tuple[int, int]:

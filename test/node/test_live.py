@@ -529,7 +529,11 @@ def test_a_verification_begun_anew_says_what_is_dropped_and_other_lengths_drop_n
     feed(live, items_of(PARTS[1]))
     with pytest.raises(InputError, match='sphere needs 0 lengths'):
         verdict(live)
-    changed(live, verify__lengths=())
+    changed(live, verify__lengths=(), verify__tolerance=1e-5)
+    with pytest.raises(DataError, match='^sphere: INSENSITIVE, 6 stations; ') as refused:
+        verdict(live)
+    assert str(refused.value).count('decides nothing') == 1, 'each reason once'
+    changed(live, verify__tolerance=3e-4)
     assert verdict(live).startswith('sphere: PASS, 6 stations; ')
     live.verification.verify_start()
     feed(live, items_of([later(part, 1000) for part in PARTS[1]]))

@@ -100,6 +100,7 @@ def test_it_shows_the_page_and_acts(here: tuple[PageServer, Cell]) -> None:
     ('POST', '/act/take', b'\xff', KIND, 400),
     ('POST', '/act/take', '{"a": "' + 'x' * 2000 + '"}', KIND, 413),
     ('POST', '/act/take', 'number=3', {'Content_Type': 'application/x-www-form-urlencoded'}, 415),
+    ('POST', '/act/take', b'{}', KIND | {'Content_Encoding': 'gzip'}, 400),
     ('GET', '/../config.py', None, {}, 404),
     ('GET', '/server.py', None, {}, 404),
     ('GET', '/read/none', None, {}, 404),
@@ -107,13 +108,23 @@ def test_it_shows_the_page_and_acts(here: tuple[PageServer, Cell]) -> None:
       for method, path in (('GET', '/'), ('GET', '/events'), ('POST', '/act/take'))
       for headers in ({'Origin': 'http://evil.example'}, {'Origin': 'null'},
                       {'Host': 'evil.example:80'}, {'Sec_Fetch_Site': 'cross-site'},
-                      {'Host': '192.168.0.7'}, {'Host': 'cell.local'}))])
+                      {'Host': '192.168.0.7'}, {'Host': 'cell.local'}, {'Host': '[::1'},
+                      {'Host': '[a]b'}, {'Host': 'a@localhost'}))])
 def test_what_is_no_request_or_of_another_origin_is_refused(
         here: tuple[PageServer, Cell], method: str, path: str, body: str | bytes | None,
         headers: dict[str, str], status: int) -> None:
     page, cell = here
     assert asked(page, method, path, body, **headers)[0] == status
     assert cell.asked == []
+
+
+def test_what_is_no_http_is_refused_without_a_traceback(
+        here: tuple[PageServer, Cell], caplog: pytest.LogCaptureFixture) -> None:
+    with ExitStack() as lines:
+        for request in ('hello', 'GET /', 'GET /' + 9000 * 'x'):
+            line = connected(here[0], lines, request, b'Host: twice\r\n\r\n')
+            assert line.recv(100).split()[1] == b'400'
+    assert not caplog.text
 
 
 def test_it_tells_what_failed_and_goes_on(capfd: pytest.CaptureFixture[str]) -> None:

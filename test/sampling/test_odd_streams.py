@@ -267,7 +267,7 @@ def test_of_a_sweep_it_is_told_whether_the_robot_moves() -> None:
             assert session.is_standing == (stood > 0.49), t
             moves = session.motion.sentence.startswith('it moves by 100.0 mm/s')
             assert moves or stood, session.motion.sentence
-    assert session.motion.sentence == 'it has stood still for 2.0 s'
+    assert session.motion.sentence == 'it has stood still for 1.98 s'
 
 
 def test_profiles_of_a_pass_beyond_its_poses_are_not_used() -> None:
