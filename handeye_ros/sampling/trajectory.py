@@ -219,7 +219,8 @@ def _smoothed(t: Array, values: Array) -> tuple[tuple[float, Array, Array, Array
     positions and rotations together.
     """
     least, best = np.inf, None
-    for interval in KNOT_SPACINGS:
+    widest = max(KNOT_SPACINGS[0], 2 * t[-1] / (len(t) - 1))  # two poses to each interval
+    for interval in (widest, *KNOT_SPACINGS[1:]):
         count = max(int(t[-1] / interval + 0.5), 1) + 3
         freedom = len(t) - count
         if best and freedom < len(t) / 3:
@@ -235,7 +236,7 @@ def _smoothed(t: Array, values: Array) -> tuple[tuple[float, Array, Array, Array
         squares = off ** 2
         sums = np.array([squares[:, :3].sum() / 3, squares[:, 3:].sum() * 4 / 3]) + 1e-30
         error = float(np.log(sums / max(freedom, 1) ** 2).sum())
-        if error < least + 2 * np.log(0.98):  # nearer knots must be worth 2 %
+        if error < least + 2 * np.log(0.995):  # nearer knots must be worth 0.5 %
             least = error
             best = (interval, coefficients, np.sqrt(sums / max(freedom, 1)), root), off
     assert best is not None

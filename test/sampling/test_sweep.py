@@ -66,6 +66,19 @@ def test_noisy_rounded_poses_are_averaged_to_the_true_motion(rate: float) -> Non
     assert se3.angle(at.T_base_flange[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2)).max() < 6e-5
 
 
+@pytest.mark.parametrize('seconds', [4.0, 30.0])
+def test_rare_poses_of_a_slow_robot_state_their_errors(seconds: float) -> None:
+    # two poses and a half a second of a motion that takes five times as long
+    rare = [replace(pose, stamp=5 * pose.stamp)
+            for pose in poses(np.arange(0.0, seconds / 5, 0.08), 2e-5)]
+    found = trajectory_of(rare, 0.5)
+    times = np.linspace(0.1, seconds / 5 - 0.1, 200)
+    stamps = np.rint(5 * times * NS).astype(np.int64)
+    off = np.linalg.norm(
+        found.at(stamps).T_base_flange[:, :3, 3] - true_motion(times)[0][:, :3, 3], axis=1)
+    assert 2 * np.median(found.std(stamps)[:, 0]) > np.sqrt((off ** 2).mean() / 3)
+
+
 def test_no_pose_is_reported_outside_of_the_poses_or_in_a_gap() -> None:
     times = np.arange(0.0, 10.0, 0.01)
     found = trajectory_of(poses(times[(times < 4.0) | (times > 4.5)]), 0.5)
