@@ -264,6 +264,9 @@ def _compared_with(
         target, joint = TARGETS[calibration.method], calibration.target['joint']
         size = 6 + len(target.labels)
         state = np.array(joint['state'], dtype=float)
+        if len(state) == 4:  # of a sphere, as version 0.1.0 wrote it: centre and radius
+            state = np.append(se3.transform(np.eye(3), state[:3]), state[3])
+        state = state.reshape(16 + len(target.labels) - len(target.moves))
         covariance = np.array(joint['covariance'], dtype=float).reshape(size, size)
         factor = max(float(joint['variance_factor']), 1.0)
     except (KeyError, TypeError, ValueError) as error:

@@ -139,13 +139,27 @@ def test_a_stop_that_contradicts_the_others_is_left_out(calibrated):
     assert found.sentence.endswith('stops [3]')
 
 
+def with_state(calibration, state):
+    joint = {**calibration.target['joint'], 'state': state}
+    return replace(calibration, target={**calibration.target, 'joint': joint})
+
+
+def test_a_sphere_that_an_earlier_version_wrote_is_compared_with(calibrated):
+    scenario, config, solved, X, T = calibrated['sphere']
+    seen = bench.samples(scenario, 8, X, T, np.random.default_rng(3))
+    state = solved.target['joint']['state']
+    earlier = with_state(solved, [*state[3:12:4], state[16]])  # centre and radius
+    assert check(seen, earlier, config).sentence == check(seen, solved, config).sentence
+
+
 def test_what_cannot_be_checked_is_refused(calibrated):
     scenario, config, solved, X, T = calibrated['sphere']
     seen = bench.samples(scenario, 8, X, T, np.random.default_rng(3))
     for samples, calibration, error, words in (
             (seen[:3], solved, DataError, '3 usable'), ([], solved, DataError, '0 usable'),
             (seen, replace(solved, method='points'), InputError, 'points'),
-            (seen, replace(solved, target={'centre': {}}), InputError, 'does not hold')):
+            (seen, replace(solved, target={'centre': {}}), InputError, 'does not hold'),
+            (seen, with_state(solved, [1.0, 2.0]), InputError, 'does not hold')):
         with pytest.raises(error, match=words):
             check(samples, calibration, config)
 
