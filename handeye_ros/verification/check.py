@@ -263,7 +263,7 @@ def _compared_with(
     try:
         target, joint = TARGETS[calibration.method], calibration.target['joint']
         size = 6 + len(target.labels)
-        state = np.array(joint['state'], dtype=float)
+        state = np.array(joint['state'], dtype=float).reshape(size + 10 - len(target.moves))
         covariance = np.array(joint['covariance'], dtype=float).reshape(size, size)
         factor = max(float(joint['variance_factor']), 1.0)
     except (KeyError, TypeError, ValueError) as error:

@@ -142,9 +142,11 @@ def test_a_stop_that_contradicts_the_others_is_left_out(calibrated):
 def test_what_cannot_be_checked_is_refused(calibrated):
     scenario, config, solved, X, T = calibrated['sphere']
     seen = bench.samples(scenario, 8, X, T, np.random.default_rng(3))
+    joint = {**solved.target['joint'], 'state': [0.5, 0.0, 0.0, 0.02]}  # as it was before a pose
     for samples, calibration, error, words in (
             (seen[:3], solved, DataError, '3 usable'), ([], solved, DataError, '0 usable'),
             (seen, replace(solved, method='points'), InputError, 'points'),
+            (seen, replace(solved, target={'joint': joint}), InputError, 'does not hold'),
             (seen, replace(solved, target={'centre': {}}), InputError, 'does not hold')):
         with pytest.raises(error, match=words):
             check(samples, calibration, config)
