@@ -5,19 +5,19 @@ from __future__ import annotations
 
 from handeye_ros.config import Config
 from handeye_ros.errors import BadValueError, InputError
-from handeye_ros.estimation.target import Target
 from handeye_ros.targets.line import LINE
 from handeye_ros.targets.plane import PLANE
 from handeye_ros.targets.plate import PLATE
 from handeye_ros.targets.sphere import SPHERE
+from handeye_ros.targets.target import ProfileTarget
 from handeye_ros.targets.wedge import WEDGE
 
-TARGETS: dict[str, Target] = {
+TARGETS: dict[str, ProfileTarget] = {
     target.name: target for target in (PLATE, LINE, PLANE, SPHERE, WEDGE)}
 FROM_FILES = ('points', 'hand_eye', 'tracker')  # see tabulated/
 
 
-def target_for(config: Config) -> Target:
+def target_for(config: Config) -> ProfileTarget:
     """
     Return the target that a configuration asks for.
 
