@@ -12,7 +12,7 @@ from handeye_ros.errors import BadValueError
 METRES = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3, 'um': 1e-6, 'in': 0.0254}
 RADIANS = {'rad': 1.0, 'deg': math.pi / 180, 'degrees': math.pi / 180}
 SECONDS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6}
-WITH_UNIT = re.compile(r'(?<![\w.])([-+]?\d*\.?\d+(?:e[-+]?\d+)?) *([a-z]+)')
+WITH_UNIT = re.compile(r'(?<![\w.])([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) *([a-z]+)(?![\w.])')
 
 
 def in_si(text: str, unit: str) -> str:

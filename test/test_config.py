@@ -217,7 +217,8 @@ def test_assignments_are_read_as_yaml(text: str, key: str, value: object) -> Non
     assert flatten(with_assignments(Config(), [text]))[key] == value
 
 
-@pytest.mark.parametrize('text', ['noise.sensor', '', 'name=[', 'noise.sensor=abc', 'nme=x'])
+@pytest.mark.parametrize('text', ['noise.sensor', '', 'name=[', 'noise.sensor=abc', 'nme=x',
+                                  'verify.radius=5mm5'])
 def test_a_bad_assignment_is_refused(text: str) -> None:
     with pytest.raises(InputError):
         with_assignments(Config(), [text])

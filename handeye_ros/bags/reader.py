@@ -110,8 +110,8 @@ class Reader:
                 if complete := isinstance(record, DataEnd):
                     break
                 records = _expanded(record)
-                damaged += not records
-                for index, one in enumerate(records):
+                damaged += records is None
+                for index, one in enumerate(records or ()):
                     if isinstance(one, Schema):
                         schemas[one.id] = one.name
                     elif isinstance(one, Channel):
@@ -195,14 +195,14 @@ def _up_to_damage(stream: BinaryIO, start: int) -> Iterator[McapRecord]:
                                 record_size_limit=LARGEST_RECORD).records
 
 
-def _expanded(record: McapRecord) -> list[Any]:
-    """Return a record, or those in a chunk: none of a damaged one."""
+def _expanded(record: McapRecord) -> list[Any] | None:
+    """Return a record, or those in a chunk; None of a damaged one."""
     if not isinstance(record, Chunk):
         return [record]
     with suppress(Exception):  # of all kinds, in decompressors and in the parser
         if record.uncompressed_size <= LARGEST_RECORD:
             return breakup_chunk(record, validate_crc=True)
-    return []
+    return None
 
 
 def _again(find: Callable[[int], list[bytes]], place: int, index: int = 0) -> bytes:
@@ -217,7 +217,7 @@ def _in_chunk(path: Path, start: int) -> list[bytes]:
     """Return the data of the records in that at a position of an .mcap file."""
     with path.open('rb') as stream:
         records = _expanded(next(_up_to_damage(stream, start)))
-    return [getattr(record, 'data', b'') for record in records]
+    return [getattr(record, 'data', b'') for record in records or ()]
 
 
 def _in_database(path: Path, key: int) -> list[bytes]:

@@ -167,7 +167,8 @@ class LiveSession:
     def pose(self) -> Array | None:
         """Return T_base_flange (4, 4) of the last pose, None before the first."""
         poses = self._poses
-        return se3.from_quaternion(poses[-1].translation, poses[-1].quaternion) if poses else None
+        last = poses[-1] if poses else None  # another may come meanwhile
+        return None if last is None else se3.from_quaternion(last.translation, last.quaternion)
 
     def current(self) -> StopSnapshot | None:
         """Return the last profile with poses before and after it; None without a usable one."""

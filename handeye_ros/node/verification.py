@@ -67,11 +67,11 @@ class LiveVerification:
     @property
     def text(self) -> str:
         """Return the progress in words, empty where none is running."""
-        last, count = [*self._parts[-1].values()], len(self._parts)
+        routine, parts = self.routine, self._parts  # which may end meanwhile
+        last = [*parts[-1].values()]
         usable = sum(isinstance(result, Sample) for result in last)
-        part = f', part {count}' if self._most_parts > 1 else ''
-        return f'{self.routine.name}{part}: {usable} usable stops of {len(last)}' if (
-            self.routine) else ''
+        part = f', part {len(parts)}' if self._most_parts > 1 else ''
+        return f'{routine.name}{part}: {usable} usable stops of {len(last)}' if routine else ''
 
     def verify_start(self) -> str:
         """

@@ -119,7 +119,8 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     previous: of an empty session, the number of samples in the session before.
     """
     live = node.live
-    values = configuration.flatten(live.config)
+    values, known = configuration.flatten(live.config), {
+        one.key: one for one in configuration.parameters()}
     choices = {'profile_topic': node.streams.topics_of(CLOUD_TYPE),
                'pose_topic': node.streams.topics_of(POSE_TYPE), 'verify.routine': [
                    name for name, routine in ROUTINES.items() if not routine.in_passes]}
@@ -130,9 +131,8 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     previous = read_session(sessions[0]).sample_count if goes_on else 0
     return {'sessions': [path.name for path in sessions], 'session': current,
             'previous': previous, 'settings': [{
-                'key': one.key, 'value': values[one.key], 'description': one.description,
-                'choices': choices.get(one.key, list(one.choices))}
-                for one in configuration.parameters() if one.key in PAGE_SETTINGS]}
+                'key': key, 'value': values[key], 'description': known[key].description,
+                'choices': choices.get(key, list(known[key].choices))} for key in PAGE_SETTINGS]}
 
 
 def _file(live: LiveSession, name: str) -> tuple[str, str]:

@@ -172,8 +172,8 @@ class PairedRows(TableProblem):
         region = 6 * fdtri(6, 3 * len(fit.used) - 6, REGION_PROBABILITY)
         target: dict[str, Any] = {'point_noise': float(variances[0]) ** 0.5}
         if len(fit.state) > 1:
-            target |= {'pose': se3.transform_values(fit.state[1]), 'residual_angle': angle,
-                       'left_out_angle': holdout_angle}
+            target = {'pose': se3.transform_values(fit.state[1]), 'residual_angle': angle,
+                      'left_out_angle': holdout_angle}
         return TableAnswer(
             fit.state[0], fit.covariance[:6, :6] * region / chi2_isf(1 - REGION_PROBABILITY, 6),
             np.isin(np.arange(len(self)), fit.used), off[:, 0], residual, holdout, angle,

@@ -17,6 +17,10 @@ from handeye_ros.results.calibration_file import true_transform
 from handeye_ros.simulate import FILE_SCENES, SCENARIOS, simulate
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Chunk
+from mcap.stream_reader import MAGIC_SIZE
 import numpy as np
 import pytest
 from recordings import (
@@ -138,6 +142,19 @@ def test_a_damaged_chunk_is_left_out(good_bag, tmp_path, index=15):
     assert PROFILES[index].stamp not in [p.stamp for p in recording.profiles]
     warning, = recording.warnings
     assert warning.endswith('messages, left out 1 damaged chunk(s)')
+
+
+def test_an_empty_chunk_is_no_damage(good_bag, tmp_path):
+    file = rewrite(good_bag, tmp_path / 'x.mcap')
+    data, at = file.read_bytes(), MAGIC_SIZE
+    while data[at] != Opcode.DATA_END:
+        at += 9 + int.from_bytes(data[at + 1:at + 9], 'little')
+    made = RecordBuilder()
+    Chunk('', b'', 0, 0, 0, 0).write(made)
+    file.write_bytes(data[:at] + made.end() + data[at:])
+    recording = bag.read(file, CONFIG)
+    assert_equal_recordings(recording)
+    assert not recording.warnings
 
 
 def test_a_file_that_changes_after_it_was_read(good_bag, tmp_path):

@@ -155,6 +155,7 @@ def test_a_terminal_is_told_what_is_done_and_lacking_letters_loses_no_answer(tmp
 
 @pytest.mark.parametrize(('given', 'meant'), [
     ('verify.lengths=[15mm, 0.005]', (0.015, 0.005)), ('verify.radius=2 cm', 0.02),
+    ('verify.radius=2.cm', 0.02), ('verify.radius=2E4um', 0.02),
     ('verify.angle_tolerance=0.5deg', math.pi / 360), ('verify.near=[-300mm, 0, 1e2 mm, 0.2m]',
                                                        (-0.3, 0.0, 0.1, 0.2)),
     ('target.radius=20000um', 0.02), ('profile.exposure=20ms', 0.02),

@@ -3,6 +3,7 @@
 """A running session without ROS: what it takes, tells, and does when settings change."""
 from __future__ import annotations
 
+from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
@@ -19,7 +20,7 @@ import threading
 
 from cells import set_to, settings_of
 from command import PATIENCE, ROOT
-from handeye_ros import pipeline
+from handeye_ros import pipeline, se3
 from handeye_ros.bags.bag import read
 from handeye_ros.config import Config
 from handeye_ros.errors import DataError, InputError
@@ -29,6 +30,7 @@ from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended
 from handeye_ros.node.state import sample_count, samples_message, state_of, status_message
 from handeye_ros.sampling.features import result_of
 from handeye_ros.simulate import SCENARIOS, simulate
+from handeye_ros.verification.routines import routine_of
 from live_sessions import (
     changed,
     computed,
@@ -472,7 +474,29 @@ def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.Mo
         changed.wait(0.01)
 
 
+def test_a_pose_that_arrives_does_not_mix_with_the_one_before() -> None:
+    class Arriving(deque):
+        def __getitem__(self, index):
+            last = super().__getitem__(index)
+            self.append(SPHERE.poses[-1])
+            return last
+
+    live, first = new(), SPHERE.poses[0]
+    live._poses = Arriving([first])
+    assert np.array_equal(live.pose, se3.from_quaternion(first.translation, first.quaternion))
+
+
 # -- verification
+
+
+def test_the_progress_is_told_while_a_verification_ends() -> None:
+    live = new(TO_VERIFY)
+
+    class Ending(type(live.verification)):
+        routine = property(lambda _: next(found), lambda *_: None)
+
+    found = iter([routine_of('sphere'), None, None])
+    assert Ending(live).text == 'sphere: 0 usable stops of 0'
 
 
 def test_stops_after_the_start_verify_and_are_no_samples() -> None:

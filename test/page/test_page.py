@@ -23,6 +23,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 pytest.importorskip('aiohttp', reason='needs aiohttp')
+from handeye_ros.page.contents import PAGE_SETTINGS  # noqa: E402
 from ros_helpers import Client, replay, ROOT, running_node  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -155,7 +156,9 @@ def downloaded(browser: Any) -> None:
 
 def went_on(browser: Any, count: int) -> None:
     """Go on with the session before, with samples taken by hand."""
-    assert len(json.loads(fetched(browser, 'read/cell'))['sessions']) == 1
+    cell = json.loads(fetched(browser, 'read/cell'))
+    assert len(cell['sessions']) == 1
+    assert tuple(one['key'] for one in cell['settings']) == PAGE_SETTINGS  # in their order
     wait(browser, "!document.getElementById('before').hidden", 'the banner')
     assert words(browser, 'before-text') == f'The previous session holds {count} samples.'
     click(browser, '#continue')

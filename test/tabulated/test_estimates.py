@@ -111,6 +111,7 @@ def test_a_wrong_view_is_left_out() -> None:
     assert not found.used[4] and found.used.sum() >= 10
     assert np.linalg.norm(se3.difference(found.X, X)[:3]) < 1e-3
     assert found.residual_rms < found.holdout_rms < 1e-3
+    assert set(found.target) == {'pose', 'residual_angle', 'left_out_angle'}
 
 
 SENSOR = 3.7e-5
