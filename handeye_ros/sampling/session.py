@@ -220,7 +220,7 @@ class Session(Copyable):
     def _require_usable_poses(self) -> None:
         if self.unusable_poses:
             raise self.unusable_poses
-        if not self._pose_stream.count:
+        if self._pose_stream.frame is None:  # one that is held was received too
             topic, keys = self.config.pose_origin
             raise DataError(f'no flange pose was received on {topic}: start the robot driver, or '
                             f'set {keys}', reason='no_poses')
