@@ -128,9 +128,11 @@ def read_calibration(path: Path | str) -> Calibration:
         _require_same_rotation(path, numbers_of(path, 'rpy', content['rpy'], 3), T)
     name, method, parent, child = (get(key, str) for key in (
         'name', 'method', 'parent_frame', 'child_frame'))
+    covariance = numbers_of(path, 'covariance', content.get('covariance'), 36).reshape(6, 6)
+    if covariance.diagonal().min() < 0:
+        raise unusable_file(path, 'covariance has a negative variance')
     return Calibration(
-        name, method, parent, child, T,
-        numbers_of(path, 'covariance', content.get('covariance'), 36).reshape(6, 6),
+        name, method, parent, child, T, covariance,
         get('target', dict), get('quality', Quality),
         tuple(value_of(path, f'samples[{i}]', item, SampleReport)
               for i, item in enumerate(get('samples', list))), get('provenance', dict),

@@ -50,6 +50,7 @@ def calibrations(draw):
     vector = np.array(draw(st.tuples(*[st.floats(-3.1, 3.1)] * 3)))
     T = se3.transform(se3.exp_rotation(vector), np.array(draw(st.tuples(finite, finite, finite))))
     covariance = np.array(draw(st.lists(finite, min_size=36, max_size=36))).reshape(6, 6)
+    covariance[np.diag_indices(6)] = np.abs(covariance.diagonal())
     count = st.integers(0, 1000)
     quality = Quality(draw(count), draw(count), draw(finite), draw(finite), draw(words),
                       draw(finite))
@@ -99,6 +100,7 @@ def test_damage_is_named(path, keys, damage):
     ('used: true', 'used: 1', r'samples\[0\].used is 1'),
     ('covariance: [', 'covariance: [1.0, ', 'covariance does not hold 36 numbers'),
     ('covariance: [', 'covariance: [[', 'not valid YAML'),
+    ('covariance: [', 'covariance: [-', 'covariance has a negative variance'),
     ('rpy: [', 'rpy: [0.0, ', 'rpy does not hold 3 numbers'),
     ('rpy: [-0.88', 'rpy: [-0.78', r'rpy and transform.rotation differ by 5\.73'),
 ])
