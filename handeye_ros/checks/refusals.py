@@ -65,8 +65,8 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
     """
     if len(samples) < target.min_samples:
         reasons = Counter(reject.reason for reject in rejects).most_common(1)
-        why = (f' ({count_of(len(rejects), "stop")} gave none, most often: {reasons[0][0]})' if reasons
-               else '')
+        why = (f' ({count_of(len(rejects), "stop")} gave none, most often: {reasons[0][0]})'
+               if reasons else '')
         enough = len(samples) + len(rejects) >= target.min_samples
         raise (UnexplainedError if enough else DataError)(
             f'{len(samples)} usable samples{why}; {target.name} needs at least '

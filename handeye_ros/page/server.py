@@ -96,7 +96,7 @@ class PageServer:
         except OSError as error:
             raise InputError(f'{address}:{port} cannot be served ({error.strerror or error}); set '
                              'page.port to another one, or to 0 for no page') from error
-        # all that handlers raise is told by _guarded: left is a traceback for bytes that are no HTTP
+        # _guarded tells what handlers raise: left is a traceback for bytes that are no HTTP
         logging.getLogger('aiohttp.server').setLevel(logging.CRITICAL)
         run = partial(web.run_app, self._app(), sock=listening, print=None, access_log=None,
                       handle_signals=False)
