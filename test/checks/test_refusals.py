@@ -135,8 +135,8 @@ def test_too_few_samples_are_refused_with_what_became_of_the_rest(name: str) -> 
     with pytest.raises(DataError, match=f'^{len(few)} .*3 stops .*most often: no edge') as caught:
         pipeline.solve(few, rejects, made.config, 'laser')
     assert caught.value.reason == 'few'
-    with pytest.raises(DataError, match='^0 usable'):
-        pipeline.solve([], [], made.config, 'laser')
+    with pytest.raises(DataError, match=r'^0 usable samples \(1 stop gave none, '):
+        pipeline.solve([], rejects[:1], made.config, 'laser')
 
 
 # -- words
