@@ -242,12 +242,7 @@ def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
     outcome = solve(fit, start.q[used], LIMIT, lambda joints: fit.residual_rms)
     before, after = (float(np.sqrt((m.fit.distances[~used] ** 2).mean())) * 1e3
                      for m in (outcome.models[0], outcome.chosen))
-    # the flange that counts is the one that the last axis carries: what lies behind it is the
-    # sensor's, and so is what lies along the last axis before it
-    along = np.append([0, 0, cell.arm.links[4][2]], np.zeros(3))
-    X = (se3.perturb(np.eye(4), along) @ se3.perturb(np.eye(4), cell.arm.links[5])
-         @ cell.T_mount_sensor)
-    away = se3.difference(outcome.chosen.fit.X, X)
+    away = se3.difference(outcome.chosen.fit.X, cell.arm.flange @ cell.T_mount_sensor)
     nees = float(away @ np.linalg.solve(outcome.covariance, away)) / 6
     return before, after, nees
 

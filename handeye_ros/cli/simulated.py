@@ -58,6 +58,8 @@ def write(name: str, seed: int, path: Path, force: bool = False) -> str:
         values = truth(
             known.T_flange_sensor, T_base_target=se3.transform_values(known.T_base_target),
             **({} if known.time_offset is None else {'time_offset': known.time_offset}),
+            **({} if known.T_corrected_sensor is None else {
+                'T_corrected_sensor': se3.transform_values(known.T_corrected_sensor)}),
             noise={'sensor': scenario.sensor.noise,
                    'robot_translation': scenario.robot.repeatability[0],
                    'robot_rotation': scenario.robot.repeatability[1]},

@@ -53,7 +53,7 @@ def solve(
     given = open_input(path, config, assignments, angles, kinematics)
     settings = given.settings
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
-    T_true, causes = true_transform(path), None
+    T_true, causes = true_transform(path, bool(settings.kinematics)), None
     if given.table:
         from handeye_ros.tabulated.values import calibrate as calibrate_table
         if budget:
@@ -192,7 +192,8 @@ def compare(
     from handeye_ros import compare as comparing
     from handeye_ros.output import write_atomically, yaml_text
     from handeye_ros.results.calibration_file import true_transform
-    given, T_true = open_input(path, config, assignments, angles), true_transform(path)
+    given = open_input(path, config, assignments, angles)
+    T_true = true_transform(path, bool(given.settings.kinematics))
     with progress_bar('comparing') as update:
         if given.table:
             comparison = comparing.compare_files(given.table, T_true, progress=update)

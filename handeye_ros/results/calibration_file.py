@@ -212,17 +212,21 @@ def require_format(path: Path, text: str, kind: str) -> None:
                             f'({__version__}) can read; update the package')
 
 
-def true_transform(bag: Path) -> Array | None:
+def true_transform(bag: Path, corrected: bool = False) -> Array | None:
     """
     Return the true T_flange_sensor (4, 4) of a bag, None if it is unknown.
 
-    bag: a rosbag2 folder, or a file in one. Raises InputError for a damaged truth.yaml.
+    bag: a rosbag2 folder, or a file in one; corrected: whether the flange is that of the corrected
+    arm. Raises InputError for a damaged truth.yaml.
     """
     path = (bag if bag.is_dir() else bag.parent) / TRUTH_NAME
     if not path.is_file():
         return None
     content = value_of(path, 'its content', read_yaml(path), dict)
-    return transform_from(path, 'T_flange_sensor', content.get('T_flange_sensor'))
+    key = 'T_corrected_sensor' if corrected else 'T_flange_sensor'
+    if corrected and key not in content:
+        return None
+    return transform_from(path, key, content.get(key))
 
 
 @dataclass(frozen=True)

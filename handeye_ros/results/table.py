@@ -136,7 +136,10 @@ def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
     if offset := calibration.time_offset:
         yield 'time offset', (f'{offset.value * 1e3:.3f} ms, 1 sigma {offset.std * 1e3:.3f} '
                               '(to be added to the stamps of the profiles)')
-    for key, text in (calibration.provenance.get('config') or {}).items():
+    config = calibration.provenance.get('config') or {}
+    if arm := config.get('kinematics'):
+        yield 'poses', f'of the corrected arm in {arm}; with those of the controller it is wrong'
+    for key, text in config.items():
         if key.startswith(RECORD_PREFIX):
             yield key.removeprefix(RECORD_PREFIX).replace('_', ' '), str(text)
 

@@ -58,12 +58,15 @@ class Truth:
     stops and the field of view. With eye_on_base it is the sensor's pose in the base, and
     T_base_target the target's pose in the flange. The sensor frame is the published one
     (Scenario.layout). time_offset: to be added to the profiles' stamps (s), of a sweep.
+    T_corrected_sensor: of a sensor on an arm with errors, its pose in the flange of that arm
+    corrected, another than that of the reported poses.
     """
 
     T_flange_sensor: Array
     T_base_target: Array
     stations: tuple[TrueStation, ...]
     time_offset: float | None = None
+    T_corrected_sensor: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,14 +135,18 @@ class Cell:
 
     def truth(self, spans: NDArray[np.int64]) -> Truth:
         """Return the true values; spans (n, 2): stamps of the stops."""
-        T_true_standard = self.distortion.T_true_reported if self.distortion else np.eye(4)
-        T = self.T_mount_best @ T_true_standard @ FRAMES[
-            self.scenario.layout.frame].T_standard_sensor
+        T_true_sensor = FRAMES[self.scenario.layout.frame].T_standard_sensor
+        if self.distortion:
+            T_true_sensor = self.distortion.T_true_reported @ T_true_sensor
+        corrected = None
+        if self.arm and self.scenario.calibration_type == 'eye_in_hand':
+            corrected = self.arm.flange @ self.T_mount_sensor @ T_true_sensor
         stations = tuple(TrueStation(int(start), int(end), *of_stop)
                          for (start, end), *of_stop in zip(
             spans, self.stops.labels, self.stops.points, self.T_base_flange,
             self.T_base_flange_reported, strict=True))
-        return Truth(T, self.T_world_target, stations)
+        return Truth(self.T_mount_best @ T_true_sensor, self.T_world_target, stations,
+                     T_corrected_sensor=corrected)
 
 
 def draw(scenario: Scenario, rng: np.random.Generator) -> Cell:

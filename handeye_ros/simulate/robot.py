@@ -39,6 +39,17 @@ class ArmErrors:
     eccentricity: Array
     phases: Array
 
+    @property
+    def flange(self) -> Array:
+        """
+        Return the stated flange (4, 4) in the one that the last axis carries.
+
+        What lies behind the last axis, or along it before, no joint tells from the sensor: it is
+        part of the sensor's mount on a corrected arm.
+        """
+        along = np.append([0.0, 0.0, self.links[4, 2]], np.zeros(3))
+        return np.asarray(se3.perturb(np.eye(4), along) @ se3.perturb(np.eye(4), self.links[5]))
+
 
 def draw_arm(sigma: float, rng: np.random.Generator) -> ArmErrors:
     """Return errors with 1 sigma of each length (m) and of each angle (sigma over 1 m)."""

@@ -228,6 +228,24 @@ def test_profiles_and_joint_states_of_a_bag_correct_the_arm(tmp_path):
     np.testing.assert_allclose(after.T_flange_sensor, found.T_flange_sensor, atol=2e-5)
 
 
+def test_the_truth_of_a_corrected_arm_is_of_its_flange_not_that_of_the_controller(tmp_path):
+    for words in ('simulate small_arm cell --seed 962',
+                  'kinematics cell --urdf cell/robot.urdf --set target.type=sphere --out arm',
+                  'solve cell --set target.type=sphere --kinematics arm --out out'):
+        done = handeye(*words.split(), cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    said = ' '.join(done.stdout.split())
+    assert re.search('poses of the corrected arm in .*; with those of the controller it is', said)
+    told = re.search(r'truth.yaml: translation ([\d.]+) mm', said)
+    assert told and float(told[1]) < 0.2, 'against the flange of the controller: 1.1 mm'
+    truth = yaml.safe_load((tmp_path / 'cell/truth.yaml').read_text())
+    T_true = se3.from_values(truth['T_corrected_sensor'])
+    for folder in ('arm', 'out'):
+        found = read_calibration(tmp_path / folder / 'calibration.yaml')
+        away = se3.difference(found.T_flange_sensor, T_true)
+        assert away @ np.linalg.solve(found.covariance, away) < 22.5  # chi-squared, 1 in 1000
+
+
 @pytest.fixture(scope='module')
 def recorded():
     """Return the arm, the session and the joint values of the recording in bags/."""
