@@ -5,13 +5,13 @@ Whether a calibration still holds, by a short recording of its target; if not, w
 
 With nothing changed, the residuals r of the recording at the answer of the calibration are
 r = E e + n: e are the errors of the calibration's transform and target, by their joint covariance,
-and those of the robot, smooth over the poses; n is the noise. A move m of target or sensor adds
-D m; a changed robot adds an error of each pose, smooth over the poses or white. Each has a normal
-prior, averaged over MOVE_SCALES, so each cause has a marginal likelihood. A change is reported if
-the causes together are LEAST_EVIDENCE times as likely as none: by Markov's inequality the
-probability of a false alarm is at most 1 / LEAST_EVIDENCE (Wald 1945). If the stops do not
-distinguish several causes, the sentence names these and their odds; if nothing changed, the
-smallest change that would have shown.
+those of the robot, smooth over the poses, set-backs of edges, and those of the range at grazing
+incidence; n is the noise. A move m of target or sensor adds D m; a changed robot adds an error of
+each pose, smooth over the poses or white. Each has a normal prior, averaged over MOVE_SCALES, so
+each cause has a marginal likelihood. A change is reported if the causes together are
+LEAST_EVIDENCE times as likely as none: by Markov's inequality the probability of a false alarm is
+at most 1 / LEAST_EVIDENCE (Wald 1945). If the stops do not distinguish several causes, the
+sentence names these and their odds; if nothing changed, the smallest change that would have shown.
 """
 from __future__ import annotations
 
@@ -206,7 +206,7 @@ class _Comparison:
     linear: if nothing has changed
     whiten: of the noise
     residuals (m,): white
-    errors (m, k): white derivatives by the errors of calibration and robot, in their sigmas
+    errors (m, k): white derivatives by the errors e, in their sigmas
     """
 
     linear: Linear
