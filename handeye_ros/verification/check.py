@@ -5,13 +5,13 @@ Whether a calibration still holds, by a short recording of its target; if not, w
 
 With nothing changed, the residuals r of the recording at the answer of the calibration are
 r = E e + n: e are the errors of the calibration's transform and target, by their joint covariance,
-and those of the robot, smooth over the poses; n is the noise. A move m of target or sensor adds
-D m; a changed robot adds an error of each pose, smooth over the poses or white. Each has a normal
-prior, averaged over MOVE_SCALES, so each cause has a marginal likelihood. A change is reported if
-the causes together are LEAST_EVIDENCE times as likely as none: by Markov's inequality the
-probability of a false alarm is at most 1 / LEAST_EVIDENCE (Wald 1945). If the stops do not
-distinguish several causes, the sentence names these and their odds; if nothing changed, the
-smallest change that would have shown.
+those of the robot, smooth over the poses, set-backs of edges, and those of the range at grazing
+incidence; n is the noise. A move m of target or sensor adds D m; a changed robot adds an error of
+each pose, smooth over the poses or white. Each has a normal prior, averaged over MOVE_SCALES, so
+each cause has a marginal likelihood. A change is reported if the causes together are
+LEAST_EVIDENCE times as likely as none: by Markov's inequality the probability of a false alarm is
+at most 1 / LEAST_EVIDENCE (Wald 1945). If the stops do not distinguish several causes, the
+sentence names these and their odds; if nothing changed, the smallest change that would have shown.
 """
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem,
 from handeye_ros.frames import mount_frame, name_direction, target_frame
 from handeye_ros.sampling.stops import evenly
 from handeye_ros.targets import TARGETS
-from handeye_ros.targets.target import out_of_face
+from handeye_ros.targets.target import grazing, out_of_face
 from handeye_ros.verification.fit import (
     fit_without_outliers,
     Indices,
@@ -206,7 +206,7 @@ class _Comparison:
     linear: if nothing has changed
     whiten: of the noise
     residuals (m,): white
-    errors (m, k): white derivatives by the errors of calibration and robot, in their sigmas
+    errors (m, k): white derivatives by the errors e, in their sigmas
     """
 
     linear: Linear
@@ -238,16 +238,24 @@ class _Comparison:
 def _comparison(problem: Problem, calibrated: Estimate, root: Array, factor: float, smooth: float
                 ) -> _Comparison:
     """Return a recording compared with what _compared_with returns of the calibration."""
-    linear, obs = linearise(problem, calibrated), problem.observations
+    obs, config = problem.observations, problem.config
+    # the range of faces seen at grazing incidence may be off by as much as a calibration allows
+    ranges = [block.columns * block.largest_variance ** 0.5
+              for block in grazing(linearise(problem, calibrated))]
+    # the error of the sensor's field differs from stop to stop, as that of the pose does
+    noise = replace(config.noise, distortion=0.0, robot_translation=math.hypot(
+        config.noise.robot_translation, config.noise.distortion))
+    linear = linearise(replace(problem, config=replace(config, noise=noise)), calibrated)
     whiten = whitening(linear, Noise(np.full(len(Noise().variance_factors), factor)))
     # the set-backs of the ends of each kind at each edge
-    out = out_of_face(linear) * problem.config.target.setback_std
+    out = out_of_face(linear) * config.target.setback_std
     ends = np.unique(np.column_stack([obs.kind, obs.ending])[obs.ending > 0], axis=0)
     setbacks = [np.where((obs.kind == k) & (obs.ending == e), out, 0.0) for k, e in ends]
     # what all stops share was part of the calibration too
     basis = problem.smooth_error_basis
     own = (basis - basis.mean(axis=0))[obs.station] * smooth
-    errors = np.column_stack([linear.jacobian @ root, wrt_smooth(linear.wrt_pose, own), *setbacks])
+    errors = np.column_stack([
+        linear.jacobian @ root, wrt_smooth(linear.wrt_pose, own), *setbacks, *ranges])
     return _Comparison(linear, whiten, whiten(linear.residuals), whiten(errors))
 
 
@@ -276,11 +284,8 @@ def _compared_with(
             f'as one of {", ".join(TARGETS)}, or measure a known object with "handeye verify"'
             ) from error
     X = calibration.T_flange_sensor @ frames.T_sensor_plane(config)
-    # the error of the sensor's field differs from stop to stop, as that of the pose does
-    noise = replace(config.noise, distortion=0.0, robot_translation=math.hypot(
-        config.noise.robot_translation, config.noise.distortion))
     problem = Problem(target, frames.mount_poses_of(samples, config), target.observe(samples),
-                      replace(config, noise=noise), long_errors=True)
+                      config, long_errors=True)
     require_stations([len(np.unique(problem.observations.station))], others)
     obs = target.reassign(problem.observations, problem.points_in_base(X), state, config)
     problem = replace(problem, observations=obs.select(obs.kind != UNUSED))

@@ -139,6 +139,17 @@ def test_a_stop_that_contradicts_the_others_is_left_out(calibrated):
     assert found.sentence.endswith('stops [3]')
 
 
+def test_faces_seen_at_grazing_incidence_are_no_change(calibrated):
+    config = calibrated['wedge'].config  # the simulated sensor errs in range where light grazes
+    for seed in (21, 22):
+        made = simulate(replace(SCENARIOS['wedge'], stations=(26, 0)), np.random.default_rng(seed))
+        samples = pipeline.gather(made.profiles, made.poses, config).samples
+        solved = pipeline.solve(samples[:18], [], config, 'laser')
+        for some in (samples[:18], samples[18:]):  # its own stops, and others
+            found = check(some, solved, config)
+            assert (found.verdict, found.left_out) == ('unchanged', []), found.sentence
+
+
 def with_state(calibration, state):
     joint = {**calibration.target['joint'], 'state': state}
     return replace(calibration, target={**calibration.target, 'joint': joint})
