@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import difflib
+import errno
 import math
 import os
 from pathlib import Path
@@ -128,8 +129,11 @@ def degrees(radians: float) -> str:
 class UnwritableError(InputError):
     """A file or folder that cannot be written."""
 
-    def __init__(self, path: object, reason: str) -> None:
-        super().__init__(f'cannot write {path}: {reason}; choose another place')
+    def __init__(self, path: object, error: OSError) -> None:
+        reason = error.strerror or str(error)  # a sentence of this package holds its remedy
+        remedy = {None: '', errno.ENOSPC: '; free some space', errno.EDQUOT: '; free some space'}
+        super().__init__(f'cannot write {path}: {reason}'
+                         f'{remedy.get(error.errno, "; choose another place")}')
 
 
 class TooFewError(DataError):

@@ -80,7 +80,7 @@ def write_errors_for(path: object) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise UnwritableError(path, error.strerror or str(error)) from error
+        raise UnwritableError(path, error) from error
 
 
 @contextmanager

@@ -100,7 +100,7 @@ def _scratch(out: Path) -> Iterator[Path]:
         with tempfile.TemporaryDirectory(prefix='.', dir=out) as folder:
             yield Path(folder)
     except OSError as error:
-        raise UnwritableError(error.filename or out, error.strerror or str(error)) from error
+        raise UnwritableError(error.filename or out, error) from error
 
 
 @contextmanager

@@ -159,7 +159,10 @@ def explanation_of_samples(samples: Sequence[Sample], config: Config, stamps: Se
     if len(samples) < target_for(config).min_samples:
         return Explanation(stamps)
     if clocks:
-        samples = with_estimated_clocks(samples, config).samples
+        try:
+            samples = with_estimated_clocks(samples, config).samples
+        except DataError:  # the poses are of other times
+            return Explanation(stamps)
     fit = explanation_of_problem(problem_of_known_poses(samples, config),
                                  [sample.stamp for sample in samples], all_starts)
     return replace(fit, stamps=stamps)

@@ -13,6 +13,7 @@ from functools import cache
 import hashlib
 import math
 from pathlib import Path
+import re
 import sys
 from typing import Any, cast, get_args, get_type_hints, TypeVar
 
@@ -38,6 +39,8 @@ HEADER = """\
 # that of URDF; the covariance (6x6) is of x y z rx ry rz, in {parent}.
 """
 
+# the keys below target of one number each
+FLOATS = 'radius|distance|scale|rotation_lag|clock_drift|line_bend|setback.*|.*(angle|_error|_std)'
 SAME_ROTATION = 1e-5  # rad between rpy and quaternion: written with few digits
 
 
@@ -131,12 +134,28 @@ def read_calibration(path: Path | str) -> Calibration:
     covariance = numbers_of(path, 'covariance', content.get('covariance'), 36).reshape(6, 6)
     if covariance.diagonal().min() < 0:
         raise unusable_file(path, 'covariance has a negative variance')
+    target = get('target', dict)
+    _require_estimates(path, target)
     return Calibration(
-        name, method, parent, child, T, covariance,
-        get('target', dict), get('quality', Quality),
+        name, method, parent, child, T, covariance, target, get('quality', Quality),
         tuple(value_of(path, f'samples[{i}]', item, SampleReport)
               for i, item in enumerate(get('samples', list))), get('provenance', dict),
         get('time_offset', ClockEstimate) if 'time_offset' in content else None)
+
+
+def _require_estimates(path: Path, target: dict[str, Any]) -> None:
+    """Raise InputError for a damaged estimate; what has another name may be anything."""
+    for key, value in target.items():
+        name = f'target.{key}'
+        if key == 'pose':
+            transform_from(path, name, value)
+        elif key == 'joint':
+            for part, values in value_of(path, name, value, dict).items():
+                numbers_of(path, f'{name}.{part}', values if isinstance(values, list) else [values])
+        elif re.fullmatch('centre|point|direction|normal.*', str(key)):
+            numbers_of(path, name, [*value.values()] if isinstance(value, dict) else value, 3)
+        elif re.fullmatch(FLOATS, str(key)):
+            value_of(path, name, value, float)
 
 
 def value_of(path: Path, key: str, value: Any, kind: type[Kind]) -> Kind:
@@ -171,10 +190,10 @@ def _types_of(kind: Any) -> dict[str, Any]:
     return {name: (*get_args(hint), hint)[0] for name, hint in get_type_hints(kind).items()}
 
 
-def numbers_of(path: Path, key: str, value: Any, count: int) -> Array:
+def numbers_of(path: Path, key: str, value: Any, count: int | None = None) -> Array:
     """Return the finite numbers (count,) that a file lists under a key; raises InputError."""
     values = value_of(path, key, value, list)
-    if len(values) != count:
+    if count is not None and len(values) != count:
         raise unusable_file(path, f'{key} does not hold {count} numbers')
     return np.array([value_of(path, f'{key}[{i}]', v, float) for i, v in enumerate(values)])
 

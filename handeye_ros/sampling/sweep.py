@@ -31,7 +31,7 @@ A sweep differs from stops in these places, found by Sample.moving and sampling.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -39,6 +39,7 @@ from itertools import islice
 from handeye_ros import targets
 from handeye_ros.config import Config
 from handeye_ros.data import Array, CLOCK_DRIFT, Reject, ROTATION_LAG, Sample, TIME_OFFSET
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.basis import smooth_basis_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock, smooth_errors
 from handeye_ros.estimation.least_squares import typical_square
@@ -176,7 +177,7 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     Return samples of a moving robot with the poses at the most likely times.
 
     Of a sweep with more than MOST_SAMPLES only so many remain, evenly chosen: the others are
-    neither samples of the answer nor rejects.
+    neither samples of the answer nor rejects. Raises DataError where too few have poses.
     """
     if not any(sample.moving for sample in samples):
         return TimedSamples(list(samples), [])
@@ -186,16 +187,26 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     start = _best_over_offsets(some, np.random.default_rng(0))
     known = start.problem.pose_values
     # profiles in gaps between the poses would pull the offset
-    inner = problem.subset(np.flatnonzero(clocked.at(*known).inside))
+    inner = problem.subset(np.flatnonzero(_with_poses(clocked, known, problem).inside))
     fit = refined_robustly(inner.with_pose_values(known), start.estimate)
     values = tuple(fit.problem.pose_values.tolist())
-    instants = clocked.at(*values)
+    instants = _with_poses(clocked, values, problem)
     paired = [replace(sample, T_base_flange=T, clock_values=values)
               for sample, T, inside in zip(
                   samples, instants.T_base_flange, instants.inside, strict=True) if inside]
     rejects = [Reject(sample.stamp, NO_POSES)
                for sample, inside in zip(samples, instants.inside, strict=True) if not inside]
     return TimedSamples(paired, rejects, fit.estimate)
+
+
+def _with_poses(clocked: ClockedPoses, values: Iterable[float], problem: Problem) -> Instants:
+    """Return the flange at each sample; raises DataError where few have poses at their time."""
+    instants, least = clocked.at(*values), problem.target.min_samples
+    if (count := instants.inside.sum()) < least:
+        raise DataError(f'at the time offset that fits best, {count} of {len(instants.inside)} '
+                        f'profiles have poses of their time, and {problem.target.name} needs '
+                        f'{least}: record a longer sweep', reason='few')
+    return instants
 
 
 def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Solution:

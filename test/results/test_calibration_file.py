@@ -6,8 +6,10 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import reduce
 import math
+import re
 
 from calibrations import CALIBRATION, equal
+from command import assert_refused, handeye
 from handeye_ros import se3
 from handeye_ros.data import Calibration, ClockEstimate, Quality, SampleReport
 from handeye_ros.errors import InputError, UnwritableError
@@ -111,6 +113,18 @@ def test_damaged_values(path, old, new, reason):
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(InputError, match=reason):
         calibration_file.read_calibration(path)
+
+
+@pytest.mark.parametrize(('key', 'value', 'reason'), [
+    ('pose', 'x', 'pose is no mapping'), ('edge_angle', 'x', "edge_angle is 'x'"),
+    ('radius_std', math.nan, 'radius_std is nan'), ('centre', {}, 'centre does not hold 3'),
+    ('joint', {'state': [1.0, math.nan]}, r'joint\.state\[1\] is nan')])
+def test_a_damaged_estimate_is_named_by_every_verb_that_reads_it(path, key, value, reason):
+    damaged = replace(CALIBRATION, target={**CALIBRATION.target, key: value})
+    calibration_file.write_calibration(damaged, path)
+    run = handeye('report', path.parent, cwd=path.parent)
+    assert_refused(run, 2, f'{path} cannot be used: target.')
+    assert re.search(reason, run.stderr)
 
 
 @given(junk=st.binary(max_size=200))

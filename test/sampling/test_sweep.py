@@ -311,3 +311,18 @@ def test_stamps_of_this_century_keep_their_nanoseconds() -> None:
     a, b = pose(0.0), pose(1.0, x=1.0)
     at = [a.stamp + 1, a.stamp + 500_000_001]
     assert np.allclose(interpolate([a, b], at)[:, 0, 3], [1e-9, 0.500000001], atol=1e-15, rtol=0)
+
+
+def test_a_sweep_of_which_no_profile_is_left_within_the_poses_is_refused() -> None:
+    made, config = simulate(sweep('wedge', 0.02), np.random.default_rng(0)), replace(
+        config_of(sweep('wedge', 0.02)), time_offset_std=0.1)
+    # with quaternions of another order the best offset is beyond the poses, as they are, or as one
+    # of the conventions gives them that are tried
+    for start, words in (4, '0 of 24 profiles have poses'), (6, 'as set, 9 of 12 profiles fit'):
+        first = made.poses[0].stamp + start * NS
+        inside = [pose for pose in made.poses if 0 <= pose.stamp - first <= 0.8 * NS]
+        few = [replace(inside[i], quaternion=np.roll(inside[i].quaternion, 1))
+               for i in np.linspace(0, len(inside) - 1, 8).astype(int)]
+        profiles = [one for one in made.profiles if 0 <= one.stamp - first <= 0.8 * NS]
+        with pytest.raises(DataError, match=words):
+            pipeline.calibrate(profiles, few, config)

@@ -172,7 +172,7 @@ def test_what_of_the_tracker_cannot_carry_an_answer_is_refused() -> None:
             ({'face_d': parts['face_c'] + 1e-3 * np.ones(3)}, 'check which face is which'),
             ({'arc': parts['arc'][order]}, 'the points of the arc go back and forth'),
             ({'line': parts['line'][order]}, 'the points of the line go back and forth'),
-            ({'face_c': wrong}, 'contradict each other')):
+            ({'face_c': wrong}, 'most rows of face_c contradict')):
         with pytest.raises(DataError, match=words):
             tracked(replace(measured, parts=parts | change))
 

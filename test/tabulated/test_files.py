@@ -257,6 +257,8 @@ INVERTED = 'set calibration_type to the other one, or, if it is right, give the 
      'that the line was measured towards larger readings'),
     ('small_tracker', replaced(('face_c', 'x_'), ('face_d', 'face_c'), ('x_', 'face_d')), 3,
      'check which face is which'),
+    ('small_tracker', replaced(('[mm]', '[m]')), 3,
+     'contradict the sweep, typically by more than a metre: check the unit of the table'),
     ('hand_eye calibration_type=eye_on_base', str, 3, INVERTED),
     ('hand_eye_on_base calibration_type=eye_in_hand', str, 3, INVERTED)])
 def test_files_without_an_answer(name: str, change: Callable[[str], str], code: int, words: str,
