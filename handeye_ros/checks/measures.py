@@ -48,7 +48,8 @@ def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random
     # if a free shape explains more stations, the refinement can decide about the shape
     free, as_stated = (Explanation.of_solutions(range(len(problem.poses)), one)
                        for one in (other, agreed))
-    return other if free.evidence_over(as_stated) > VERY_STRONG_EVIDENCE else agreed
+    complete = free.believable and other.fully_used - agreed.fully_used > 0.1 * len(problem.poses)
+    return other if complete or free.evidence_over(as_stated) > VERY_STRONG_EVIDENCE else agreed
 
 
 def with_free_size_if_needed(agreed: Solution) -> Solution:

@@ -151,7 +151,8 @@ def _require_estimates(path: Path, target: dict[str, Any]) -> None:
             transform_from(path, name, value)
         elif key == 'joint':
             for part, values in value_of(path, name, value, dict).items():
-                numbers_of(path, f'{name}.{part}', values if isinstance(values, list) else [values])
+                numbers_of(path, f'{name}.{part}',
+                           values if isinstance(values, list) else [values])
         elif re.fullmatch('centre|point|direction|normal.*', str(key)):
             numbers_of(path, name, [*value.values()] if isinstance(value, dict) else value, 3)
         elif re.fullmatch(FLOATS, str(key)):
