@@ -150,8 +150,9 @@ def _require_estimates(path: Path, target: dict[str, Any]) -> None:
         if key == 'pose':
             transform_from(path, name, value)
         elif key == 'joint':
-            for part, values in value_of(path, name, value, dict).items():
-                numbers_of(path, f'{name}.{part}', values if isinstance(values, list) else [values])
+            for part, of_part in value_of(path, name, value, dict).items():
+                values = of_part if isinstance(of_part, list) else [of_part]
+                numbers_of(path, f'{name}.{part}', values)
         elif re.fullmatch('centre|point|direction|normal.*', str(key)):
             numbers_of(path, name, [*value.values()] if isinstance(value, dict) else value, 3)
         elif re.fullmatch(FLOATS, str(key)):
