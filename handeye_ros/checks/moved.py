@@ -148,7 +148,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     smooth = min(max((b.std * one.scale(b) for b in one.blocks if b.name == 'robot_smooth'),
                      default=0.0) for one in (moved, unmoved))
     # that error of a sweep is smooth in time, as a move is
-    least = max(LEAST_MOVE_SIGMAS * smooth, sweep * config.noise.robot_smooth)
+    least = max(LEAST_MOVE_SIGMAS * smooth, config.noise.robot_smooth if sweep else 0.0)
     if evidence < WARNING_EVIDENCE or size < least:
         return agreed, ''
     # errors of the robot look like a move in any order of the samples
