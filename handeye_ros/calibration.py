@@ -115,7 +115,7 @@ def _joint(solution: Solution) -> dict[str, Any]:
     as the data show them, so that errors in common cancel.
     """
     problem = solution.problem
-    size = 6 + len(problem.target.labels)
+    size = 6 + len(problem.target.parameter_names)
     C, rows = np.zeros((size, size)), problem.free_columns
     C[np.ix_(rows, rows)] = solution.covariance[:solution.unknowns, :solution.unknowns]
     return {'state': solution.estimate.state.tolist(), 'covariance': C.ravel().tolist(),
@@ -321,9 +321,9 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     target, state = solution.problem.target, solution.estimate.state
     with_prior = target.stated_values(solution.problem.config)
     best, estimates = block_estimates(solution), block_estimates(solution.conservative)
-    n = len(target.labels)
-    values = dict(zip(target.labels, state[-n:].tolist(), strict=True))
-    stds = dict(zip(target.labels, solution.target_std[-n:].tolist(), strict=True))
+    n = len(target.parameter_names)
+    values = dict(zip(target.parameter_names, state[-n:].tolist(), strict=True))
+    stds = dict(zip(target.parameter_names, solution.target_std[-n:].tolist(), strict=True))
     # edge p may be either of the two stated lengths
     lengths = min((config.target.size, config.target.size[::-1]), key=lambda sizes: sum(
         abs(size - values[name]) for name, size in zip(PLATE_LENGTHS, sizes, strict=False)))

@@ -19,7 +19,7 @@ from handeye_ros.calibration import calibration_of
 from handeye_ros.checks.causes import require_agreement, with_known_cause
 from handeye_ros.checks.clocks import require_steady_clocks
 from handeye_ros.checks.hypotheses import Explanation
-from handeye_ros.checks.measures import (
+from handeye_ros.checks.stated_lengths import (
     require_one_scale,
     with_free_shape_if_needed,
     with_free_size_if_needed,

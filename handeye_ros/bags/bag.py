@@ -35,7 +35,7 @@ from handeye_ros.sampling.stream import (
     by_stamp,
     FEW_SHARE,
     FEW_STRAYS,
-    fitting,
+    in_majority_order,
     LAST_STAMP,
     two_frames,
 )
@@ -214,7 +214,7 @@ class _Topic:
             reader.warnings.append(f'{self._unstamped} messages on {self.name} have no stamps; '
                                    'the times at which they were recorded are used')
         stamps = np.array([item.stamp for item in self._items], np.int64)
-        fits = fitting(stamps, f'on {self.name}')
+        fits = in_majority_order(stamps, f'on {self.name}')
         wrong = np.flatnonzero(~fits)
         if len(wrong):
             reader.warnings.append(

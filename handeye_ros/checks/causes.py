@@ -22,7 +22,7 @@ from handeye_ros.checks.hypotheses import (
     MANY_TRIED,
     refuse_better,
 )
-from handeye_ros.checks.measures import scale_hypothesis
+from handeye_ros.checks.stated_lengths import scale_hypothesis
 from handeye_ros.checks.moved import move_hypotheses
 from handeye_ros.checks.refusals import (
     contradiction,

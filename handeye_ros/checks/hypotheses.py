@@ -109,7 +109,7 @@ class Explanation:
         unit = min(fit.parts[0].expected_rms for fit in fits) ** 2
         before, after = (np.array([fit.squares.get(stamp, np.full(2, np.inf))
                                    for stamp in self.stamps]).T for fit in (stated, self))
-        return min(deviance(before[k] / scale, m) - deviance(after[k] / scale, m)
+        return min(stops_deviance(before[k] / scale, m) - stops_deviance(after[k] / scale, m)
                    for k, scale in enumerate((1.0, unit)))
 
     def in_words_beside(self, stated: Explanation, change: str) -> str:
@@ -168,7 +168,7 @@ def explanation_of_samples(samples: Sequence[Sample], config: Config, stamps: Se
     return replace(fit, stamps=stamps)
 
 
-def deviance(q: Array, conditions: int) -> float:
+def stops_deviance(q: Array, conditions: int) -> float:
     """Return the deviance of an explanation, (13); q: (n,) of its stops, inf: not explained."""
     good = np.isfinite(q)
     v = float(np.clip(q[good].mean() if good.any() else UNEXPLAINED_FACTOR,

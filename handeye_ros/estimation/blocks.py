@@ -104,11 +104,12 @@ def blocks_at(linear: Linear) -> tuple[ParameterBlock, ...]:
 def stated_measures(linear: Linear) -> Blocks:
     """Yield the blocks of the target's stated measures."""
     target, state = linear.problem.target, linear.estimate.state
-    for label, (stated, std) in target.stated_values(linear.problem.config).items():
-        i = target.labels.index(label)
-        measure = state[[i - len(target.labels)]]  # the measures are the last of its values
+    names = target.parameter_names
+    for name, (stated, std) in target.stated_values(linear.problem.config).items():
+        i = names.index(name)
+        measure = state[[i - len(names)]]  # the measures are the last of its values
         if std > 0:
-            yield ParameterBlock(label, linear.jacobian[:, 6 + i:7 + i] * std, std, parameter=i,
+            yield ParameterBlock(name, linear.jacobian[:, 6 + i:7 + i] * std, std, parameter=i,
                                  value=measure - stated,
                                  largest_variance=1e8)  # a stated measure may be plainly wrong
 

@@ -253,7 +253,7 @@ class Problem:
     def tolerances(self) -> Array:
         """Return 1 sigma (k,) of the target's stated parameters, 0 for others."""
         stated = self.target.stated_values(self.config)
-        return np.array([stated.get(label, (0.0, 0.0))[1] for label in self.target.labels])
+        return np.array([stated.get(name, (0.0, 0.0))[1] for name in self.target.parameter_names])
 
     @property
     def shows_essential(self) -> NDArray[np.bool_]:
@@ -268,7 +268,7 @@ class Problem:
 
     def retracted(self, estimate: Estimate, step: Array) -> Estimate:
         """Return the estimate, or several, after a step (..., u) in the unknown columns."""
-        delta = np.zeros((*step.shape[:-1], 6 + len(self.target.labels)))
+        delta = np.zeros((*step.shape[:-1], 6 + len(self.target.parameter_names)))
         delta[..., self.free_columns] = step
         return Estimate(se3.perturb(estimate.X, delta[..., :6]),
                         self.target.retract(estimate.state, delta[..., 6:]))

@@ -178,7 +178,7 @@ class Solution:
         """Return the estimate after the last step, the stated measures of the target too."""
         moved = self.problem.retracted(
             self.linear.estimate, self._step_to_minimum[:self.unknowns])
-        delta = np.zeros(len(self.problem.target.labels))
+        delta = np.zeros(len(self.problem.target.parameter_names))
         for block, columns in with_columns(self.blocks):
             if block.parameter is not None and block.value is not None:
                 after = self.nuisance[columns] * block.std
@@ -322,7 +322,7 @@ class Solution:
     @property
     def target_std(self) -> Array:
         """Return 1 sigma (k,) of the target's parameters, 0 for known ones."""
-        std, conservative = np.zeros(len(self.problem.target.labels)), self.conservative
+        std, conservative = np.zeros(len(self.problem.target.parameter_names)), self.conservative
         variances = np.diag(conservative.covariance)
         std[self.problem.free_columns[6:] - 6] = np.sqrt(variances[6:self.unknowns])
         for block, columns in with_columns(conservative.blocks, self.unknowns):

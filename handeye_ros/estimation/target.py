@@ -23,8 +23,8 @@ class Conditions:
     """
     Values g (..., m) in m that should vanish, (1), and their derivatives.
 
-    dg_dp: (..., m, 3) by the points in the base; dg_dstate: (..., m, k) by the k parameters (not
-    by the entries of the state).
+    dg_dp: (..., m, 3) by the points in the base; dg_dparameters: (..., m, k) by the k parameters
+    (not by the entries of the state).
     """
 
     g: Array
@@ -41,7 +41,7 @@ class Target(ABC):
     FeatureError without them.
 
     kinds: names of the conditions
-    labels: names of the parameters
+    parameter_names: names of the parameters
     essential: kinds of which a station must use one, if it shows any
     min_samples: fewest samples
     free_shape: settings of the target with which its shape (the last parameter) is unknown, where
@@ -53,7 +53,7 @@ class Target(ABC):
     name: str
     extract: ClassVar[staticmethod[[Array, Config], tuple[Feature, ...]]]
     kinds: tuple[str, ...]
-    labels: tuple[str, ...]
+    parameter_names: tuple[str, ...]
     essential: tuple[str, ...] = ()
     min_samples = 6
     free_shape: ClassVar[Mapping[str, Any]] = {}
@@ -67,9 +67,10 @@ class Target(ABC):
 
     def half_turn_misfit(self, linear: Linear) -> tuple[str, float]:
         """
-        Return the place of the view about which half a turn changes least, and the misfit there.
+        Return the place of the view about which half a turn changes least, and how far it is off.
 
-        The misfit is how far off (m RMS) the conditions hold after it.
+        That is by how much (m RMS) what is seen misses the place; the conditions are off by twice
+        as much after the turn.
 
         Half a turn of the sensor plane about a point c makes of a condition r at s, of gradient n,
         2 n (c - s) + r: where all lines go through c, all are as small as before.
@@ -109,13 +110,13 @@ class Target(ABC):
         """Return the state (..., s) after a step delta (..., k) in the parameters, m and rad."""
 
     def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
-        """Return value and 1 sigma of the parameters that are not free, by label."""
+        """Return value and 1 sigma of the parameters that are not free, by name."""
         return {}
 
     def is_free(self, config: Config) -> NDArray[np.bool_]:
         """Return which parameters (k,) are unknown."""
         stated = self.stated_values(config)
-        return np.array([label not in stated for label in self.labels])
+        return np.array([name not in stated for name in self.parameter_names])
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:

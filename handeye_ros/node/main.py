@@ -49,7 +49,8 @@ def main() -> int:
     sys.setswitchinterval(SWITCH_INTERVAL)
     from handeye_ros.node.node import HandeyeNode
     # it publishes nothing more while it ends, and what computes ends with it
-    code = exit_code(lambda: spin(HandeyeNode, EXECUTOR_THREADS, lambda one: one.outputs.close()))
+    code = exit_code(lambda: spin(HandeyeNode, EXECUTOR_THREADS,
+                                  lambda node: node.publishers.close()))
     sys.stderr.flush()
     # Python waits for all threads, of which one may wait for a solve; what was acknowledged is on
     # the disk

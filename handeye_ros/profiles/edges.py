@@ -34,7 +34,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.edge_rounding import rounding_of
-from handeye_ros.profiles.segment import bent, returned, Segment, STEEPEST_SURFACE
+from handeye_ros.profiles.segment import returned, Segment, STEEPEST_SURFACE, unit_parabola
 import numpy as np
 from numpy.typing import NDArray
 
@@ -126,14 +126,14 @@ class FaceEnd:
         (x, _), (along, _), (_, below) = self.frame
         middle, spread, bow = self._parabola
         away = np.clip((x + u * along - middle) / spread, -BOW_REACH, BOW_REACH)
-        return np.asarray(bow * below * bent(away))
+        return np.asarray(bow * below * unit_parabola(away))
 
     @cached_property
     def _parabola(self) -> tuple[float, float, float]:
         """Return middle, spread (along x) and RMS height of the bow of the face, 0 if not sure."""
         x, z = self.points.take(self.segment.straight, axis=0).T
         middle, spread = float(x.mean()), float(x.std())
-        shape = bent((x - middle) / spread)
+        shape = unit_parabola((x - middle) / spread)
         square = float(shape @ shape)
         height = float((z - self.segment.height(x)) @ shape) / square
         return middle, spread, height * (

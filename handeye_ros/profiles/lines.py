@@ -14,7 +14,7 @@ from dataclasses import replace
 import math
 
 from handeye_ros.data import Array, EdgePoint, FaceLine
-from handeye_ros.profiles.segment import bent, Segment
+from handeye_ros.profiles.segment import Segment, unit_parabola
 import numpy as np
 from numpy.typing import NDArray
 
@@ -68,8 +68,8 @@ def line_of_bins(centre: Array, slope: float, spread: float, bins: Array, white_
     variance = variance_of_bins(across, white_var)
     normal_points, size = bin_means(bins, min(most, len(bins)))
     if len(bins) >= FEWEST_BINS:  # the mean of a part of a parabola lies beside it
-        bow = (across * bent((along - along.mean()) / along.std())).mean()
-        normal_points -= bow * (bent(1 / len(size)) - bent(0.0)) * normal
+        bow = (across * unit_parabola((along - along.mean()) / along.std())).mean()
+        normal_points -= bow * (unit_parabola(1 / len(size)) - unit_parabola(0.0)) * normal
     return FaceLine(centre, direction, spread, math.sqrt(variance / len(bins)),
                     normal_points, np.sqrt(variance / size), bins)
 

@@ -68,7 +68,7 @@ class Segment:
                        self.slope, self.noise, end - self.straight[::-1])
 
 
-def bent(away: Any) -> Any:
+def unit_parabola(away: Any) -> Any:
     """Return the heights of a parabola of mean 0 and RMS 1 at points so many spreads away."""
     return 5 ** 0.5 / 2 * (away * away - 1)
 

@@ -46,7 +46,7 @@ from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import problem_of_known_poses, with_estimated_clocks
 from handeye_ros.tables import ANGLE, LENGTH, Table
-from handeye_ros.targets.target import xyz
+from handeye_ros.targets.profile_target import xyz
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator

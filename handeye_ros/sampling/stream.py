@@ -171,7 +171,7 @@ def two_frames(kind: str, first: str, second: str) -> InputError:
                       reason='two_frames')
 
 
-def fitting(stamps: NDArray[np.int64], of: str) -> NDArray[np.bool_]:
+def in_majority_order(stamps: NDArray[np.int64], of: str) -> NDArray[np.bool_]:
     """
     Return which messages fit the order of the majority; raises DataError for two runs.
 

@@ -19,7 +19,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array, robust_std, TimedPose
-from handeye_ros.sampling.stream import fitting
+from handeye_ros.sampling.stream import in_majority_order
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
@@ -175,7 +175,7 @@ def trajectory_of(poses: Iterable[TimedPose], max_gap: float) -> Trajectory:
     """
     rows = np.fromiter(((p.stamp, (*p.translation, *p.quaternion)) for p in poses),
                        np.dtype([('stamp', np.int64), ('pose', np.float64, 7)]))
-    rows = rows[fitting(rows['stamp'], 'of the poses')]
+    rows = rows[in_majority_order(rows['stamp'], 'of the poses')]
     stamps, first_of = np.unique(rows['stamp'], return_index=True)
     return Trajectory(stamps, rows['pose'][first_of], max_gap)
 

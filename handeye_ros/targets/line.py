@@ -32,7 +32,7 @@ from handeye_ros.targets.starts import (
     with_few_stations,
     with_one_piece,
 )
-from handeye_ros.targets.target import FACE, ProfileTarget, xyz
+from handeye_ros.targets.profile_target import FACE, ProfileTarget, xyz
 import numpy as np
 
 EDGE_Y, EDGE_Z = 1, 2
@@ -95,7 +95,7 @@ class Line(ProfileTarget):
 
     name = 'line'
     kinds = ('face', 'edge', 'edge_z')
-    labels, moves = ('y', 'z', 'rx', 'ry', 'rz'), (1, 2, 3, 4, 5)
+    parameter_names, pose_axes = ('y', 'z', 'rx', 'ry', 'rz'), (1, 2, 3, 4, 5)
     normals = np.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, 1.0]])
     extract = staticmethod(face_features)
     essential = ('edge',)

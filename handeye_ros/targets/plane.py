@@ -26,7 +26,7 @@ from handeye_ros.targets.starts import (
     with_few_stations,
     with_one_piece,
 )
-from handeye_ros.targets.target import ProfileTarget
+from handeye_ros.targets.profile_target import ProfileTarget
 import numpy as np
 
 CANDIDATE_COUNT = 10
@@ -51,7 +51,7 @@ class Plane(ProfileTarget):
     name = 'plane'
     kinds = ('face',)
     several_in_view = True
-    labels, moves = ('z', 'rx', 'ry'), (2, 3, 4)
+    parameter_names, pose_axes = ('z', 'rx', 'ry'), (2, 3, 4)
     normals = np.array([[0.0, 0.0, 1.0]])
     extract = staticmethod(plane_features)
     one_axis = ('the position along it is free, and if it is the normal of the plane (yaw only) '

@@ -26,7 +26,7 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.plane import PLANE
 from handeye_ros.targets.starts import some_stations
-from handeye_ros.targets.target import FACE, ProfileTarget
+from handeye_ros.targets.profile_target import FACE, ProfileTarget
 import numpy as np
 from numpy.typing import NDArray
 
@@ -119,8 +119,8 @@ class Plate(ProfileTarget):
 
     name = 'plate'
     kinds = KINDS
-    labels = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'size_p', 'size_q', 'edge_angle')
-    moves = range(6)
+    parameter_names = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'size_p', 'size_q', 'edge_angle')
+    pose_axes = range(6)
     extract = staticmethod(face_features)
     essential = KINDS[1:]
     free_shape = {'edge_angle_free': True}

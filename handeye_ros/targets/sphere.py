@@ -22,7 +22,7 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.estimation.search import shortlisted
 from handeye_ros.profiles.arcs import arc_features, fit_circle
 from handeye_ros.targets.starts import with_few_stations
-from handeye_ros.targets.target import ProfileTarget, xyz
+from handeye_ros.targets.profile_target import ProfileTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -71,7 +71,7 @@ class Sphere(ProfileTarget):
 
     name = 'sphere'
     kinds = ('arc',)
-    labels, moves = ('x', 'y', 'z', 'radius'), (0, 1, 2)
+    parameter_names, pose_axes = ('x', 'y', 'z', 'radius'), (0, 1, 2)
     free_shape = {'radius': 0.0}
     face_count = 0
     extract = staticmethod(arc_features)

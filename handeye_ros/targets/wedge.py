@@ -26,7 +26,7 @@ from handeye_ros.targets.starts import (
     with_few_stations,
     with_one_piece,
 )
-from handeye_ros.targets.target import ObservationRows, ProfileTarget, xyz
+from handeye_ros.targets.profile_target import ObservationRows, ProfileTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
 
@@ -95,7 +95,7 @@ class Wedge(ProfileTarget):
 
     name = 'wedge'
     kinds = ('face_1', 'face_2')
-    labels, moves = ('y', 'z', 'ry', 'rz', 'turn', 'angle'), (1, 2, 4, 5)
+    parameter_names, pose_axes = ('y', 'z', 'ry', 'rz', 'turn', 'angle'), (1, 2, 4, 5)
     extract = staticmethod(corner_features)
     face_count, several_in_view = 2, True
 

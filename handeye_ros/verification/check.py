@@ -40,7 +40,7 @@ from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem,
 from handeye_ros.frames import mount_frame, name_direction, target_frame
 from handeye_ros.sampling.stops import evenly
 from handeye_ros.targets import TARGETS
-from handeye_ros.targets.target import grazing, out_of_face
+from handeye_ros.targets.profile_target import grazing, out_of_face
 from handeye_ros.verification.fit import (
     fit_without_outliers,
     Indices,
@@ -270,11 +270,11 @@ def _compared_with(
     """
     try:
         target, joint = TARGETS[calibration.method], calibration.target['joint']
-        size = 6 + len(target.labels)
+        size = 6 + len(target.parameter_names)
         state = np.array(joint['state'], dtype=float)
         if len(state) == 4:  # of a sphere, as version 0.1.0 wrote it: centre and radius
             state = np.append(se3.transform(np.eye(3), state[:3]), state[3])
-        state = state.reshape(16 + len(target.labels) - len(target.moves))
+        state = state.reshape(16 + len(target.parameter_names) - len(target.pose_axes))
         covariance = np.array(joint['covariance'], dtype=float).reshape(size, size)
         factor = max(float(joint['variance_factor']), 1.0)
     except (KeyError, TypeError, ValueError) as error:

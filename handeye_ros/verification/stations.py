@@ -32,7 +32,7 @@ from handeye_ros.sampling.stops import evenly, evenly_chosen
 from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
-from handeye_ros.targets.target import edge_error_factor, ObservationRows
+from handeye_ros.targets.profile_target import edge_error_factor, ObservationRows
 from handeye_ros.verification.fit import Indices, StationSet
 from handeye_ros.verification.routines import Routine
 import numpy as np

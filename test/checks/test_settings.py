@@ -18,7 +18,7 @@ from handeye_ros.bags.messages import view
 from handeye_ros.bags.reader import CLOUD_TYPE, Raw
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.hypotheses import (
-    deviance,
+    stops_deviance,
     Explanation,
     explanation_of_samples,
     refuse_better,
@@ -206,8 +206,8 @@ def test_a_range_counted_the_wrong_way_is_named(name: str, seed: int) -> None:
 def test_what_fits_the_same_stops_worse_is_no_better_explanation(
         q: Array, worse: float, lost: int) -> None:
     """With more conditions a stop, a sign of 0.104 mm once explained better than one of 0.056."""
-    assert deviance(worse * q, 3) > deviance(q, 3)
-    assert deviance(np.where(np.arange(12) == lost, np.inf, q), 3) > deviance(q, 3)
+    assert stops_deviance(worse * q, 3) > stops_deviance(q, 3)
+    assert stops_deviance(np.where(np.arange(12) == lost, np.inf, q), 3) > stops_deviance(q, 3)
 
 
 def test_edges_that_are_less_certain_do_not_explain_more() -> None:

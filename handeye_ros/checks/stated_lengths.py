@@ -42,7 +42,7 @@ def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random
     if config == stated_config or not poor:
         return agreed
     other = robust_solution(replace(problem, config=config), rng, start=start)
-    stated, _ = target.stated_values(stated_config)[target.labels[-1]]
+    stated, _ = target.stated_values(stated_config)[target.parameter_names[-1]]
     if abs(other.estimate.state[-1] - stated) > 0.5 * stated:
         return agreed  # another target
     # if a free shape explains more stations, the refinement can decide about the shape

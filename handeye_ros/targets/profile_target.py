@@ -95,15 +95,15 @@ class ProfileTarget(Target):
     """
     A target that profiles show: a pose, followed by measures in its state (..., 16 + j).
 
-    moves: which of x y z rx ry rz, along and about its own axes, are parameters; the others leave
-        it the same. The measures are parameters after them.
+    pose_axes: which of x y z rx ry rz, along and about its own axes, are parameters; the others
+        leave it the same. The measures are parameters after them.
     normals: (kinds, 3) of the surfaces through the origin that the conditions of each kind are of
     edge_kinds: of the conditions of one edge point
     several_in_view: whether a profile may show several surfaces, or pairs of them, of which one is
         the target
     """
 
-    moves: ClassVar[Sequence[int]]
+    pose_axes: ClassVar[Sequence[int]]
     normals: ClassVar[Array]
     edge_kinds: tuple[int, ...] = ()
     face_count = 1
@@ -161,19 +161,19 @@ class ProfileTarget(Target):
         g, by_local, by_measures = self.local_conditions(offset @ R, kind, state[..., 16:])
         dg_dp, axes = by_local @ np.swapaxes(R, -1, -2), self.axes(R)
         wrt_pose = -dg_dp @ axes
-        if max(self.moves) > 2:
+        if max(self.pose_axes) > 2:
             wrt_pose = np.concatenate([wrt_pose, -np.cross(offset, dg_dp) @ axes], axis=-1)
         return Conditions(g, dg_dp, np.concatenate(
-            [wrt_pose[..., list(self.moves)], by_measures], axis=-1))
+            [wrt_pose[..., list(self.pose_axes)], by_measures], axis=-1))
 
     def retract(self, state: Array, delta: Array) -> Array:
-        """Return targets (..., 16 + j) after a step of moves and measures."""
+        """Return targets (..., 16 + j) after a step of pose and measures."""
         T = state[..., :16].reshape(*state.shape[:-1], 4, 4)
-        moves, axes = np.zeros((*delta.shape[:-1], 6)), self.axes(T[..., :3, :3])
-        moves[..., list(self.moves)] = delta[..., :len(self.moves)]
-        step = axes[..., None, :, :] @ moves.reshape(*delta.shape[:-1], 2, 3, 1)
-        pose = se3.perturb(T, step.reshape(moves.shape)).reshape(*state.shape[:-1], 16)
-        return np.concatenate([pose, state[..., 16:] + delta[..., len(self.moves):]], axis=-1)
+        twist, axes = np.zeros((*delta.shape[:-1], 6)), self.axes(T[..., :3, :3])
+        twist[..., list(self.pose_axes)] = delta[..., :len(self.pose_axes)]
+        step = axes[..., None, :, :] @ twist.reshape(*delta.shape[:-1], 2, 3, 1)
+        pose = se3.perturb(T, step.reshape(twist.shape)).reshape(*state.shape[:-1], 16)
+        return np.concatenate([pose, state[..., 16:] + delta[..., len(self.pose_axes):]], axis=-1)
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:
