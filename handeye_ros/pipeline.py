@@ -19,11 +19,6 @@ from handeye_ros.calibration import calibration_of
 from handeye_ros.checks.causes import require_agreement, with_known_cause
 from handeye_ros.checks.clocks import require_steady_clocks
 from handeye_ros.checks.hypotheses import Explanation
-from handeye_ros.checks.stated_lengths import (
-    require_one_scale,
-    with_free_shape_if_needed,
-    with_free_size_if_needed,
-)
 from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.checks.refusals import (
     missing_motion,
@@ -35,6 +30,11 @@ from handeye_ros.checks.refusals import (
     require_rotations,
     require_samples,
     require_tested,
+)
+from handeye_ros.checks.stated_lengths import (
+    require_one_scale,
+    with_free_shape_if_needed,
+    with_free_size_if_needed,
 )
 from handeye_ros.checks.surfaces import OtherSurfaceError
 from handeye_ros.config import Config

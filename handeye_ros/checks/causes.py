@@ -22,7 +22,6 @@ from handeye_ros.checks.hypotheses import (
     MANY_TRIED,
     refuse_better,
 )
-from handeye_ros.checks.stated_lengths import scale_hypothesis
 from handeye_ros.checks.moved import move_hypotheses
 from handeye_ros.checks.refusals import (
     contradiction,
@@ -32,6 +31,7 @@ from handeye_ros.checks.refusals import (
     UnexplainedError,
 )
 from handeye_ros.checks.settings import setting_hypotheses, sign_hypothesis
+from handeye_ros.checks.stated_lengths import scale_hypothesis
 from handeye_ros.checks.surfaces import require_one_surface
 from handeye_ros.config import Config
 from handeye_ros.data import Sample

@@ -22,8 +22,8 @@ from handeye_ros.bags.session_files import (
 from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD_NAMES, RECORD_PREFIX
 from handeye_ros.errors import InputError, sentence_and_log
 from handeye_ros.node.live import LiveSession
-from handeye_ros.node.publishers import Publishers
 from handeye_ros.node.pool import Pool
+from handeye_ros.node.publishers import Publishers
 from handeye_ros.node.state import State, state_of, troubles_of, with_trouble
 from handeye_ros.node.streams import Streams
 from handeye_ros.output import folder_name

@@ -8,8 +8,8 @@ from handeye_ros.errors import BadValueError, InputError
 from handeye_ros.targets.line import LINE
 from handeye_ros.targets.plane import PLANE
 from handeye_ros.targets.plate import PLATE
-from handeye_ros.targets.sphere import SPHERE
 from handeye_ros.targets.profile_target import ProfileTarget
+from handeye_ros.targets.sphere import SPHERE
 from handeye_ros.targets.wedge import WEDGE
 
 TARGETS: dict[str, ProfileTarget] = {

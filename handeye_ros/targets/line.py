@@ -26,13 +26,13 @@ from handeye_ros.estimation.problem import (
 )
 from handeye_ros.estimation.search import shortlisted
 from handeye_ros.profiles.faces import face_features
+from handeye_ros.targets.profile_target import FACE, ProfileTarget, xyz
 from handeye_ros.targets.starts import (
     fitting_first,
     swept,
     with_few_stations,
     with_one_piece,
 )
-from handeye_ros.targets.profile_target import FACE, ProfileTarget, xyz
 import numpy as np
 
 EDGE_Y, EDGE_Z = 1, 2

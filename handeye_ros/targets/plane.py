@@ -18,6 +18,7 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import shortlisted
 from handeye_ros.profiles.faces import plane_features
+from handeye_ros.targets.profile_target import ProfileTarget
 from handeye_ros.targets.starts import (
     DIRECTION_COUNT,
     fitting_first,
@@ -26,7 +27,6 @@ from handeye_ros.targets.starts import (
     with_few_stations,
     with_one_piece,
 )
-from handeye_ros.targets.profile_target import ProfileTarget
 import numpy as np
 
 CANDIDATE_COUNT = 10

@@ -25,8 +25,8 @@ from handeye_ros.estimation.problem import (
 )
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.plane import PLANE
-from handeye_ros.targets.starts import some_stations
 from handeye_ros.targets.profile_target import FACE, ProfileTarget
+from handeye_ros.targets.starts import some_stations
 import numpy as np
 from numpy.typing import NDArray
 

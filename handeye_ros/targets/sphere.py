@@ -21,8 +21,8 @@ from handeye_ros.estimation.problem import (
 )
 from handeye_ros.estimation.search import shortlisted
 from handeye_ros.profiles.arcs import arc_features, fit_circle
-from handeye_ros.targets.starts import with_few_stations
 from handeye_ros.targets.profile_target import ProfileTarget, xyz
+from handeye_ros.targets.starts import with_few_stations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation

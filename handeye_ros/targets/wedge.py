@@ -20,13 +20,13 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.problem import Estimate, Observations, Problem
 from handeye_ros.profiles.faces import corner_features
 from handeye_ros.targets import line as edge_line
+from handeye_ros.targets.profile_target import ObservationRows, ProfileTarget, xyz
 from handeye_ros.targets.starts import (
     fitting_first,
     lines_of_pieces,
     with_few_stations,
     with_one_piece,
 )
-from handeye_ros.targets.profile_target import ObservationRows, ProfileTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
 

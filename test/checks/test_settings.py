@@ -18,10 +18,10 @@ from handeye_ros.bags.messages import view
 from handeye_ros.bags.reader import CLOUD_TYPE, Raw
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.hypotheses import (
-    stops_deviance,
     Explanation,
     explanation_of_samples,
     refuse_better,
+    stops_deviance,
 )
 from handeye_ros.checks.settings import setting_hypotheses, thinned
 from handeye_ros.config import Config, flipped_range
