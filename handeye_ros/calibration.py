@@ -236,7 +236,7 @@ def block_estimates(solution: Solution) -> dict[str, BlockEstimate]:
     variances = np.diag(solution.covariance)[solution.unknowns:]
     for block, columns in with_columns(solution.blocks):
         n, variance = float(solution.nuisance[columns][0]), float(variances[columns][0])
-        rest = max(1 - variance / solution.scale(block) ** 2, 1e-9)  # without the prior
+        rest = max(1 - variance / solution.prior_scale(block) ** 2, 1e-9)  # without the prior
         alone, of_alone = n / rest, variance / rest
         estimates[block.name] = BlockEstimate(block, n * block.std, variance ** 0.5 * block.std,
                                               alone / math.sqrt(1 + of_alone),
@@ -256,7 +256,7 @@ def reported_parameters(solution: Solution) -> dict[str, Any]:
     for block in conservative.blocks:
         if block.report and block.count > 1:
             report[block.report] = math.hypot(report.get(block.report, 0.0),
-                                              block.std * conservative.scale(block))
+                                              block.std * conservative.prior_scale(block))
     return report
 
 

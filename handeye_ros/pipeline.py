@@ -181,7 +181,8 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         solution = robust_solution(problem, rng, subsets=True, start=synced.estimate)
         # 5. Estimate a stated shape of the target where only this makes the samples agree.
         solution = with_free_shape_if_needed(problem, solution, rng, synced.estimate)
-        # 6. Where they do not agree, name the assumption that is wrong, if it is certain.
+        # 6. Refuse samples that do not agree, or agree far better under another assumption, and
+        # name the assumption that is wrong, if it is certain.
         stated = Explanation.of_solutions([sample.stamp for sample in ordered], solution)
         require_agreement(ordered, solution, stated)
         # 7. Estimate all systematic errors with their scales, and the noise; outliers again; the
@@ -193,7 +194,8 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         agree = True
         if config.kinematics:  # a corrected arm, which has errors of its own
             solution = with_arm_errors(solution, Path(config.kinematics))
-        # 8. Refuse an answer that cannot be tested, is uncertain or ignores what was seen.
+        # 8. Refuse an answer that cannot be tested, has a twin turned by half, is uncertain or
+        # ignores what was seen.
         require_tested(solution)
         require_no_half_turn_twin(solution)
         solution, warning = with_possible_move(solution)  # a move makes the answer uncertain

@@ -145,7 +145,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     evidence = min(other.deviance for other in (unmoved, *others)) - moved.deviance
     shift, turn, size = _size(moved, body)
     # a smaller move may be part of the robot's smooth error, which a move can only explain
-    smooth = min(max((b.std * one.scale(b) for b in one.blocks if b.name == 'robot_smooth'),
+    smooth = min(max((b.std * one.prior_scale(b) for b in one.blocks if b.name == 'robot_smooth'),
                      default=0.0) for one in (moved, unmoved))
     # that error of a sweep is smooth in time, as a move is
     least = max(LEAST_MOVE_SIGMAS * smooth, config.noise.robot_smooth if sweep else 0.0)

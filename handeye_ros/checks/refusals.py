@@ -16,6 +16,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.covariance import CORRECTED_ARM
+from handeye_ros.estimation.noise import EDGES
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import axes_across, mount_frame, name_direction
@@ -221,7 +222,7 @@ def require_edges(solution: Solution) -> None:
     target = solution.full_problem.target
     if not target.essential:
         return
-    factor = solution.noise.variance_factors[1]
+    factor = solution.noise.variance_factors[EDGES]
     at_rest = solution.problem.pose_model is None  # a robot on its way has errors of its own
     if at_rest and factor > STRAY_EDGES and solution.residual_rms > solution.expected_rms:
         raise UnexplainedError(

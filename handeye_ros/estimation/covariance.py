@@ -99,7 +99,8 @@ def budget(solution: Solution) -> Budget:
     conservative = solution.conservative
     parts = _of_noise(conservative)
     for block, columns in with_columns(conservative.blocks, conservative.unknowns):
-        gain = conservative.covariance[:6, columns] * conservative.prior[columns] ** 0.5
+        information = conservative.prior_information[columns]
+        gain = conservative.covariance[:6, columns] * information ** 0.5
         parts[block.name] = gain @ gain.T
     shift = solution.conservative_shift
     parts |= {'prior scales': np.outer(shift, shift), **solution.added_covariances}

@@ -40,13 +40,15 @@ SINGLE_PRIOR = _log_half_t(2.0, 0.8)
 # For the estimate: zero, unless the data show something.
 MAP_PRIOR = _log_half_t(1.0, 0.01)
 
+EDGES = 1  # place of the edge points among the variance factors
+
 
 @dataclass(frozen=True, eq=False)
 class Noise:
     """
     Factors on the configured variances in (3), and the scales of blocks.
 
-    variance_factors: (5,) of the features' own errors, by variance component (2); of the
+    variance_factors: (5,) of the own errors of faces and arcs; of those of edges (EDGES); of the
         distortion that differs between stations; of the pose noise; of the white errors of the
         pose values, such as time
     block_variances: tau^2 of each block by name

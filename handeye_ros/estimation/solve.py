@@ -129,17 +129,17 @@ class Solution:
         """Return the number of unknowns without the nuisance parameters."""
         return len(self.problem.free_columns)
 
-    def scale(self, block: ParameterBlock) -> float:
+    def prior_scale(self, block: ParameterBlock) -> float:
         """Return tau of a block: its sigma over the configured one."""
         return float(self.noise.block_variances.get(block.name, 1.0) ** 0.5)
 
     @property
     def variances(self) -> Array:
         """Return tau^2 of each block (d,)."""
-        return np.array([self.scale(block) for block in self.blocks]) ** 2
+        return np.array([self.prior_scale(block) for block in self.blocks]) ** 2
 
     @cached_property
-    def prior(self) -> Array:
+    def prior_information(self) -> Array:
         """Return the diagonal (u + q,) of P in (5): no information about the unknowns."""
         counts = [block.count for block in self.blocks]
         return np.append(np.zeros(self.unknowns), np.repeat(1 / self.variances, counts))
@@ -147,7 +147,7 @@ class Solution:
     @cached_property
     def information(self) -> Array:
         """Return the (u + q, u + q) information of residuals and priors."""
-        return np.asarray(self.normal_matrix + np.diag(self.prior))
+        return np.asarray(self.normal_matrix + np.diag(self.prior_information))
 
     @cached_property
     def covariance(self) -> Array:
@@ -215,7 +215,7 @@ class Solution:
             np.maximum(sums[:, 1], 0.0) + PRIOR_FREEDOM)
         return np.asarray(np.clip(after, 1e-4, 1e8))
 
-    def prior_variances(self) -> tuple[Array, Array]:
+    def estimated_block_variances(self) -> tuple[Array, Array]:
         """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
         u, least = self.unknowns, [block.least_variance for block in self.blocks]
         largest = np.array([block.largest_variance for block in self.blocks])
@@ -241,7 +241,7 @@ class Solution:
         """
         current = self
         for _ in range(steps if self.blocks else 0):
-            _, variances = current.prior_variances()
+            _, variances = current.estimated_block_variances()
             if np.abs(np.log(variances / current.variances)).max() < 0.03:
                 break
             current = current.with_variances(variances)
@@ -307,7 +307,7 @@ class Solution:
     def sum_of_squares(self) -> float:
         """Return the sum of squares of residuals and nuisance parameters."""
         r, step = self.postfit_residuals, self._step_to_minimum
-        return float(r @ r + step ** 2 @ self.prior)
+        return float(r @ r + step ** 2 @ self.prior_information)
 
     @property
     def variance_factor(self) -> float:
@@ -358,7 +358,7 @@ class Solution:
         """Return -2 log of the marginal likelihood, the prior of the noise factors included."""
         spread = -2 * sum(float(np.log(np.einsum('nii->ni', f)).sum())
                           for f in self.whitening.roots)
-        factors, information = self.noise.variance_factors, self.prior[self.unknowns:]
+        factors, information = self.noise.variance_factors, self.prior_information[self.unknowns:]
         prior = PRIOR_FREEDOM * float((np.log(factors) + 1 / factors - 1).sum())
         return float(spread + np.linalg.slogdet(self.information)[1] - np.log(information).sum()
                      + self.sum_of_squares + prior)
@@ -431,7 +431,7 @@ class Solution:
         robot's smooth error as estimated from the other folds.
         """
         of_row, u = fold[self.problem.observations.station], self.unknowns
-        steps = np.empty((fold.max() + 1, len(self.prior)))
+        steps = np.empty((fold.max() + 1, len(self.prior_information)))
         for k in range(len(steps)):
             J, r = self.jacobian[of_row == k], self.postfit_residuals[of_row == k]
             if len(r) < J.shape[1]:
@@ -482,7 +482,7 @@ def solution_of_many(problem: Problem, linear: Linear, noise: Noise, reported: N
     problem = problem.with_pose_values(linear.problem.pose_values)
     near = solution_at(problem, linear.estimate, noise)
     conservative = replace(near, noise=replace(noise, block_variances=reported.block_variances))
-    for_estimate = near.with_variances(conservative.prior_variances()[0])
+    for_estimate = near.with_variances(conservative.estimated_block_variances()[0])
     return _with_conservative(for_estimate, reported, steps)
 
 
@@ -496,7 +496,8 @@ def _estimated(problem: Problem, start: Estimate, noise: Noise) -> tuple[Linear,
     for_estimate = conservative = reached
     if reached.blocks:
         posterior = reached.with_conservative_scales(LAST_STEPS - 1)
-        for_estimate, conservative = map(reached.with_variances, posterior.prior_variances())
+        for_estimate, conservative = map(reached.with_variances,
+                                         posterior.estimated_block_variances())
     # the noise of the estimate, at its own scales; that of the report stays as it converged
     for _ in range(LAST_STEPS):
         for_estimate = for_estimate.with_estimated_factors(MAP_PRIOR_FACTORS)

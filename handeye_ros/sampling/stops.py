@@ -48,8 +48,8 @@ class Stop:
     stamp: of the first pose (ns), though a long stop may keep later ones only; it identifies the
         stop
     poses, profiles: in the order of their stamps
-    reader: of a stop on the disk, which holds a pose at most: reads its messages for a
-        configuration
+    reader: of a stop on the disk, of which at most the last pose is in memory: returns it with
+        its poses and profiles, decoded as a configuration says
     number: in its session, from 1, never reused; 0 before
     result: a sample, or the reason why there is none
     """

@@ -17,15 +17,17 @@ MOST_SAMPLES of its profiles make the answer.
 
 A sweep differs from stops in these places, found by Sample.moving and sampling.moving:
 
+- profiles: fewer points of a line or arc are kept (lines.py, arcs.py)
 - stops.py cuts it by time, into passes; features.py combines no profiles; passes_expanded (here)
   takes a pass apart, with one trajectory for all
 - estimation: problem_with_clocks (here) adds the three unknowns; far fewer profiles than stops are
   many (Problem.many)
 - session.py: a pass is never a duplicate, nor taken early; guidance advises to sweep on
-- checks: other settings and clocks are not tried (causes.py); a move must be larger than the
-  smooth error of the robot (moved.py); edges may scatter (refusals.py, require_edges); profiles
-  dropped at one end tell of no move (calibration.py); a pass agrees if most of its profiles do
-  (review.py)
+- checks: other settings and clocks are not tried (causes.py); with the other sign of the range or
+  other poses the clocks are searched anew (hypotheses.py, conventions.py); a move must be larger
+  than the smooth error of the robot (moved.py); edges may scatter (refusals.py, require_edges);
+  profiles dropped at one end tell of no move (calibration.py); a pass agrees if most of its
+  profiles do (review.py)
 - verification: a gauge is measured in passes (stations.py); a sweep also checks a calibration
   (check.py)
 """

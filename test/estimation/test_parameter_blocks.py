@@ -120,7 +120,7 @@ def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
     assert found.conservative, 'the scales of the blocks have converged'
     off = se3.difference(found.estimate.X, truth.T_flange_sensor)
     assert np.abs(off).max() < 1e-4
-    lengths = [d.std * found.scale(d) for d in found.blocks if d.name in ('scale', 'radius')]
+    lengths = [d.std * found.prior_scale(d) for d in found.blocks if d.name in ('scale', 'radius')]
     assert lengths and max(lengths) < 1e-4, 'nothing is wrong with them'
 
 
