@@ -64,19 +64,7 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
     if not target_for(config).essential:
         return
     stops = np.array([s for s in session.stops if s.sample and not session.excludes(s)])
-    as_plane = with_settings(config, {'target.type': 'plane'})
-    planes = [result_of(thinned(stop, config), as_plane) for stop in stops]
-    fit = explanation_of_samples([plane for plane in planes if isinstance(plane, Sample)],
-                                 as_plane, [plane.stamp for plane in planes], all_starts=True)
-    if not fit.believable or not fit.within_noise:
-        return
-    estimate = fit.parts[0].estimate
-    poses = mount_poses(np.array([stop.sample.T_base_flange for stop in stops]), config)
-    T_plane_sensor = inverse(estimate.state.reshape(4, 4)) @ poses @ estimate.X
-    # of the face at the edge of each stop, and of all faces that it shows
-    height = np.array([_heights(stop.sample, T)[0]
-                       for stop, T in zip(stops, T_plane_sensor, strict=True)])
-    seen = [_heights(plane, T) for plane, T in zip(planes, T_plane_sensor, strict=True)]
+    height, seen, agreeing = _heights_over_plane(stops, config)
     levels, several = _levels(height), False
     for level, at_level in levels:
         shows_level = np.array([bool(np.any(_is_near(faces, level))) for faces in seen])
@@ -84,27 +72,52 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
             continue  # only those that show both tell that there are two
         several |= bool(at_level.sum() >= FEWEST_STOPS)
         above = height[~at_level] - level
-        if not np.nanmedian(above) > 0:
-            continue  # only wrong axes or a wrong sign make the ground beneath a face
-        # the others may be few: it is the plane that tells the surfaces apart
-        on_target = with_common_shape([stop.sample for stop in stops[at_level]])
-        if explanation_of_samples(on_target, config, [sample.stamp for sample in on_target],
-                                  all_starts=True).agrees:
+        # only wrong axes or a wrong sign make the ground beneath a face
+        if np.nanmedian(above) > 0 and _agree_on_target(stops[at_level], config):
             raise OtherSurfaceError(list(stops[~at_level]), above)
-    told = '; '.join(f'{(level - np.nanmin(height)) * 1e3:.1f} mm: {_numbers(stops[at_level])}'
-                     for level, at_level in levels)
-    why = ''
-    if refusal.reason in ('misfit', 'edges') and several:
+    if several and refusal.reason in ('misfit', 'edges'):
+        told = '; '.join(f'{(level - np.nanmin(height)) * 1e3:.1f} mm: {_numbers(stops[at_level])}'
+                         for level, at_level in levels)
         why = f'they show edges at several heights ({told}), as of a clamp or a second plate'
-    elif refusal.reason == 'misfit':
+    elif agreeing and refusal.reason == 'misfit':
         why = ('the ends of their faces lie on another object, such as a clamp or a second plate, '
                'the target moved in its plane or is not as target.type and target.size state, '
                'or poses or clocks are wrong along this plane')
     else:
         return
     raise DataError(
-        f'{len(fit.squares)} of {len(stops)} stops agree on one plane, but not on the edges of '
-        f'the target: {why}: {ADVICE}', reason='surface')
+        f'{agreeing} of {len(stops)} stops agree on one plane, but not on the edges of the '
+        f'target: {why}: {ADVICE}', reason='surface')
+
+
+def _heights_over_plane(stops: NDArray[np.object_], config: Config
+                        ) -> tuple[Array, list[Array], int]:
+    """
+    Return the heights (m) of faces over the plane on which most stops agree.
+
+    They are of the face at the edge of each stop (n,), and of all faces that each shows; then the
+    number of stops that agree. Without such a plane there are no heights, and none agrees.
+    """
+    as_plane = with_settings(config, {'target.type': 'plane'})
+    planes = [result_of(thinned(stop, config), as_plane) for stop in stops]
+    fit = explanation_of_samples([plane for plane in planes if isinstance(plane, Sample)],
+                                 as_plane, [plane.stamp for plane in planes], all_starts=True)
+    if not fit.believable or not fit.within_noise:
+        return np.full(len(stops), np.nan), [], 0
+    estimate = fit.parts[0].estimate
+    poses = mount_poses(np.array([stop.sample.T_base_flange for stop in stops]), config)
+    T_plane_sensor = inverse(estimate.state.reshape(4, 4)) @ poses @ estimate.X
+    height = np.array([_heights(stop.sample, T)[0]
+                       for stop, T in zip(stops, T_plane_sensor, strict=True)])
+    seen = [_heights(plane, T) for plane, T in zip(planes, T_plane_sensor, strict=True)]
+    return height, seen, len(fit.squares)
+
+
+def _agree_on_target(stops: NDArray[np.object_], config: Config) -> bool:
+    """Return whether stops, however few, agree on the target as it is set."""
+    samples = with_common_shape([stop.sample for stop in stops])
+    return explanation_of_samples(samples, config, [sample.stamp for sample in samples],
+                                  all_starts=True).agrees
 
 
 def _levels(height: Array) -> list[tuple[float, NDArray[np.bool_]]]:

@@ -29,7 +29,7 @@ from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.profile_target import FACE, ProfileTarget, xyz
 from handeye_ros.targets.starts import (
     fitting_first,
-    swept,
+    over_directions,
     with_few_stations,
     with_one_piece,
 )
@@ -55,7 +55,7 @@ def line_starts(problem: Problem) -> list[Estimate]:
     """Return starts of a problem whose edge points are all on the line."""
     obs = problem.observations
     part = replace(problem, observations=obs.select(obs.kind == EDGE_Y))
-    return shortlisted(problem, swept(part, [0, 1, 2], slice(1, 3), CANDIDATE_COUNT))
+    return shortlisted(problem, over_directions(part, [0, 1, 2], slice(1, 3), CANDIDATE_COUNT))
 
 
 def _with_face(problem: Problem, estimate: Estimate) -> Estimate:

@@ -23,7 +23,7 @@ from handeye_ros.targets.starts import (
     DIRECTION_COUNT,
     fitting_first,
     lines_of_pieces,
-    swept,
+    over_directions,
     with_few_stations,
     with_one_piece,
 )
@@ -63,7 +63,7 @@ class Plane(ProfileTarget):
         times = (1, DIRECTION_COUNT // CANDIDATE_COUNT) if whole.needs_more_starts else (1,)
         return fitting_first(problem, (
             [start for part in one_surface(problem) for start in shortlisted(
-                part, swept(part, [1, 2, 0], slice(2, 3), CANDIDATE_COUNT * more), more)]
+                part, over_directions(part, [1, 2, 0], slice(2, 3), CANDIDATE_COUNT * more), more)]
             for more in times))
 
     def views_alike(self, problem: Problem, estimate: Estimate) -> str:

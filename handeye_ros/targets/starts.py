@@ -126,9 +126,10 @@ def frames_along(x: Array) -> Array:
     return np.stack([x, np.cross(z, x), z], axis=2)
 
 
-def swept(problem: Problem, axes: list[int], across: slice, count: int) -> list[Estimate]:
+def over_directions(problem: Problem, axes: list[int], across: slice, count: int
+                    ) -> list[Estimate]:
     """
-    Return the best linear solutions for a line or a plane, over a sweep of its direction.
+    Return the best linear solutions for a line or a plane, over all its directions.
 
     axes: order of the axes of a frame whose first one is along the direction; across: the axes W
     along which its points have the same coordinates c. Then W' (R (x r1 + z r3 + t) + a) = c is
