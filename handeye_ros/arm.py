@@ -138,8 +138,8 @@ class Arm:
     def displacements(self) -> Array:
         """Return each D_j (joints, 4, 4), the shift and turn of an axis."""
         return se3.perturb(np.eye(4), np.array([
-            np.append(joint.across @ own[3:], joint.across @ own[1:3])
-            for joint, own in zip(self.joints, self.errors, strict=True)]))
+            np.append(joint.across @ errors[3:], joint.across @ errors[1:3])
+            for joint, errors in zip(self.joints, self.errors, strict=True)]))
 
     @cached_property
     def model(self) -> Any:
@@ -177,9 +177,9 @@ class Arm:
             by_placements[k] = pinocchio.computeFrameKinematicRegressor(
                 model, data, model.nframes - 1, pinocchio.LOCAL_WORLD_ALIGNED)
         wrt_errors = np.zeros((len(self.joints), 6, 5))  # of the placements, in their own axes
-        for own, joint, D in zip(wrt_errors, self.joints, self.displacements, strict=True):
-            own[:, 0] = joint.twist
-            own[3:, 1:3] = own[:3, 3:] = D[:3, :3].T @ joint.across
+        for wrt_joint, joint, D in zip(wrt_errors, self.joints, self.displacements, strict=True):
+            wrt_joint[:, 0] = joint.twist
+            wrt_joint[3:, 1:3] = wrt_joint[:3, 3:] = D[:3, :3].T @ joint.across
         by_joints = by_placements.reshape(len(q), 6, -1, 6)
         return np.asarray(np.einsum('ntjs,jse->ntje', by_joints, wrt_errors))
 
@@ -225,18 +225,19 @@ def read_arm(path: Path) -> Arm:
         require_format(path, str(content.get('format')), FORMAT)
         stored = content['joints']
         joints = tuple(Joint(
-            str(of['name']), str(of['type']), transform_from(path, 'origin', of['origin']),
-            np.array(of['axis'], dtype=float), float(of['lower']), float(of['upper']))
-            for of in stored)
-        kinds = tuple(kind for kind in GEOMETRY if any(kind in of for of in stored))
-        values = [float(value) for of in stored for kind in kinds if kind in of
-                  for value in of[kind]['value']]
+            str(joint['name']), str(joint['type']),
+            transform_from(path, 'origin', joint['origin']),
+            np.array(joint['axis'], dtype=float), float(joint['lower']), float(joint['upper']))
+            for joint in stored)
+        kinds = tuple(kind for kind in GEOMETRY if any(kind in joint for joint in stored))
+        values = [float(value) for joint in stored for kind in kinds if kind in joint
+                  for value in joint[kind]['value']]
         covariance = np.array(content['covariance'], dtype=float).reshape(2 * [len(values)])
         arm = Arm(str(content['base']), str(content['flange']), joints,
                   transform_from(path, 'end', content['end']), kinds, np.array(values), covariance,
                   np.array(content['configurations'], dtype=float).reshape(-1, len(joints)))
-        if arm.free.sum() != len(values) or any(of.get('follows', of['name']) != of['name']
-                                                for of in stored):
+        if arm.free.sum() != len(values) or any(
+                joint.get('follows', joint['name']) != joint['name'] for joint in stored):
             raise ValueError('errors of some joints are missing, or some mimic others')
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise unusable_file(

@@ -50,29 +50,30 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], 
     """
     if not folder.is_dir():
         raise InputError(f'there is no folder {folder}: name one that holds calibrations')
-    found, warnings = [], []
+    calibrations, warnings = [], []
     for path in sorted(folder.rglob(NAME)):
         try:
-            one = read_calibration(path)
+            calibration = read_calibration(path)
         except InputError as error:
             warnings.append(str(error))
             continue
-        stamp = min((report.stamp for report in one.samples), default=0)
-        found.append((output.time_of(stamp) or str(one.provenance.get('created', '')), path, one))
-    found.sort(key=lambda item: item[:2])
-    if len(found) < 2 - (first is not None):
-        raise DataError(f'{folder} holds {len(found)} readable calibration.yaml: a trend needs '
-                        'two, or one with --against')
-    reference = before = first or found[0][2]
+        stamp = min((report.stamp for report in calibration.samples), default=0)
+        created = str(calibration.provenance.get('created', ''))
+        calibrations.append((output.time_of(stamp) or created, path, calibration))
+    calibrations.sort(key=lambda item: item[:2])
+    if len(calibrations) < 2 - (first is not None):
+        raise DataError(f'{folder} holds {len(calibrations)} readable calibration.yaml: a trend '
+                        'needs two, or one with --against')
+    reference = before = first or calibrations[0][2]
     entries = []
-    for recorded, path, one in found:
-        if _frames(one) != _frames(reference):
-            warnings.append(f'{path} is left out: it is of {_frames(one)}, not of '
+    for recorded, path, calibration in calibrations:
+        if _frames(calibration) != _frames(reference):
+            warnings.append(f'{path} is left out: it is of {_frames(calibration)}, not of '
                             f'{_frames(reference)}; name another reference with --against')
             continue
-        entries.append(Entry(path, recorded, *_compared(one, reference), _compared(one, before)[2],
-                             one.quality.residual_rms))
-        before = one
+        entries.append(Entry(path, recorded, *_compared(calibration, reference),
+                             _compared(calibration, before)[2], calibration.quality.residual_rms))
+        before = calibration
     return entries, warnings
 
 

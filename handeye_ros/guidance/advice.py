@@ -91,12 +91,12 @@ class Advice:
 
 
 @single_threaded
-def advise(samples: Sequence[Sample], config: Config, found: Answer | None = None,
+def advise(samples: Sequence[Sample], config: Config, answer: Answer | None = None,
            seen: Array | None = None, failed_poses: Sequence[Array] = ()) -> Advice:
     """
     Return what to do next after samples, in the order of their stamps.
 
-    found: their answer, None where there are no samples; seen: points (n, 2) of profiles, from
+    answer: their answer, None where there are no samples; seen: points (n, 2) of profiles, from
     which the field of view is learnt; failed_poses: poses of the flange (4, 4) at which stops
     gave no sample. The limits of guidance.* are relative to the first sample.
     """
@@ -104,14 +104,14 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
     what, sweeping = noun(target), config.sampling.moving
     sweep_on = (f'continue to sweep over the {what}: to and fro across it, with tilts about all '
                 'axes, near and far, with changes of speed')
-    if found is None or not samples:
+    if answer is None or not samples:
         return _before_an_answer(f'take the first sample: hold the sensor square to the target, '
                                  f'with the {what} in the middle of the view')
     view = learn_view(samples, seen)
-    solution = found.solution if found.samples_agree else None
+    solution = answer.solution if answer.samples_agree else None
     levers = view_levers(solution.estimate.X if solution else np.eye(4), view)
     if solution is None or mapped_std(levers, solution.transform_covariance) > ROUGHLY_KNOWN:
-        refusal = None if solution or len(samples) < target.min_samples else found.refusal
+        refusal = None if solution or len(samples) < target.min_samples else answer.refusal
         if sweeping:
             return _before_an_answer(sweep_on, None, refusal)
         move = next_move(len(samples), target, config, view)
@@ -125,7 +125,7 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
     enough, why = enough_and_why(sigmas[-1].std, sigmas[-1].limit,
                                  proposal.std if proposal else None, largest_cause(solution),
                                  len(samples))
-    if refused := outliers_at_one_end(solution) or str(found.refusal or ''):
+    if refused := outliers_at_one_end(solution) or str(answer.refusal or ''):
         enough, why = False, refused
     sentences = [why, *offset_notes(solution)]
     if not enough:

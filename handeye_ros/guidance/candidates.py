@@ -79,9 +79,9 @@ def propose(solution: Solution, samples: Sequence[Sample], config: Config, view:
             least, best = std[i], (seen.subset(np.array([i])), places[i])
     if best is None:
         return None
-    one, place = best
-    return Proposal(mount_poses(one.poses[0], config), place,
-                    std_with_one_more(solution, levers, one))
+    added, place = best
+    return Proposal(mount_poses(added.poses[0], config), place,
+                    std_with_one_more(solution, levers, added))
 
 
 def templates(problem: Problem) -> list[int]:
@@ -261,16 +261,16 @@ def covariances_with_one_more(solution: Solution, seen: Problem) -> Array:
     return np.asarray(C[:6, :6] - np.swapaxes(X, 1, 2) @ np.linalg.solve(inner, X))
 
 
-def std_with_one_more(solution: Solution, levers: Array, one: Problem) -> float:
+def std_with_one_more(solution: Solution, levers: Array, added: Problem) -> float:
     """
     Return the reported 1 sigma of points at levers (k, 3) (m) expected with one more station.
 
-    one: the problem of that station alone. Here all blocks are shared with the others.
+    added: the problem of that station alone. Here all blocks are shared with the others.
     """
     conservative = solution.conservative
     problem = conservative.problem
-    more = replace(one.observations, station=one.observations.station + len(problem.poses))
-    both = replace(problem, poses=np.concatenate([problem.poses, one.poses]),
+    more = replace(added.observations, station=added.observations.station + len(problem.poses))
+    both = replace(problem, poses=np.concatenate([problem.poses, added.poses]),
                    observations=type(more)(*(
                        np.concatenate([getattr(problem.observations, f.name),
                                        getattr(more, f.name)]) for f in fields(more))))

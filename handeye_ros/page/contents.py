@@ -120,7 +120,7 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     """
     live = node.live
     values, known = configuration.flatten(live.config), {
-        one.key: one for one in configuration.parameters()}
+        parameter.key: parameter for parameter in configuration.parameters()}
     choices = {'profile_topic': node.streams.topics_of(CLOUD_TYPE),
                'pose_topic': node.streams.topics_of(POSE_TYPE), 'verify.routine': [
                    name for name, routine in ROUTINES.items() if not routine.in_passes]}

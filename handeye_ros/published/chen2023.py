@@ -97,15 +97,15 @@ def solve_nine(T_base_flange: Array, points: Array, edges: Array) -> Array:
     """
     rows = _rows(T_base_flange, points, edges)
     bound = np.repeat([1.5, 1.5 / LENGTH_UNIT], [6, 3])
-    found = []
+    solutions = []
     for R in STARTS:
         start = np.concatenate([R[:, 0], R[:, 2], np.zeros(3)])
         scale = _scale(rows, start)
-        found.append(minimize(
+        solutions.append(minimize(
             lambda u, s=scale: (s * cost(rows, u)[0], s * cost(rows, u)[1]), start, jac=True,
             hess=lambda u, s=scale: s * cost(rows, u)[2], method='trust-constr',
             bounds=Bounds(-bound, bound), constraints=[_norms()], options=_OPTIONS).x)
-    return _best(rows, np.array(found))
+    return _best(rows, np.array(solutions))
 
 
 def solve_rigid(T_base_flange: Array, points: Array, edges: Array) -> Array:
@@ -117,12 +117,12 @@ def solve_rigid(T_base_flange: Array, points: Array, edges: Array) -> Array:
     all pairs of pairs.
     """
     rows = _rows(T_base_flange, points, edges)
-    found = []
+    solutions = []
     for R in STARTS:
         fit = least_squares(_products, np.zeros(6), args=(rows, R), method='lm', xtol=1e-15,
                             ftol=1e-15, gtol=1e-15, max_nfev=4000)
-        found.append(_parameters(fit.x, R))
-    return _best(rows, np.array(found))
+        solutions.append(_parameters(fit.x, R))
+    return _best(rows, np.array(solutions))
 
 
 def _rows(T_base_flange: Array, points: Array, edges: Array) -> tuple[Array, Array]:
@@ -161,11 +161,11 @@ def _products(delta: Array, rows: tuple[Array, Array], R: Array) -> Array:
     return cast(Array, (p @ q.T).ravel())
 
 
-def _best(rows: tuple[Array, Array], found: Array) -> Array:
+def _best(rows: tuple[Array, Array], solutions: Array) -> Array:
     """Return the transform of the start that ended lowest, of those that met eq. 4."""
-    costs = np.array([cost(rows, u)[0] for u in found])
-    norms = np.linalg.norm(found[:, :6].reshape(-1, 2, 3), axis=2)
+    costs = np.array([cost(rows, u)[0] for u in solutions])
+    norms = np.linalg.norm(solutions[:, :6].reshape(-1, 2, 3), axis=2)
     met = np.abs(norms - 1.0).max(axis=1) < 1e-6
-    best = found[np.argmin(np.where(met, costs, np.inf if met.any() else costs))]
+    best = solutions[np.argmin(np.where(met, costs, np.inf if met.any() else costs))]
     columns = np.column_stack([best[:3], np.cross(best[3:6], best[:3]), best[3:6]])
     return se3.transform(se3.nearest_rotation(columns), best[6:] * LENGTH_UNIT)

@@ -167,9 +167,9 @@ def fit_arc(points: Array) -> tuple[Array, Array]:
 def _round(points: Array) -> Array:
     """Return the centre and radius (d + 1,) of a circle or sphere through points (n, d)."""
     design = np.column_stack([2.0 * points, np.ones(len(points))])
-    found = np.linalg.lstsq(design, np.sum(points ** 2, axis=1), rcond=None)[0]
-    found[-1] = np.sqrt(max(found[-1] + found[:-1] @ found[:-1], 1e-12))
-    return np.asarray(found)
+    sphere = np.linalg.lstsq(design, np.sum(points ** 2, axis=1), rcond=None)[0]
+    sphere[-1] = np.sqrt(max(sphere[-1] + sphere[:-1] @ sphere[:-1], 1e-12))
+    return np.asarray(sphere)
 
 
 def swept(points: Array, q30: float, direction: Array) -> Array:

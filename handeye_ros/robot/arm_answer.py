@@ -57,13 +57,14 @@ class ArmAnswer:
                    'known': self.outcome.known}
         joint_of, column_of = np.nonzero(arm.free)
         for j, joint in enumerate(arm.joints):
-            own = {kind: (joint_of == j) & (ERROR_KINDS[column_of] == kind) for kind in arm.kinds}
+            rows_of = {kind: (joint_of == j) & (ERROR_KINDS[column_of] == kind)
+                       for kind in arm.kinds}
             entries.append({
                 'name': joint.name, 'type': joint.kind,
                 'origin': se3.transform_values(joint.origin),
                 'axis': joint.axis.tolist(), 'lower': joint.lower, 'upper': joint.upper,
-                **{kind: {name: of[rows].tolist() for name, of in columns.items()}
-                   for kind, rows in own.items() if rows.any()}})
+                **{kind: {name: column[rows].tolist() for name, column in columns.items()}
+                   for kind, rows in rows_of.items() if rows.any()}})
         return entries
 
     def save(self, urdf: str, folder: Path, formats: Sequence[str]) -> str:

@@ -163,8 +163,8 @@ class ArmFit:
     def station(self) -> NDArray[np.intp]:
         """Return the stop (m,) of each residual."""
         first = np.cumsum([0, *(len(data.q) for data in self.measured)])[:-1]
-        return np.concatenate([start + found.station
-                               for start, found in zip(first, self.residuals, strict=True)])
+        return np.concatenate([start + residual.station
+                               for start, residual in zip(first, self.residuals, strict=True)])
 
     @property
     def rows(self) -> NDArray[np.intp]:
@@ -179,8 +179,8 @@ class ArmFit:
     @property
     def kind_numbers(self) -> NDArray[np.intp]:
         """Return the number of the kind of each (p,), from 0; the smooth ones are the last."""
-        _, own = np.unique(ERROR_KINDS[np.nonzero(self.arm.free)[1]], return_inverse=True)
-        return np.append(own, np.full(len(self.smooth), own.max(initial=-1) + 1))
+        _, kind = np.unique(ERROR_KINDS[np.nonzero(self.arm.free)[1]], return_inverse=True)
+        return np.append(kind, np.full(len(self.smooth), kind.max(initial=-1) + 1))
 
     @property
     def stds(self) -> Array:
@@ -198,7 +198,7 @@ class ArmFit:
     @cached_property
     def distances(self) -> Array:
         """Return the length (n,) of the residual of each stop, RMS of several (m)."""
-        values = np.concatenate([found.values for found in self.residuals])
+        values = np.concatenate([residual.values for residual in self.residuals])
         vectors = np.bincount(self.station) / len(self.noise)
         return np.asarray(np.sqrt(np.bincount(self.station, values ** 2) / vectors))
 
@@ -212,15 +212,16 @@ class ArmFit:
         """Return the residuals (m,) of used stops in sigmas, and their derivatives (m, u)."""
         shifts = np.einsum('nr,tx->ntrx', self.root, np.eye(6, 3)).reshape(len(self.q), 6, -1)
         twists = np.append(self.arm.twists(self.q)[:, :, self.arm.free], shifts, axis=2)
-        values, own, wrt_pose = (np.concatenate(of) for of in zip(*(
-            (found.values, found.wrt_own[:, :6], found.wrt_pose) for found in self.residuals),
-            strict=True))
+        values, wrt_own, wrt_pose = (np.concatenate(parts) for parts in zip(*(
+            (residual.values, residual.wrt_own[:, :6], residual.wrt_pose)
+            for residual in self.residuals), strict=True))
         wrt_errors = (wrt_pose[:, None] @ twists[self.station])[:, 0]
         values = values + wrt_errors[:, len(self.arm.values):] @ self.smooth
-        wrt_targets = block_diag(*(found.wrt_own[:, 6:] for found in self.residuals))
-        rows = np.column_stack([values, own, wrt_errors, wrt_targets])
-        parts = np.split(rows, np.cumsum([len(found.values) for found in self.residuals])[:-1])
-        whitened = np.concatenate([found.whiten(part) for found, part in zip(
+        wrt_targets = block_diag(*(residual.wrt_own[:, 6:] for residual in self.residuals))
+        rows = np.column_stack([values, wrt_own, wrt_errors, wrt_targets])
+        counts = [len(residual.values) for residual in self.residuals]
+        parts = np.split(rows, np.cumsum(counts)[:-1])
+        whitened = np.concatenate([residual.whiten(part) for residual, part in zip(
             self.residuals, parts, strict=True)])[self.rows]
         whitened /= self.noise[self.rows % len(self.noise), None]
         return whitened[:, 0], whitened[:, 1:]
@@ -247,7 +248,7 @@ class ArmFit:
     def moved(self, step: Array) -> ArmFit:
         """Return the estimate after a step (u,)."""
         sizes = [6, len(self.arm.values), len(self.smooth),
-                 *(found.wrt_own.shape[1] - 6 for found in self.residuals)]
+                 *(residual.wrt_own.shape[1] - 6 for residual in self.residuals)]
         of_X, of_arm, smooth, *of_targets = np.split(step, np.cumsum(sizes)[:-1])
         targets = tuple(data.moved(*of) for data, *of in zip(
             self.measured, self.targets, of_targets, strict=True))
@@ -302,10 +303,10 @@ def without_outliers(fit: ArmFit) -> ArmFit:
     def fitted_to(before: ArmFit | None, used: NDArray[np.intp]) -> ArmFit:
         return with_estimated_weights(replace(before or fit, used=np.isin(every, used)))
 
-    def left_out_squares(found: ArmFit) -> tuple[Array, NDArray[np.intp]]:
-        _, item = np.unique(found.station[found.rows], return_inverse=True)
-        (r, J), freedom = found.linear, np.bincount(item)
-        left_out = leave_one_out(r, J, found.covariance, item)
+    def left_out_squares(fit: ArmFit) -> tuple[Array, NDArray[np.intp]]:
+        _, item = np.unique(fit.station[fit.rows], return_inverse=True)
+        (r, J), freedom = fit.linear, np.bincount(item)
+        left_out = leave_one_out(r, J, fit.covariance, item)
         return np.bincount(item, r * left_out) / freedom, freedom
     return drop_outliers(every[fit.used], len(every), MINIMUM, fitted_to, left_out_squares)[0]
 

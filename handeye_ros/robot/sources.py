@@ -121,7 +121,7 @@ def outcome_of(sources: Sequence[Source], arm: Arm) -> ArmOutcome:
 
 def fit_of_sources(sources: Sequence[Source], arm: Arm) -> ArmFit:
     """Return the hand-eye transform alone, of the stops that agree; raises DataError."""
-    measured, found = list[ArmProfiles](), list[Estimate]()
+    measured, estimates = list[ArmProfiles](), list[Estimate]()
     for source in sources:
         config = source.problem.config
         noise = replace(config.noise, robot_smooth=UNCORRECTED_STD)
@@ -129,14 +129,14 @@ def fit_of_sources(sources: Sequence[Source], arm: Arm) -> ArmFit:
                                  np.random.default_rng(0), subsets=True)
         exact = replace(config, noise=replace(noise, robot_smooth=0.0))
         measured.append(ArmProfiles(source.q[agreed.used], replace(agreed.problem, config=exact)))
-        found.append(agreed.estimate)
-        apart = se3.difference(found[-1].X, found[0].X)
+        estimates.append(agreed.estimate)
+        apart = se3.difference(estimates[-1].X, estimates[0].X)
         if max(np.linalg.norm(apart[:3]), np.linalg.norm(apart[3:])) > LARGEST_APART:
             raise DataError(
                 f'two recordings place the sensor {mm(float(np.linalg.norm(apart[:3])))} '
                 'apart: give only recordings of one sensor in one mount, on one robot')
     return with_estimated_weights(ArmFit.of_arm(
-        arm, measured, found[0].X, [each.state for each in found], np.ones(1)).solved())
+        arm, measured, estimates[0].X, [each.state for each in estimates], np.ones(1)).solved())
 
 
 def _median_residual(source: Source, arm: Arm, joints: Array) -> float:

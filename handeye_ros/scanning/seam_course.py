@@ -92,10 +92,10 @@ def sheets_of(points: Array, up: Array) -> Sheets:
     # six nearest of n points on an area: n = 6 at pi r^2 / d^2
     sixth = tree.query(points[::max(len(points) // 5000, 1)], 7)[0][:, 6]
     spacing = float(np.median(sixth) * np.sqrt(np.pi / 6.0))
-    own = np.arange(len(points), dtype=np.int32)[:, None]
+    itself = np.arange(len(points), dtype=np.int32)[:, None]
     distance, near = tree.query(points, NEIGHBOUR_COUNT + 1,
                                 distance_upper_bound=NEIGHBOUR_RADIUS * spacing)
-    near = np.where(np.isfinite(distance), near, own)[:, 1:].astype(np.int32)
+    near = np.where(np.isfinite(distance), near, itself)[:, 1:].astype(np.int32)
     normals, thickness = np.zeros_like(points), np.full(len(points), np.inf)
     for block, valid, offset in _neighbourhoods(points, near):
         count = np.maximum(valid.sum(axis=1), 1)
@@ -173,8 +173,8 @@ def _rims(points: Array, near: NDArray[np.int32], label: NDArray[np.intp], norma
 def _free_angle(angle: Array, valid: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return the widest angle (n,) between the valid directions (n, k), and its middle."""
     rows = np.arange(len(angle))
-    one = angle[rows, np.argmax(valid, axis=1)]
-    angle = np.sort(np.where(valid, angle, one[:, None]), axis=1)
+    first_valid = angle[rows, np.argmax(valid, axis=1)]
+    angle = np.sort(np.where(valid, angle, first_valid[:, None]), axis=1)
     gaps = np.diff(angle, axis=1, append=angle[:, :1] + 2 * np.pi)
     widest = np.argmax(gaps, axis=1)
     free = gaps[rows, widest]

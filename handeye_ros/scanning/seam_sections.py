@@ -99,11 +99,11 @@ def edges_of_seam(sheets: Sheets, rough: Course) -> Edges:
     across = np.cross(up, curve.advance(rough.t))
     turned = _dot(sheets.outward[i] - sheets.outward[j], across) < 0
     rough = replace(rough, pairs=np.where(turned, rough.pairs[:, ::-1], rough.pairs))
-    found = _edges_along(sheets, rough, curve)
+    edges = _edges_along(sheets, rough, curve)
     if is_corner:  # out of it the rough course may bend at its ends
-        stiff = spline(found.lengths, found.lines['root'], STIFF_ONLY)
-        found = _edges_along(sheets, rough, stiff)
-    return found
+        stiff = spline(edges.lengths, edges.lines['root'], STIFF_ONLY)
+        edges = _edges_along(sheets, rough, stiff)
+    return edges
 
 
 def _dot(a: Array, b: Array) -> Array:

@@ -321,7 +321,7 @@ class PosePairs(PairedRows):
         columns = used.columns('flange')
         others = {name: notation.columns('flange') for name, notation in NOTATIONS.items()
                   if used.angle and notation.angle}
-        for name, names in sorted(others.items(), key=lambda one: one[1] != columns):
+        for name, names in sorted(others.items(), key=lambda item: item[1] != columns):
             yield Misreading(
                 f'the flange written as {name}', f'set target.angles to {name}' + (
                     '' if names == columns else f' and name the columns {", ".join(names)}'),

@@ -95,15 +95,15 @@ def _two_lines(points: Array, outward: Array, rng: np.random.Generator) -> tuple
     the lines, are tried. The cost of a point is its distance to the nearer line that the face is
     inside of, limited.
     """
-    some = some_stations(len(points), VOTER_COUNT, rng)
-    limit = 0.03 * float(np.ptp(points[some], axis=0).max() + 1e-9)
+    voters = some_stations(len(points), VOTER_COUNT, rng)
+    limit = 0.03 * float(np.ptp(points[voters], axis=0).max() + 1e-9)
     turns = np.linspace(0.0, 2 * np.pi, DIRECTION_COUNT, endpoint=False)
     R = np.moveaxis(_rotation(turns), -1, 0)
-    local, inside = points[some] @ R, outward[some] @ R < 0
+    local, inside = points[voters] @ R, outward[voters] @ R < 0
     off = np.where(inside[:, None], np.abs(local[:, None] - local[:, :, None]), limit)
     off = np.minimum(off, limit).astype(np.float32)  # (direction, line through, point, axis)
     total = np.zeros(off.shape[:3], dtype=np.float32)
-    for point in range(len(some)):
+    for point in range(len(voters)):
         total += np.minimum(off[:, :, None, point, 0], off[:, None, :, point, 1])
     k, i, j = np.unravel_index(int(np.argmin(total)), total.shape)
     return R[k] @ np.array([local[k, i, 0], local[k, j, 1]]), float(turns[k])

@@ -39,8 +39,8 @@ def some_stations(count: int, most: int, rng: np.random.Generator) -> NDArray[np
 def fitting_first(problem: Problem, rounds: Iterable[Iterable[Estimate]]) -> Iterator[Estimate]:
     """Yield the starts of each round: first those that most stations of the problem fit."""
     known: list[Estimate] = []
-    for found in rounds:
-        starts = [*known, *found]
+    for candidates in rounds:
+        starts = [*known, *candidates]
         new = [k for k in distinct(np.array([start.X for start in starts])) if k >= len(known)]
         away = {k: _typical_distance(problem, starts[k]) for k in new}
         yield from (starts[k] for k in sorted(

@@ -101,8 +101,8 @@ class Wedge(ProfileTarget):
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts; where several edges are visible, from each choice of one."""
-        some = with_few_stations(problem, rng)
-        return fitting_first(some, [[e for part in one_corner(some) for e in _starts(part)]])
+        few = with_few_stations(problem, rng)
+        return fitting_first(few, [[e for part in one_corner(few) for e in _starts(part)]])
 
     def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
                          ) -> tuple[Array, Array, Array]:
