@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
+from itertools import chain
 import math
 from numbers import Integral, Real
 from operator import attrgetter
@@ -64,7 +65,7 @@ class Parameter:
 
     key: str
     default: Any
-    description: str
+    description: str = ''
     minimum: float | None = None
     maximum: float | None = None
     unit: str = ''  # of a number: m, rad or s
@@ -130,17 +131,13 @@ class Section:
             value = getattr(self, name)
             if value is not parameter.default:
                 object.__setattr__(self, name, parameter.checked(value))
-        for item in fields(self):
-            if isinstance(item.default, Section) and not isinstance(
-                    value := getattr(self, item.name), type(item.default)):
-                raise BadValueError(item.name, value, f'a {type(item.default).__name__}')
 
 
 @cache
 def _own(section: Any) -> dict[str, Parameter]:
-    """Return the keys of a section by their names in it, without those of sections inside."""
+    """Return the keys of a section by their names in it; a section inside is one of them."""
     return {item.name: Parameter(f'{section.prefix}{item.name}', item.default, **item.metadata)
-            for item in fields(section) if item.metadata}
+            for item in fields(section) if item.name != 'record'}
 
 
 @dataclass(frozen=True)
@@ -434,13 +431,10 @@ class Config(Section):
 @cache
 def parameters() -> tuple[Parameter, ...]:
     """Return every key, in their order."""
-    found: list[Parameter] = []
-    for item in fields(Config):
-        if isinstance(item.default, Section):
-            found += _own(type(item.default)).values()  # type: ignore[arg-type]
-        elif item.metadata:
-            found.append(_own(Config)[item.name])
-    return tuple(found)
+    return tuple(chain.from_iterable(
+        _own(type(p.default)).values() if isinstance(  # type: ignore[arg-type]
+            p.default, Section) else [p]
+        for p in _own(Config).values()))
 
 
 def flatten(config: Config) -> dict[str, Any]:

@@ -10,7 +10,8 @@ Also a curved preform with a seam, as a cloud.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Profile, TimedPose
@@ -144,9 +145,9 @@ BALL_BAR_LENGTH = 0.2  # m between two balls
 
 
 def measuring_cell(rng: np.random.Generator, columns: int = 1280
-                   ) -> tuple[dict[str, Messages], Array]:
+                   ) -> tuple[dict[str, Messages], dict[str, Any]]:
     """
-    Return recordings by name and T_flange_sensor (4, 4).
+    Return recordings by name, and what the truth.yaml of each holds.
 
     The artefacts are GAUGE_BALL, two of them BALL_BAR_LENGTH apart, and Gauge().
 
@@ -167,7 +168,8 @@ def measuring_cell(rng: np.random.Generator, columns: int = 1280
                                                1000.0 * (k + 1))
     passes = scan_gauge(Gauge(), X, draw_pose(rng), sensor, robot, rng)
     recordings |= {f'pass_{k + 1}': one for k, one in enumerate(passes)}
-    return recordings, X
+    return recordings, {'T_flange_sensor': se3.transform_values(X), 'artefacts': {
+        'ball_radius': GAUGE_BALL.radius, 'bar': BALL_BAR_LENGTH, 'gauge': asdict(Gauge())}}
 
 
 # -- a preform with a seam
