@@ -19,7 +19,7 @@ from numbers import Integral, Real
 from operator import attrgetter
 from pathlib import Path
 import re
-from typing import Any, ClassVar
+from typing import Any
 
 from handeye_ros.errors import (
     BadValueError,
@@ -117,13 +117,12 @@ def _plain(value: Any, kind: type[Any]) -> Any:
 
 @dataclass(frozen=True)
 class Section:
-    """Keys, whose values are checked wherever a section is made, in code or from a file."""
+    """
+    Keys, whose values are checked wherever a section is made, in code or from a file.
 
-    prefix: ClassVar[str] = ''
-
-    def __init_subclass__(cls, prefix: str = '') -> None:
-        """Set the first part of the dotted keys."""
-        cls.prefix = prefix
+    The name of the class is the first part of the dotted keys: those of ProfileConfig are
+    profile.unit and so on.
+    """
 
     def __post_init__(self) -> None:
         """Raise BadValueError for a value that its key does not take."""
@@ -136,12 +135,14 @@ class Section:
 @cache
 def _own(section: Any) -> dict[str, Parameter]:
     """Return the keys of a section by their names in it; a section inside is one of them."""
-    return {item.name: Parameter(f'{section.prefix}{item.name}', item.default, **item.metadata)
+    first = section.__name__.removesuffix('Config').lower()  # of the dotted keys
+    return {item.name: Parameter(f'{first}.{item.name}'.lstrip('.'), item.default,
+                                 **item.metadata)
             for item in fields(section) if item.name != 'record'}
 
 
 @dataclass(frozen=True)
-class ProfileConfig(Section, prefix='profile.'):
+class ProfileConfig(Section):
     """How to read the messages of the profiler's driver."""
 
     unit: str = key('m', 'Unit of the coordinates in the profile messages.', choices=('m', 'mm'))
@@ -172,7 +173,7 @@ class ProfileConfig(Section, prefix='profile.'):
 
 
 @dataclass(frozen=True)
-class TargetConfig(Section, prefix='target.'):
+class TargetConfig(Section):
     """The target that the laser line crosses."""
 
     type: str = key(  # noqa: A003
@@ -197,7 +198,7 @@ class TargetConfig(Section, prefix='target.'):
 
 
 @dataclass(frozen=True)
-class SamplingConfig(Section, prefix='sampling.'):
+class SamplingConfig(Section):
     """When the robot counts as standing still, and which part of a stop is used."""
 
     mode: str = key(
@@ -235,7 +236,7 @@ class SamplingConfig(Section, prefix='sampling.'):
 
 
 @dataclass(frozen=True)
-class SamplesConfig(Section, prefix='samples.'):
+class SamplesConfig(Section):
     """The samples used for the answer."""
 
     exclude: tuple[int, ...] = key(
@@ -244,7 +245,7 @@ class SamplesConfig(Section, prefix='samples.'):
 
 
 @dataclass(frozen=True)
-class TrackerConfig(Section, prefix='tracker.'):
+class TrackerConfig(Section):
     """Properties of the laser tracker and of the arm that it measures (target.type tracker)."""
 
     file: str = key('tracker.csv', 'Name of the file of reflector points beside the bag.')
@@ -258,7 +259,7 @@ class TrackerConfig(Section, prefix='tracker.'):
 
 
 @dataclass(frozen=True)
-class NoiseConfig(Section, prefix='noise.'):
+class NoiseConfig(Section):
     """Prior noise, 1 sigma; the data correct it."""
 
     sensor: float = key(3e-5, 'Range noise of one profile point.', 1e-9, 0.01, 'm')
@@ -279,7 +280,7 @@ class NoiseConfig(Section, prefix='noise.'):
 
 
 @dataclass(frozen=True)
-class LimitsConfig(Section, prefix='limits.'):
+class LimitsConfig(Section):
     """Largest uncertainty and inconsistency of a trusted answer."""
 
     translation: float = key(
@@ -294,7 +295,7 @@ class LimitsConfig(Section, prefix='limits.'):
 
 
 @dataclass(frozen=True)
-class SaveConfig(Section, prefix='save.'):
+class SaveConfig(Section):
     """The files written for an answer."""
 
     formats: tuple[str, ...] = key(
@@ -303,7 +304,7 @@ class SaveConfig(Section, prefix='save.'):
 
 
 @dataclass(frozen=True)
-class GuidanceConfig(Section, prefix='guidance.'):
+class GuidanceConfig(Section):
     """The accuracy wanted, and the limits of proposed poses against the first sample."""
 
     accuracy: float = key(
@@ -317,7 +318,7 @@ class GuidanceConfig(Section, prefix='guidance.'):
 
 
 @dataclass(frozen=True)
-class VerifyConfig(Section, prefix='verify.'):
+class VerifyConfig(Section):
     """The artefact of a verification."""
 
     routine: str = key(
@@ -346,7 +347,7 @@ class VerifyConfig(Section, prefix='verify.'):
 
 
 @dataclass(frozen=True)
-class PageConfig(Section, prefix='page.'):
+class PageConfig(Section):
     """The page for a browser at the cell."""
 
     port: int = key(0, 'Port of the page for a browser; 0: no page.', 0, 65535)
@@ -537,19 +538,11 @@ def load(path: Path | str, config: Config | None = None) -> Config:
     """
     Return a configuration (default: the defaults) with the values of a ROS parameter file.
 
-    Also of a dump of the node (`ros2 param dump`) in any namespace. Raises InputError.
-    """
-    return with_values(config or Config(), _node_values(path_of('path', path)), str(path))
-
-
-def _node_values(path: Path) -> dict[str, Any]:
-    """
-    Return the dotted values of our node in a parameter file; raises InputError without any.
-
-    They are those of the patterns for every node, and of our node's name in any namespace.
+    They are those of the patterns for every node, and of our node's name in any namespace, also in
+    a dump of the node (`ros2 param dump`). Raises InputError, also for a file without any.
     """
     sections: dict[str, dict[str, Any]] = {}  # by the full name of the node
-    for names, value in _values(read_yaml(path)):
+    for names, value in _values(read_yaml(path_of('path', path))):
         if 'ros__parameters' in names[:-1]:
             first = names.index('ros__parameters')
             node = ''.join(f'/{name.strip("/")}' for name in names[:first])
@@ -563,8 +556,9 @@ def _node_values(path: Path) -> dict[str, Any]:
     if len(own) > 1:
         raise InputError(f'{path} holds the parameters of {", ".join(own)}: keep those of one '
                          f'"{NODE_NAME}"')
-    return {key: value for node in (*general, *own) for key, value in sections[node].items()
-            if not key.startswith(EVERY_NODES)}
+    values = {key: value for node in (*general, *own) for key, value in sections[node].items()
+              if not key.startswith(EVERY_NODES)}
+    return with_values(config or Config(), values, str(path))
 
 
 def _values(content: Any, names: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
