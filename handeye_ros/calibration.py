@@ -8,7 +8,7 @@ First the figures, then the nuisance parameters and what is said of them in word
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import Any
 
@@ -52,7 +52,9 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
     samples: in the order of its stations; rejects: stops that gave none; frame_id: of the
     profiles; warnings: in words.
     """
-    problem = solution.problem
+    problem, offset = solution.problem, clock_estimate(solution, TIME_OFFSET)
+    if offset:  # to add to received stamps
+        offset = replace(offset, value=problem.config.time_offset + offset.value)
     used = [samples[i] for i in solution.used]
     measured, residuals, predicted = residuals_and_left_out(used, solution)
     own = rms_by(measured.station, residuals, len(used)).tolist()
@@ -68,7 +70,7 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
         solution.estimate.X @ se3.inverse(T_sensor_plane(config)), solution.transform_covariance,
         rms(residuals), rms(predicted), _described_target(solution, config),
         sorted(reports, key=lambda report: report.stamp),
-        {'warnings': list(warnings)} if warnings else {}, time_offset_of(solution))
+        {'warnings': list(warnings)} if warnings else {}, offset)
 
 
 def assemble_calibration(config: Config, method: str, sensor_frame: str, T_flange_sensor: Array,
@@ -254,12 +256,6 @@ def reported_parameters(solution: Solution) -> dict[str, Any]:
             report[block.report] = math.hypot(report.get(block.report, 0.0),
                                               block.std * conservative.scale(block))
     return report
-
-
-def time_offset_of(solution: Solution) -> ClockEstimate | None:
-    """Return the time offset (s) to add to received stamps, None without samples in motion."""
-    offset = clock_estimate(solution, TIME_OFFSET)
-    return offset and ClockEstimate(solution.problem.config.time_offset + offset.value, offset.std)
 
 
 def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:

@@ -29,9 +29,12 @@ from handeye_ros.errors import (
     UnknownKeyError,
     unusable_file,
 )
-from handeye_ros.units import in_si
 import yaml
 
+METRES = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3, 'um': 1e-6, 'in': 0.0254}
+RADIANS = {'rad': 1.0, 'deg': math.pi / 180, 'degrees': math.pi / 180}
+SECONDS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6}
+WITH_UNIT = re.compile(r'(?<![\w.])([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) *([a-z]+)(?![\w.])')
 NOT_SET = math.nan  # default of a number that changes an answer by its full size: it has none
 # Accuracy classes of robots: 1 sigma of the smooth error of each axis (m), half of the largest
 # error in data sheets.
@@ -568,3 +571,35 @@ def _values(content: Any, names: tuple[str, ...] = ()) -> Iterator[tuple[tuple[s
         return
     for name, value in content.items():
         yield from _values(value, (*names, str(name)))
+
+
+# -- units: plain numbers of a command are SI, `0.3mm`, `5 deg` say one
+
+
+def in_si(text: str, unit: str) -> str:
+    """Return a text with its numbers that have a unit, as 20mm, in m, rad or s; others as is."""
+    factors = {'m': METRES, 'rad': RADIANS, 's': SECONDS}.get(unit, {})
+    return WITH_UNIT.sub(lambda found: repr(float(found[1]) * factors[found[2]])
+                         if found[2] in factors else found[0], text)
+
+
+def parse_length(text: str, option: str, usual: float, least: float = -math.inf) -> float:
+    """
+    Return a length in metres; raises BadValueError.
+
+    usual: a number without a unit above it is refused: it was probably meant in millimetres;
+    least: -inf also allows inf and -inf, no limit.
+    """
+    plain = in_si(text, 'm')
+    try:
+        metres = float(plain)
+    except ValueError:
+        metres = math.nan
+    if math.isnan(metres) or math.isinf(metres) and least > -math.inf:
+        raise BadValueError(option, text, 'a length: 0.3mm, or metres (0.0003)')
+    if plain == text and usual < abs(metres) < math.inf:
+        raise BadValueError(option, text, f'{text}mm, or {text}m if you mean metres (plain '
+                            f'numbers are metres, so this is {1e3 * metres:g} mm)')
+    if metres < least:
+        raise BadValueError(option, text, f'a length of at least {1e3 * least:g} mm')
+    return metres

@@ -21,9 +21,9 @@ import re
 import warnings
 
 from handeye_ros import se3
+from handeye_ros.config import METRES, RADIANS
 from handeye_ros.data import Array, QUATERNION_TOLERANCE
 from handeye_ros.errors import InputError, nearest, UnknownNameError
-from handeye_ros.units import METRES, RADIANS
 import numpy as np
 from scipy.spatial.transform import Rotation
 

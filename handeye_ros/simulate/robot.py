@@ -100,15 +100,15 @@ def reported_error(T: Array, errors: ArmErrors) -> Array:
 def urdf() -> str:
     """Return the URDF of the nominal arm."""
     heights = (0.0, *LINK_LENGTHS[:-1])
-    links = ''.join(f'  <link name="{name}"/>\n' for name in (
-        'base', *(f'link_{k}' for k in range(1, 7)), 'flange'))
+    names = ('base', *(f'link_{k}' for k in range(1, 7)), 'flange')
+    links = ''.join(f'  <link name="{name}"/>\n' for name in names)
     kinds = {False: 'revolute', True: 'continuous'}
     axes = {'y': '0 1 0', 'z': '0 0 1'}
     joints = ''.join(
         f'  <joint name="joint_{k}" type="{kinds[k in CONTINUOUS_JOINTS]}">\n'
         f'    <origin xyz="0 0 {height}"/>\n'
-        f'    <parent link="{f"link_{k - 1}" if k > 1 else "base"}"/>\n'
-        f'    <child link="link_{k}"/>\n    <axis xyz="{axes[axis]}"/>\n'
+        f'    <parent link="{names[k - 1]}"/>\n    <child link="{names[k]}"/>\n'
+        f'    <axis xyz="{axes[axis]}"/>\n'
         '    <limit lower="-3.2" upper="3.2" effort="0" velocity="3"/>\n  </joint>\n'
         for k, (axis, height) in enumerate(zip(JOINT_AXES, heights, strict=True), 1))
     return (f'<?xml version="1.0"?>\n<robot name="arm">\n{links}{joints}'
