@@ -319,15 +319,6 @@ class Term:
 
 
 @dataclass(frozen=True)
-class Budget:
-    """The parts of the reported covariance of a solution, largest first, and their sum."""
-
-    terms: tuple[Term, ...]
-    total: Term
-    samples: int
-
-
-@dataclass(frozen=True)
 class ClockEstimate:
     """
     A parameter of the clocks (seconds; drift: seconds per second) and 1 sigma.
