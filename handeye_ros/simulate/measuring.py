@@ -10,7 +10,7 @@ Also a curved preform with a seam, as a cloud.
 """
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from handeye_ros import se3
@@ -144,8 +144,7 @@ GAUGE_BALL = SphereTarget(0.02, table=None, clutter=False)
 BALL_BAR_LENGTH = 0.2  # m between two balls
 
 
-def measuring_cell(rng: np.random.Generator, columns: int = 1280
-                   ) -> tuple[dict[str, Messages], dict[str, Any]]:
+def measuring_cell(rng: np.random.Generator) -> tuple[dict[str, Messages], dict[str, Any]]:
     """
     Return recordings by name, and what the truth.yaml of each holds.
 
@@ -154,19 +153,17 @@ def measuring_cell(rng: np.random.Generator, columns: int = 1280
     The sensor has noise of 0.03 mm, the robot is that of the plate scenario.
     """
     plate = SCENARIOS['plate']
-    sensor, robot = replace(plate.sensor, columns=columns), plate.robot
-    simulated = simulate(replace(plate, sensor=sensor), rng)
+    simulated = simulate(plate, rng)
     X, T_bar = simulated.truth.T_flange_sensor, draw_pose(rng)
     recordings = {'plate': Messages(simulated.profiles, simulated.poses)}
-    wide = changed(SCENARIOS['sphere'], 'ball', target=GAUGE_BALL, stations=(12, 0), robot=robot,
-                   sensor={'columns': columns, 'noise': sensor.noise})
+    wide = changed(SCENARIOS['sphere'], 'ball', target=GAUGE_BALL, stations=(12, 0))
     for k in range(2):
         T_ball = np.eye(4)
         T_ball[0, 3] = k * BALL_BAR_LENGTH
         stops = SCENES[wide.scene].stops(wide, rng)
         recordings[f'ball_{k + 1}'] = rendered(wide, X, T_bar @ T_ball, stops, rng,
                                                1000.0 * (k + 1))
-    passes = scan_gauge(Gauge(), X, draw_pose(rng), sensor, robot, rng)
+    passes = scan_gauge(Gauge(), X, draw_pose(rng), plate.sensor, plate.robot, rng)
     recordings |= {f'pass_{k + 1}': one for k, one in enumerate(passes)}
     return recordings, {'T_flange_sensor': se3.transform_values(X), 'artefacts': {
         'ball_radius': GAUGE_BALL.radius, 'bar': BALL_BAR_LENGTH, 'gauge': asdict(Gauge())}}
