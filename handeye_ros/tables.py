@@ -205,22 +205,14 @@ def _euler(title: str, labels: tuple[str, ...], axes: str) -> Notation:
                     partial(Rotation.from_euler, axes, degrees=True))
 
 
-def _wxyz(rotation: Rotation) -> Array:
-    """Return quaternions (n, 4) as w x y z with w >= 0."""
-    q = rotation.as_quat()[..., [3, 0, 1, 2]]
-    return np.asarray(np.where(q[..., :1] < 0, -q, q))
-
-
-def _from_wxyz(numbers: Array) -> Rotation:
-    return Rotation.from_quat(numbers[..., [1, 2, 3, 0]])
-
-
 NOTATIONS = {
     'kuka-abc': _euler('KUKA A B C: about z, then the turned y, then the turned x',
                        ('a', 'b', 'c'), 'ZYX'),
     'fanuc-wpr': _euler('FANUC W P R: about the fixed axes x, y, z', ('w', 'p', 'r'), 'xyz'),
     'abb-quaternion': Notation('ABB q1 q2 q3 q4: a quaternion, w x y z',
-                               ('q1', 'q2', 'q3', 'q4'), '', 'mm', _wxyz, _from_wxyz),
+                               ('q1', 'q2', 'q3', 'q4'), '', 'mm',
+                               lambda turn: turn.as_quat(canonical=True)[..., [3, 0, 1, 2]],
+                               lambda numbers: Rotation.from_quat(numbers[..., [1, 2, 3, 0]])),
     'ur-rotation-vector': Notation('Universal Robots RX RY RZ: a rotation vector',
                                    ('rx', 'ry', 'rz'), 'rad', 'm', Rotation.as_rotvec,
                                    Rotation.from_rotvec),
