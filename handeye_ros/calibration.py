@@ -248,7 +248,7 @@ def reported_parameters(solution: Solution) -> dict[str, Any]:
     """Return the reported nuisance parameters: values of single ones, scales of others."""
     conservative, report = solution.conservative, dict[str, Any]()
     estimates = block_estimates(conservative)
-    for block in conservative.blocks:
+    for block in sorted(conservative.blocks, key=lambda block: block.count > 1):
         if block.report and block.count == 1:
             one = estimates[block.name]
             report |= {block.report: block.origin + one.value, f'{block.report}_std': one.std}
