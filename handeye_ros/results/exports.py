@@ -21,13 +21,13 @@ from pathlib import Path
 import re
 import shutil
 
-from handeye_ros import __version__, se3
+from handeye_ros import se3
 from handeye_ros.config import SAVE_FORMATS
 from handeye_ros.data import Calibration
 from handeye_ros.errors import UnknownNameError
 from handeye_ros.output import rendered, write_atomically, write_errors_for
 from handeye_ros.results import calibration_file
-from handeye_ros.results.calibration_file import config_of, one_line
+from handeye_ros.results.calibration_file import config_of, one_line, preamble
 from handeye_ros.tables import notation_of
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -35,8 +35,6 @@ from scipy.spatial.transform import Rotation
 YAML = 'yaml'
 REPORT_FILE = 'report.html'
 HISTORY_FOLDER = 'history'  # the folder of previous results, each in a folder named after the time
-SI_TEXT = ('Metres and radians; quaternions are x y z w; roll pitch yaw turn about the fixed '
-           'axes x, y, z, as in URDF.')
 DIGITS_OF_UNIT = {'mm': 4, 'm': 7, 'deg': 5, 'rad': 8, '': 9}
 # By vendor: file, start of a comment, and what is typed at the pendant or put into a program.
 PENDANTS = {
@@ -47,21 +45,6 @@ PENDANTS = {
     'staubli': ('tool_staubli.txt', '// ', '{{{x}, {y}, {z}, {rx}, {ry}, {rz}}}'),
     'yaskawa': ('tool_yaskawa.txt', '; ', '{xyz},{angles}'),
 }
-
-
-def preamble(calibration: Calibration, units: str = SI_TEXT) -> tuple[str, ...]:
-    """Return lines that explain the numbers: direction, frames, units, uncertainty."""
-    parent, child = one_line(calibration.parent_frame), one_line(calibration.child_frame)
-    std = np.sqrt(np.diag(calibration.covariance))
-    (x, y, z), (rx, ry, rz) = 1e3 * std[:3], np.degrees(std[3:])
-    return (
-        f'Hand-eye calibration {one_line(calibration.name)} ({one_line(calibration.method)}), '
-        f'written by handeye_ros {__version__}.',
-        f'The pose of {child} in {parent}: p_{parent} = T @ p_{child}, so it maps points of '
-        f'{child} into {parent}.',
-        f'Parent frame {parent}, child frame {child}. {units}',
-        f'1 sigma of the position: x {x:.3f}, y {y:.3f}, z {z:.3f} mm; of the rotation about the '
-        f'axes of {parent}: x {rx:.4f}, y {ry:.4f}, z {rz:.4f} degrees.')
 
 
 def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> str:
