@@ -178,10 +178,6 @@ class MeasuredPoints:
     kind: NDArray[np.intp]
     station: NDArray[np.intp]
 
-    def select(self, keep: NDArray[np.bool_]) -> MeasuredPoints:
-        """Return the points where keep (k,) is true."""
-        return MeasuredPoints(self.points[keep], self.kind[keep], self.station[keep])
-
     def residuals(self, problem: Problem, estimate: Estimate, poses: Array | None = None
                   ) -> Array:
         """

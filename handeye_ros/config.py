@@ -544,8 +544,9 @@ def load(path: Path | str, config: Config | None = None) -> Config:
     They are those of the patterns for every node, and of our node's name in any namespace, also in
     a dump of the node (`ros2 param dump`). Raises InputError, also for a file without any.
     """
+    path = path_of('path', path)
     sections: dict[str, dict[str, Any]] = {}  # by the full name of the node
-    for names, value in _values(read_yaml(path_of('path', path))):
+    for names, value in _values(read_yaml(path)):
         if 'ros__parameters' in names[:-1]:
             first = names.index('ros__parameters')
             node = ''.join(f'/{name.strip("/")}' for name in names[:first])

@@ -96,12 +96,11 @@ class Simulated:
     @property
     def true_values(self) -> dict[str, Any]:
         """Return what truth.yaml holds, by key."""
-        sensor, robot, found = self.scenario.sensor, self.scenario.robot, dict[str, Any]()
-        for key in ('T_flange_sensor', 'T_base_target', 'time_offset', 'T_corrected_sensor'):
-            value = getattr(self.truth, key)
-            if value is not None:
-                found[key] = se3.transform_values(value) if key.startswith('T_') else value
-        return found | {
+        sensor, robot, truth = self.scenario.sensor, self.scenario.robot, self.truth
+        known = {key: getattr(truth, key) for key in (
+            'T_flange_sensor', 'T_base_target', 'time_offset', 'T_corrected_sensor')}
+        return {key: se3.transform_values(value) if np.ndim(value) else value
+                for key, value in known.items() if value is not None} | {
             'noise': {'sensor': sensor.noise, 'robot_translation': robot.repeatability[0],
                       'robot_rotation': robot.repeatability[1]},
             'parameters': asdict(self.scenario)}

@@ -96,9 +96,9 @@ def test_the_left_out_rms_is_that_of_real_refits(name: str) -> None:
         others = np.setdiff1d(np.arange(len(ordered)), [station])
         refit = least_squares_fit(solution.problem.subset(others), solution.estimate,
                                   solution.noise).estimate
-        mine = measured.select(measured.station == station)
-        squares.append(mine.residuals(solution.problem, refit) ** 2)
-        own.append(mine.residuals(solution.problem, solution.estimate) ** 2)
+        mine = measured.station == station
+        squares.append(measured.residuals(solution.problem, refit)[mine] ** 2)
+        own.append(measured.residuals(solution.problem, solution.estimate)[mine] ** 2)
     left_out, used = (np.sqrt(np.concatenate(s).mean()) for s in (squares, own))
     assert answer.quality.holdout_rms == pytest.approx(left_out, rel=0.03)
     assert answer.quality.residual_rms == pytest.approx(used, rel=1e-9)
