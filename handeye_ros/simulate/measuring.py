@@ -98,20 +98,14 @@ class Gauge:
 
     def solids(self) -> tuple[Solid, ...]:
         """Return the teeth on their bar."""
-        outward = np.array([[self.height, 0, self.flank], [-self.height, 0, self.flank]])
-        outward /= np.hypot(self.flank, self.height)
-        normals = np.vstack([outward, [[0, 0, 1], [0, 1, 0]]])
-        half = self.length / 2
+        out, _, up = np.array([self.height, 0, self.flank]) / np.hypot(self.flank, self.height)
+        normals = np.array([[out, 0, up], [-out, 0, up], [0, 0, 1], [0, 1, 0]])
+        # the flanks are a quarter of the pitch from the middle at half the height
+        flank = out * self.pitch / 4 + up * self.height / 2
+        half, width = self.length / 2, self.count * self.pitch / 2
         low = np.array([-np.inf, -np.inf, -1e-3, -half])
-        teeth: list[Solid] = []
-        for k in range(self.count):
-            middle = (k - (self.count - 1) / 2) * self.pitch
-            # the flanks are a quarter of the pitch from the middle at half the height
-            flanks = np.array([[middle + self.pitch / 4, 0, self.height / 2],
-                               [middle - self.pitch / 4, 0, self.height / 2]])
-            high = np.append((outward * flanks).sum(axis=1), [self.height, half])
-            teeth.append(Polyhedron(normals, low, high))
-        width = self.count * self.pitch / 2
+        teeth = [Polyhedron(normals, low, np.array([flank + x, flank - x, self.height, half]))
+                 for x in out * (np.arange(self.count) - (self.count - 1) / 2) * self.pitch]
         return (box((-width, -half, -0.01), (width, half, 0.0)), *teeth)
 
 
