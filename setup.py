@@ -18,7 +18,7 @@ setup(
     maintainer_email='maintainers@handeye-ros.example.org',
     python_requires='>=3.11',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed', 'results/assets/*', 'page/assets/*']},
+    package_data={NAME: ['py.typed', 'results/assets/*', 'page/assets/*', 'simulate/assets/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),

@@ -8,6 +8,7 @@ imported where it is first used, so that `import handeye_ros` costs nothing.
 """
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from typing import Any, TYPE_CHECKING
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from handeye_ros.errors import DataError, HandeyeError, InputError
     from handeye_ros.pipeline import calibrate, gather, solve
     from handeye_ros.results.calibration_file import read_calibration, write_calibration
+    __version__: str
 
 __all__ = [
     'calibrate', 'Calibration', 'Config', 'DataError', 'gather', 'HandeyeError', 'InputError',
@@ -37,18 +39,13 @@ _HOMES = {
 _NAMES = {'load_config': 'load', 'read_bag': 'read'}  # in their homes
 
 
+@cache
 def __getattr__(name: str) -> Any:
     if name == '__version__':  # it stands in package.xml, and comes here by the installation
-        return _version()
+        from importlib.metadata import PackageNotFoundError, version
+        with suppress(PackageNotFoundError):
+            return version(__name__)
+        return 'unknown'
     if name not in _HOMES:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
     return getattr(import_module(f'{__name__}.{_HOMES[name]}'), _NAMES.get(name, name))
-
-
-@cache
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-    try:
-        return version(__name__)
-    except PackageNotFoundError:
-        return 'unknown'

@@ -144,11 +144,11 @@ def words_of(args: str, config: Path | str | None, settings: Iterable[str],
 def _listed(path: Path, base: Job) -> Iterator[Job]:
     """Yield the jobs of a list, whose paths are relative to it."""
     table, folder = Table(path), path.absolute().parent
-    if not LIST_COLUMNS.issuperset(table.names) or '' in table.text('bag'):
-        raise InputError(f'{path}: it has the columns {", ".join(table.names)}; expected bag, '
+    if not LIST_COLUMNS.issuperset(table.columns) or '' in table.text('bag'):
+        raise InputError(f'{path}: it has the columns {", ".join(table.columns)}; expected bag, '
                          'with a value in each row, and, if wanted, label, config, settings, args')
-    for values in zip(*map(table.text, table.names), strict=True):
-        row = dict(zip(table.names, values, strict=True))
+    for values in zip(*map(table.text, table.columns), strict=True):
+        row = dict(zip(table.columns, values, strict=True))
         own = words_of(row.get('args', ''), row.get('config'), row.get('settings', '').split(),
                        folder)
         yield replace(base, bag=str(folder / row['bag']), words=(*base.words, *own),

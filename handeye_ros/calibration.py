@@ -8,7 +8,7 @@ First the figures, then the nuisance parameters and what is said of them in word
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import Any
 
@@ -26,7 +26,7 @@ from handeye_ros.data import (
     SampleReport,
     TIME_OFFSET,
 )
-from handeye_ros.estimation.blocks import LINE_BEND, ParameterBlock, with_columns
+from handeye_ros.estimation.blocks import LINE_BEND, with_columns
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, name_direction, T_sensor_plane
@@ -52,7 +52,9 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
     samples: in the order of its stations; rejects: stops that gave none; frame_id: of the
     profiles; warnings: in words.
     """
-    problem = solution.problem
+    problem, offset = solution.problem, clock_estimate(solution, TIME_OFFSET)
+    if offset:  # to add to received stamps
+        offset = replace(offset, value=problem.config.time_offset + offset.value)
     used = [samples[i] for i in solution.used]
     measured, residuals, predicted = residuals_and_left_out(used, solution)
     own = rms_by(measured.station, residuals, len(used)).tolist()
@@ -68,7 +70,7 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
         solution.estimate.X @ se3.inverse(T_sensor_plane(config)), solution.transform_covariance,
         rms(residuals), rms(predicted), _described_target(solution, config),
         sorted(reports, key=lambda report: report.stamp),
-        {'warnings': list(warnings)} if warnings else {}, time_offset_of(solution))
+        {'warnings': list(warnings)} if warnings else {}, offset)
 
 
 def assemble_calibration(config: Config, method: str, sensor_frame: str, T_flange_sensor: Array,
@@ -125,11 +127,10 @@ def _joint(solution: Solution) -> dict[str, Any]:
 def edges_used(problem: Problem) -> list[str]:
     """Return for each station the edges of the target that it shows, in words."""
     obs, target = problem.observations, problem.target
-    seen = [dict[str, None]() for _ in problem.poses]  # each once, in the order of the points
-    for station, kind in zip(obs.station.tolist(), obs.kind.tolist(), strict=True):
-        if target.kinds[kind] in target.essential:
-            seen[station][target.kinds[kind]] = None
-    return [', '.join(edges) for edges in seen]
+    of_stations = np.split(obs.kind, np.searchsorted(obs.station, range(1, len(problem.poses))))
+    return [', '.join(dict.fromkeys(  # each once, in the order of the points
+        target.kinds[kind] for kind in kinds if target.kinds[kind] in target.essential))
+        for kinds in of_stations]
 
 
 def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
@@ -177,10 +178,6 @@ class MeasuredPoints:
     kind: NDArray[np.intp]
     station: NDArray[np.intp]
 
-    def select(self, keep: NDArray[np.bool_]) -> MeasuredPoints:
-        """Return the points where keep (k,) is true."""
-        return MeasuredPoints(self.points[keep], self.kind[keep], self.station[keep])
-
     def residuals(self, problem: Problem, estimate: Estimate, poses: Array | None = None
                   ) -> Array:
         """
@@ -223,7 +220,6 @@ class BlockEstimate:
     significance: of the value from the data alone, in its sigmas.
     """
 
-    block: ParameterBlock
     value: float
     std: float
     contradiction: float
@@ -238,7 +234,7 @@ def block_estimates(solution: Solution) -> dict[str, BlockEstimate]:
         n, variance = float(solution.nuisance[columns][0]), float(variances[columns][0])
         rest = max(1 - variance / solution.prior_scale(block) ** 2, 1e-9)  # without the prior
         alone, of_alone = n / rest, variance / rest
-        estimates[block.name] = BlockEstimate(block, n * block.std, variance ** 0.5 * block.std,
+        estimates[block.name] = BlockEstimate(n * block.std, variance ** 0.5 * block.std,
                                               alone / math.sqrt(1 + of_alone),
                                               alone / math.sqrt(max(of_alone, 1e-300)))
     return estimates
@@ -246,24 +242,16 @@ def block_estimates(solution: Solution) -> dict[str, BlockEstimate]:
 
 def reported_parameters(solution: Solution) -> dict[str, Any]:
     """Return the reported nuisance parameters: values of single ones, scales of others."""
-    report: dict[str, Any] = {}
-    conservative = solution.conservative
-    estimates = block_estimates(conservative).values()
-    for estimate in estimates:
-        if estimate.block.report and estimate.block.count == 1:
-            report |= {estimate.block.report: estimate.block.origin + estimate.value,
-                       f'{estimate.block.report}_std': estimate.std}
-    for block in conservative.blocks:
-        if block.report and block.count > 1:
+    conservative, report = solution.conservative, dict[str, Any]()
+    estimates = block_estimates(conservative)
+    for block in sorted(conservative.blocks, key=lambda block: block.count > 1):
+        if block.report and block.count == 1:
+            one = estimates[block.name]
+            report |= {block.report: block.origin + one.value, f'{block.report}_std': one.std}
+        elif block.report:
             report[block.report] = math.hypot(report.get(block.report, 0.0),
                                               block.std * conservative.prior_scale(block))
     return report
-
-
-def time_offset_of(solution: Solution) -> ClockEstimate | None:
-    """Return the time offset (s) to add to received stamps, None without samples in motion."""
-    offset = clock_estimate(solution, TIME_OFFSET)
-    return offset and ClockEstimate(solution.problem.config.time_offset + offset.value, offset.std)
 
 
 def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:

@@ -95,7 +95,7 @@ class ComparedStations:
         estimate = least_squares_fit(
             given, Estimate(X, self.estimate.state), self.noise).estimate
         points = measured_points(self.samples, self.problem)
-        return points.select(np.isin(points.station, measured)).residuals(self.problem, estimate)
+        return points.residuals(self.problem, estimate)[np.isin(points.station, measured)]
 
 
 class _GivenTransform(Problem):

@@ -13,12 +13,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
+from itertools import chain
 import math
 from numbers import Integral, Real
 from operator import attrgetter
 from pathlib import Path
 import re
-from typing import Any, ClassVar
+from typing import Any
 
 from handeye_ros.errors import (
     BadValueError,
@@ -28,9 +29,12 @@ from handeye_ros.errors import (
     UnknownKeyError,
     unusable_file,
 )
-from handeye_ros.units import in_si
 import yaml
 
+METRES = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3, 'um': 1e-6, 'in': 0.0254}
+RADIANS = {'rad': 1.0, 'deg': math.pi / 180, 'degrees': math.pi / 180}
+SECONDS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6}
+WITH_UNIT = re.compile(r'(?<![\w.])([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) *([a-z]+)(?![\w.])')
 NOT_SET = math.nan  # default of a number that changes an answer by its full size: it has none
 # Accuracy classes of robots: 1 sigma of the smooth error of each axis (m), half of the largest
 # error in data sheets.
@@ -64,7 +68,7 @@ class Parameter:
 
     key: str
     default: Any
-    description: str
+    description: str = ''
     minimum: float | None = None
     maximum: float | None = None
     unit: str = ''  # of a number: m, rad or s
@@ -116,13 +120,12 @@ def _plain(value: Any, kind: type[Any]) -> Any:
 
 @dataclass(frozen=True)
 class Section:
-    """Keys, whose values are checked wherever a section is made, in code or from a file."""
+    """
+    Keys, whose values are checked wherever a section is made, in code or from a file.
 
-    prefix: ClassVar[str] = ''
-
-    def __init_subclass__(cls, prefix: str = '') -> None:
-        """Set the first part of the dotted keys."""
-        cls.prefix = prefix
+    The name of the class is the first part of the dotted keys: those of ProfileConfig are
+    profile.unit and so on.
+    """
 
     def __post_init__(self) -> None:
         """Raise BadValueError for a value that its key does not take."""
@@ -130,21 +133,19 @@ class Section:
             value = getattr(self, name)
             if value is not parameter.default:
                 object.__setattr__(self, name, parameter.checked(value))
-        for item in fields(self):
-            if isinstance(item.default, Section) and not isinstance(
-                    value := getattr(self, item.name), type(item.default)):
-                raise BadValueError(item.name, value, f'a {type(item.default).__name__}')
 
 
 @cache
 def _own(section: Any) -> dict[str, Parameter]:
-    """Return the keys of a section by their names in it, without those of sections inside."""
-    return {item.name: Parameter(f'{section.prefix}{item.name}', item.default, **item.metadata)
-            for item in fields(section) if item.metadata}
+    """Return the keys of a section by their names in it; a section inside is one of them."""
+    first = section.__name__.removesuffix('Config').lower()  # of the dotted keys
+    return {item.name: Parameter(f'{first}.{item.name}'.lstrip('.'), item.default,
+                                 **item.metadata)
+            for item in fields(section) if item.name != 'record'}
 
 
 @dataclass(frozen=True)
-class ProfileConfig(Section, prefix='profile.'):
+class ProfileConfig(Section):
     """How to read the messages of the profiler's driver."""
 
     unit: str = key('m', 'Unit of the coordinates in the profile messages.', choices=('m', 'mm'))
@@ -175,7 +176,7 @@ class ProfileConfig(Section, prefix='profile.'):
 
 
 @dataclass(frozen=True)
-class TargetConfig(Section, prefix='target.'):
+class TargetConfig(Section):
     """The target that the laser line crosses."""
 
     type: str = key(  # noqa: A003
@@ -200,7 +201,7 @@ class TargetConfig(Section, prefix='target.'):
 
 
 @dataclass(frozen=True)
-class SamplingConfig(Section, prefix='sampling.'):
+class SamplingConfig(Section):
     """When the robot counts as standing still, and which part of a stop is used."""
 
     mode: str = key(
@@ -238,7 +239,7 @@ class SamplingConfig(Section, prefix='sampling.'):
 
 
 @dataclass(frozen=True)
-class SamplesConfig(Section, prefix='samples.'):
+class SamplesConfig(Section):
     """The samples used for the answer."""
 
     exclude: tuple[int, ...] = key(
@@ -247,7 +248,7 @@ class SamplesConfig(Section, prefix='samples.'):
 
 
 @dataclass(frozen=True)
-class TrackerConfig(Section, prefix='tracker.'):
+class TrackerConfig(Section):
     """Properties of the laser tracker and of the arm that it measures (target.type tracker)."""
 
     file: str = key('tracker.csv', 'Name of the file of reflector points beside the bag.')
@@ -261,7 +262,7 @@ class TrackerConfig(Section, prefix='tracker.'):
 
 
 @dataclass(frozen=True)
-class NoiseConfig(Section, prefix='noise.'):
+class NoiseConfig(Section):
     """Prior noise, 1 sigma; the data correct it."""
 
     sensor: float = key(3e-5, 'Range noise of one profile point.', 1e-9, 0.01, 'm')
@@ -282,7 +283,7 @@ class NoiseConfig(Section, prefix='noise.'):
 
 
 @dataclass(frozen=True)
-class LimitsConfig(Section, prefix='limits.'):
+class LimitsConfig(Section):
     """Largest uncertainty and inconsistency of a trusted answer."""
 
     translation: float = key(
@@ -297,7 +298,7 @@ class LimitsConfig(Section, prefix='limits.'):
 
 
 @dataclass(frozen=True)
-class SaveConfig(Section, prefix='save.'):
+class SaveConfig(Section):
     """The files written for an answer."""
 
     formats: tuple[str, ...] = key(
@@ -306,7 +307,7 @@ class SaveConfig(Section, prefix='save.'):
 
 
 @dataclass(frozen=True)
-class GuidanceConfig(Section, prefix='guidance.'):
+class GuidanceConfig(Section):
     """The accuracy wanted, and the limits of proposed poses against the first sample."""
 
     accuracy: float = key(
@@ -320,7 +321,7 @@ class GuidanceConfig(Section, prefix='guidance.'):
 
 
 @dataclass(frozen=True)
-class VerifyConfig(Section, prefix='verify.'):
+class VerifyConfig(Section):
     """The artefact of a verification."""
 
     routine: str = key(
@@ -349,7 +350,7 @@ class VerifyConfig(Section, prefix='verify.'):
 
 
 @dataclass(frozen=True)
-class PageConfig(Section, prefix='page.'):
+class PageConfig(Section):
     """The page for a browser at the cell."""
 
     port: int = key(0, 'Port of the page for a browser; 0: no page.', 0, 65535)
@@ -434,13 +435,10 @@ class Config(Section):
 @cache
 def parameters() -> tuple[Parameter, ...]:
     """Return every key, in their order."""
-    found: list[Parameter] = []
-    for item in fields(Config):
-        if isinstance(item.default, Section):
-            found += _own(type(item.default)).values()  # type: ignore[arg-type]
-        elif item.metadata:
-            found.append(_own(Config)[item.name])
-    return tuple(found)
+    return tuple(chain.from_iterable(
+        _own(type(p.default)).values() if isinstance(  # type: ignore[arg-type]
+            p.default, Section) else [p]
+        for p in _own(Config).values()))
 
 
 def flatten(config: Config) -> dict[str, Any]:
@@ -543,17 +541,10 @@ def load(path: Path | str, config: Config | None = None) -> Config:
     """
     Return a configuration (default: the defaults) with the values of a ROS parameter file.
 
-    Also of a dump of the node (`ros2 param dump`) in any namespace. Raises InputError.
+    They are those of the patterns for every node, and of our node's name in any namespace, also in
+    a dump of the node (`ros2 param dump`). Raises InputError, also for a file without any.
     """
-    return with_values(config or Config(), _node_values(path_of('path', path)), str(path))
-
-
-def _node_values(path: Path) -> dict[str, Any]:
-    """
-    Return the dotted values of our node in a parameter file; raises InputError without any.
-
-    They are those of the patterns for every node, and of our node's name in any namespace.
-    """
+    path = path_of('path', path)
     sections: dict[str, dict[str, Any]] = {}  # by the full name of the node
     for names, value in _values(read_yaml(path)):
         if 'ros__parameters' in names[:-1]:
@@ -569,8 +560,9 @@ def _node_values(path: Path) -> dict[str, Any]:
     if len(own) > 1:
         raise InputError(f'{path} holds the parameters of {", ".join(own)}: keep those of one '
                          f'"{NODE_NAME}"')
-    return {key: value for node in (*general, *own) for key, value in sections[node].items()
-            if not key.startswith(EVERY_NODES)}
+    values = {key: value for node in (*general, *own) for key, value in sections[node].items()
+              if not key.startswith(EVERY_NODES)}
+    return with_values(config or Config(), values, str(path))
 
 
 def _values(content: Any, names: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -580,3 +572,35 @@ def _values(content: Any, names: tuple[str, ...] = ()) -> Iterator[tuple[tuple[s
         return
     for name, value in content.items():
         yield from _values(value, (*names, str(name)))
+
+
+# -- units: plain numbers of a command are SI, `0.3mm`, `5 deg` say one
+
+
+def in_si(text: str, unit: str) -> str:
+    """Return a text with its numbers that have a unit, as 20mm, in m, rad or s; others as is."""
+    factors = {'m': METRES, 'rad': RADIANS, 's': SECONDS}.get(unit, {})
+    return WITH_UNIT.sub(lambda found: repr(float(found[1]) * factors[found[2]])
+                         if found[2] in factors else found[0], text)
+
+
+def parse_length(text: str, option: str, usual: float, least: float = -math.inf) -> float:
+    """
+    Return a length in metres; raises BadValueError.
+
+    usual: a number without a unit above it is refused: it was probably meant in millimetres;
+    least: -inf also allows inf and -inf, no limit.
+    """
+    plain = in_si(text, 'm')
+    try:
+        metres = float(plain)
+    except ValueError:
+        metres = math.nan
+    if math.isnan(metres) or math.isinf(metres) and least > -math.inf:
+        raise BadValueError(option, text, 'a length: 0.3mm, or metres (0.0003)')
+    if plain == text and usual < abs(metres) < math.inf:
+        raise BadValueError(option, text, f'{text}mm, or {text}m if you mean metres (plain '
+                            f'numbers are metres, so this is {1e3 * metres:g} mm)')
+    if metres < least:
+        raise BadValueError(option, text, f'a length of at least {1e3 * least:g} mm')
+    return metres

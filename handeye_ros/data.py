@@ -232,11 +232,6 @@ class EdgePoint:
     arc_std: float = 0.0
     shape_std: float = 0.0
 
-    @property
-    def drop_depth(self) -> float:
-        """Return the depth (m) below the face line at which the plate was last seen."""
-        return float(np.hypot(*self.drop))
-
 
 @dataclass(frozen=True, eq=False)
 class Arc:
@@ -316,15 +311,6 @@ class Term:
     translation: float
     rotation: float
     mapped: float
-
-
-@dataclass(frozen=True)
-class Budget:
-    """The parts of the reported covariance of a solution, largest first, and their sum."""
-
-    terms: tuple[Term, ...]
-    total: Term
-    samples: int
 
 
 @dataclass(frozen=True)

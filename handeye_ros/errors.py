@@ -139,14 +139,11 @@ class UnwritableError(InputError):
 class TooFewError(DataError):
     """Too few data for a published algorithm."""
 
-    def __init__(self, method: str, minimum: int, what: str, count: int) -> None:
-        super().__init__(f'{method} needs at least {minimum} {what}, got {count}')
-
 
 def require_count(method: str, minimum: int, what: str, count: int) -> None:
     """Raise TooFewError for less than a minimum."""
     if count < minimum:
-        raise TooFewError(method, minimum, what, count)
+        raise TooFewError(f'{method} needs at least {minimum} {what}, got {count}')
 
 
 class SingularError(DataError):

@@ -64,14 +64,14 @@ def solved_recording(calibration: Calibration, bag: Path | None, folder: Path = 
     agreement_of = agreements(session, answer, config)
     reasons = {report.stamp: report.reason for report in answer.calibration.samples
                if not report.used}
-    for i, stop in enumerate(stops):
+
+    def judged(stop: StopSnapshot) -> StopSnapshot:
         agreement = agreement_of.get(stop.number)
         if agreement and agreement.used:
-            stops[i] = replace(stop, reason='', agreement=agreement)
-        else:
-            reason = reasons.get(stop.stamp, stop.reason)
-            stops[i] = replace(stop, reason=reason or 'the answer uses few of its profiles')
-    return SolvedRecording(tuple(stops), answer.calibration)
+            return replace(stop, reason='', agreement=agreement)
+        reason = reasons.get(stop.stamp, stop.reason)
+        return replace(stop, reason=reason or 'the answer uses few of its profiles')
+    return SolvedRecording(tuple(map(judged, stops)), answer.calibration)
 
 
 def recording_of(calibration: Calibration, folder: Path) -> Path:

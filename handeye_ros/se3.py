@@ -169,10 +169,5 @@ def worst_translation(covariance: Array) -> tuple[float, Array]:
 
 
 def worst_rotation(covariance: Array) -> tuple[float, Array]:
-    """
-    Return the largest 1 sigma of the rotation (rad) and its axis in the parent frame.
-
-    covariance: (6, 6).
-    """
-    values, vectors = np.linalg.eigh(covariance[3:6, 3:6])
-    return float(np.sqrt(values[2])), vectors[:, 2]
+    """Return the largest 1 sigma of the rotation (rad) and its axis, by a covariance (6, 6)."""
+    return worst_translation(covariance[3:, 3:])

@@ -18,18 +18,17 @@ from functools import partial
 import math
 from pathlib import Path
 import re
-from typing import Any
 import warnings
 
 from handeye_ros import se3
+from handeye_ros.config import METRES, RADIANS
 from handeye_ros.data import Array, QUATERNION_TOLERANCE
 from handeye_ros.errors import InputError, nearest, UnknownNameError
-from handeye_ros.units import METRES, RADIANS
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 LENGTH, ANGLE, NUMBER = 'length', 'angle', 'number'
-UNITS: dict[str, dict[Any, float]] = {LENGTH: METRES, ANGLE: RADIANS, NUMBER: {None: 1.0}}
+UNITS = {LENGTH: METRES, ANGLE: RADIANS, NUMBER: {'': 1.0}}
 SPELLINGS = {'degree': 'deg', '°': 'deg', 'radian': 'rad', 'radians': 'rad', 'metre': 'm',
              'metres': 'm', 'meter': 'm', 'meters': 'm', 'millimetres': 'mm',
              'millimeters': 'mm', 'µm': 'um'}
@@ -45,7 +44,7 @@ class TableError(InputError):
 
 
 class Table:
-    """The columns of a file by name."""
+    """The columns of a file: by name, each with its unit ('' without one) and its texts."""
 
     def __init__(self, path: Path) -> None:
         """Read a CSV file; commas or semicolons separate the values. Raises TableError."""
@@ -60,13 +59,13 @@ class Table:
             header, *rows = [*csv.reader(lines, delimiter=delimiter)] or [[]]
         except (OSError, UnicodeDecodeError, csv.Error) as error:
             raise TableError(path, f'cannot be read as CSV: {error}') from error
-        units = dict[str, str | None]()
+        units = dict[str, str]()
         for cell in header:
             found = _HEADER.fullmatch(cell)
             if not found:
                 raise TableError(path, f'cannot read the column header "{cell}"; expected a name '
                                  'with its unit, such as base_x [mm]')
-            units[found[1]] = SPELLINGS.get(found[2], found[2])
+            units[found[1]] = SPELLINGS.get(found[2], found[2] or '')
         if len(units) != len(header):
             raise TableError(path, 'two columns have the same name')
         if not rows:
@@ -75,39 +74,25 @@ class Table:
             if len(row) != len(header):
                 raise TableError(path, f'row {number} has {len(row)} values, the header '
                                  f'{len(header)}')
-        self._columns = {name: (unit, texts) for (name, unit), texts in zip(
+        self.columns = {name: (unit, texts) for (name, unit), texts in zip(
             units.items(), zip(*rows, strict=True), strict=True)}
-
-    def has(self, names: Sequence[str]) -> bool:
-        """Return whether the table has all of these columns."""
-        return all(name in self._columns for name in names)
-
-    def kind(self, name: str) -> str:
-        """Return the kind of quantity in a column, from its unit."""
-        unit, _ = self._columns[name]
-        return next((kind for kind, units in UNITS.items() if unit in units), NUMBER)
 
     def renamed(self, names: Mapping[str, str]) -> Table:
         """Return the table with other names of some columns; their units stay."""
         other = copy(self)
-        other._columns = {names.get(name, name): column for name, column in self._columns.items()}
+        other.columns = {names.get(name, name): column for name, column in self.columns.items()}
         return other
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the names of the columns."""
-        return tuple(self._columns)
 
     def text(self, name: str) -> list[str]:
         """Return the words of a column; raises TableError."""
         self._require([name])
-        return [value.strip() for value in self._columns[name][1]]
+        return [value.strip() for value in self.columns[name][1]]
 
-    def values(self, names: Sequence[str], kind: str, unit: str | None = None) -> Array:
+    def values(self, names: Sequence[str], kind: str, unit: str = '') -> Array:
         """
         Return columns (n, k) of a kind in SI units; raises TableError.
 
-        unit: for columns without a unit in the header; None: such columns are refused.
+        unit: of columns whose header names none; '': such columns are refused, but of numbers.
         """
         self._require(names)
         return np.column_stack([self._values(name, kind, unit) for name in names])
@@ -120,8 +105,7 @@ class Table:
         """Return how orientations are written: as stated, or by the names of the columns."""
         if angles:
             return notation_of(angles)
-        urdf = self.has(RPY.columns(prefix))
-        return RPY if urdf else QUATERNION
+        return RPY if self.columns.keys() >= {*RPY.columns(prefix)} else QUATERNION
 
     def poses(self, prefix: str, angles: str = '') -> Array:
         """
@@ -134,15 +118,14 @@ class Table:
         notation = self.notation(prefix, angles)
         names, axes = notation.columns(prefix), _axes(prefix)
         fitting = [name for name, other in NOTATIONS.items()
-                   if self.has(other.columns(prefix))]
-        if fitting and not self.has(names):
+                   if self.columns.keys() >= {*other.columns(prefix)}]
+        if fitting and not self.columns.keys() >= {*names}:
             raise TableError(self.path, f'has no columns {", ".join(names)}; it has those that '
                              f'--angles {" or ".join(fitting)} reads, of the flange only')
         self._require([*axes, *names])
-        kind, unit, length = NUMBER, None, notation.length if angles else None
-        if notation.angle:
-            kind, unit = ANGLE, notation.angle if angles else None
-        numbers = self.values(names, kind, unit) / RADIANS.get(notation.angle, 1.0)
+        kind = ANGLE if notation.angle else NUMBER
+        length, unit = (notation.length, notation.angle) if angles else ('', '')
+        numbers = self.values(names, kind, unit) / UNITS[kind][notation.angle]
         off = np.abs(np.linalg.norm(numbers, axis=1) - 1.0)
         if kind == NUMBER and off.max() > QUATERNION_TOLERANCE:
             raise TableError(self.path, f'row {int(np.argmax(off)) + 1}: {prefix}_q... is no '
@@ -153,13 +136,13 @@ class Table:
     def _require(self, names: Sequence[str]) -> None:
         """Raise TableError for a column that is missing; similar ones are none of the others."""
         for name in names:
-            if name not in self._columns:
-                others = [other for other in self._columns if other not in names]
+            if name not in self.columns:
+                others = [other for other in self.columns if other not in names]
                 raise TableError(self.path, f'has no column {name}{nearest(name, others)}')
 
-    def _values(self, name: str, kind: str, default: str | None) -> Array:
+    def _values(self, name: str, kind: str, default: str) -> Array:
         """Return a column (n,) in its SI unit; raises TableError."""
-        stated, texts = self._columns[name]
+        stated, texts = self.columns[name]
         unit, factors = stated or default, UNITS[kind]
         if unit not in factors:
             raise TableError(self.path, f'the column {name} ' + (
@@ -222,22 +205,14 @@ def _euler(title: str, labels: tuple[str, ...], axes: str) -> Notation:
                     partial(Rotation.from_euler, axes, degrees=True))
 
 
-def _wxyz(rotation: Rotation) -> Array:
-    """Return quaternions (n, 4) as w x y z with w >= 0."""
-    q = rotation.as_quat()[..., [3, 0, 1, 2]]
-    return np.asarray(np.where(q[..., :1] < 0, -q, q))
-
-
-def _from_wxyz(numbers: Array) -> Rotation:
-    return Rotation.from_quat(numbers[..., [1, 2, 3, 0]])
-
-
 NOTATIONS = {
     'kuka-abc': _euler('KUKA A B C: about z, then the turned y, then the turned x',
                        ('a', 'b', 'c'), 'ZYX'),
     'fanuc-wpr': _euler('FANUC W P R: about the fixed axes x, y, z', ('w', 'p', 'r'), 'xyz'),
     'abb-quaternion': Notation('ABB q1 q2 q3 q4: a quaternion, w x y z',
-                               ('q1', 'q2', 'q3', 'q4'), '', 'mm', _wxyz, _from_wxyz),
+                               ('q1', 'q2', 'q3', 'q4'), '', 'mm',
+                               lambda turn: turn.as_quat(canonical=True)[..., [3, 0, 1, 2]],
+                               lambda numbers: Rotation.from_quat(numbers[..., [1, 2, 3, 0]])),
     'ur-rotation-vector': Notation('Universal Robots RX RY RZ: a rotation vector',
                                    ('rx', 'ry', 'rz'), 'rad', 'm', Rotation.as_rotvec,
                                    Rotation.from_rotvec),

@@ -77,7 +77,8 @@ def test_what_is_no_code_is_installed(workspace: Path) -> None:
     (code,) = (workspace / 'install').glob(f'**/site-packages/{NAME}')
     for source, place in (*((ROOT / name, share(workspace) / name) for name in DATA),
                           *((ROOT / NAME / name, code / name)
-                            for name in ('page/assets', 'results/assets'))):
+                            for name in ('page/assets', 'results/assets',
+                                         'simulate/assets'))):
         expected = {file.name: file.read_bytes() for file in source.glob('*.*')}
         assert expected
         assert {file.name: file.read_bytes() for file in place.iterdir()} == expected

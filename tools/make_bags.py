@@ -7,7 +7,7 @@ from __future__ import annotations
 from pathlib import Path
 import sys
 
-from handeye_ros.cli import simulated
+from handeye_ros.cli.tools import write_simulated
 
 # bag: scenario, seed
 BAGS = {
@@ -26,7 +26,7 @@ BAGS = {
 def main(folder: Path) -> None:
     """Make every bag in the folder; what is there already is replaced."""
     for bag, (name, seed) in BAGS.items():
-        made = simulated.write(name, seed, folder / bag, force=True)
+        made = write_simulated(name, seed, folder / bag, force=True)
         size = sum(file.stat().st_size for file in (folder / bag).iterdir())
         print(f'{folder / bag}: {made}, {size / 1e6:.2f} MB')
 

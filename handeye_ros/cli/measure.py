@@ -250,18 +250,18 @@ def seam(
         '--bag', help='Write nav_msgs/Path and geometry_msgs/PoseArray to DIR/path too.')] = False,
 ) -> None:
     """Find the seam in a cloud, and tool frames along it."""
-    from handeye_ros import units
+    from handeye_ros.config import parse_length
     from handeye_ros.scanning.seam import find_seam, sentences, tool_frames, write
     import numpy as np
-    low, high = np.reshape(units.parse_limits(box, '--box', LARGEST_PLAIN), (3, 2)).T
-    gap = units.parse_length(widest, '--widest', 0.1, 1e-4)
-    spacing = units.parse_length(pitch, '--pitch', 0.1, 1e-5)
-    begin = ([units.parse_length(text, '--start', LARGEST_PLAIN) for text in start] if start[0]
-             else None)
+    limits = [parse_length(text, '--box', LARGEST_PLAIN) for text in box]
+    low, high = np.reshape(limits, (3, 2)).T
+    gap = parse_length(widest, '--widest', 0.1, 1e-4)
+    spacing = parse_length(pitch, '--pitch', 0.1, 1e-5)
+    begin = [parse_length(text, '--start', LARGEST_PLAIN, -1e3) for text in start if text]
     points, frame = _cloud(path, calibration, config, assignments)
     points = points[((points >= low) & (points <= high)).all(axis=1)]
     with progress_bar('looking for the seam'):
-        result = find_seam(points, gap, towards, line, begin)
+        result = find_seam(points, gap, towards, line, begin or None)
         frames = tool_frames(result, spacing, towards, math.radians(travel), math.radians(work))
     write(out, result, frames, frame)
     if bag:

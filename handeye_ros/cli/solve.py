@@ -68,7 +68,8 @@ def solve(
         with progress_bar('solving'):
             answer = pipeline.answer_session(given.session, settings)
         if budget and answer.samples_agree:
-            causes = table.budget_table(budget_of(answer.require_solution()))
+            solution = answer.require_solution()
+            causes = table.budget_table(budget_of(solution), len(solution.used))
             if not answer.calibration:  # what a refused answer is uncertain from
                 show(causes)
         calibration = answer.require_calibration()

@@ -4,8 +4,9 @@
 from collections import Counter
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, TYPE_CHECKING
+from typing import Annotated, Any, TYPE_CHECKING
 
+from handeye_ros import __version__
 from handeye_ros.cli.common import (
     app,
     Assignments,
@@ -28,6 +29,7 @@ import typer
 if TYPE_CHECKING:
     from handeye_ros.batch import Row
 
+PREFORM_FILE = 'preform.ply'
 BATCH_VERBS = ('solve', 'verify', 'check', 'compare')  # that batch runs
 
 
@@ -173,7 +175,49 @@ def simulate(
         raise UnknownNameError('scenario', scenario, _scenarios(),
                                'handeye simulate --list')
 
-    from handeye_ros.cli import simulated
     with progress_bar('simulating'):
-        content = simulated.write(scenario, seed, directory, force)
+        content = write_simulated(scenario, seed, directory, force)
     typer.echo(f'wrote {directory.absolute()}: {content}')
+
+
+def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> str:
+    """
+    Write the folder of a scenario or of a scene of files; return its content in words.
+
+    force: replace an existing folder. Raises InputError, UnwritableError.
+    """
+    from handeye_ros.bags import bag_write
+    from handeye_ros.output import yaml_text
+    from handeye_ros.results.calibration_file import TRUTH_NAME
+    from handeye_ros.scanning.cloud import write_cloud
+    from handeye_ros.simulate import FAULTS, FILE_SCENES, measuring, SCENARIOS, simulate
+    import numpy as np
+    from numpy.lib.recfunctions import unstructured_to_structured
+    rng = np.random.default_rng(seed)
+    truth: dict[str, Any] = {
+        'made_by': f'handeye_ros {__version__}: handeye simulate {name} --seed {seed}',
+        'scenario': name, 'seed': seed}
+    if name == measuring.MEASURING_CELL:
+        recordings, true_values = measuring.measuring_cell(rng)
+        truth |= true_values
+
+        def fill(folder: Path) -> None:
+            folder.mkdir()
+            for name, made in recordings.items():
+                bag_write.write(folder / name, made.profiles, made.poses, truth=truth)
+            points = measuring.preform_cloud(measuring.Preform(), np.random.default_rng(seed)
+                                             ).points
+            rows = unstructured_to_structured(points, np.dtype([(axis, '<f4') for axis in 'xyz']))
+            write_cloud(folder / PREFORM_FILE, [rows], 'frame base, metres')
+
+        bag_write.write_folder(folder, {TRUTH_NAME: yaml_text(truth)}, fill, force)
+        return ', '.join([*recordings, PREFORM_FILE])
+    scenario = SCENARIOS.get(name) or FAULTS.get(name)
+    made = simulate(scenario, rng) if scenario else FILE_SCENES[name](rng)
+    truth |= made.true_values
+    if not made.profiles:
+        bag_write.write_folder(folder, {**made.tables, TRUTH_NAME: yaml_text(truth)}, force=force)
+        return ', '.join(made.tables)
+    bag_write.write(folder, made.profiles, made.poses, truth=truth, tables=made.tables,
+                    force=force, joints=made.joints)
+    return ', '.join([f'{len(made.profiles)} profiles', f'{len(made.poses)} poses', *made.tables])

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros import se3
-from handeye_ros.data import Array, Budget, Term
+from handeye_ros.data import Array, Term
 from handeye_ros.estimation.basis import grid_over
 from handeye_ros.estimation.blocks import with_columns
 from handeye_ros.estimation.least_squares import chi2_sf
@@ -87,9 +87,9 @@ def _each_station_wrong(configured: Solution) -> tuple[Array, Array, Array]:
     return explained, log_odds, added
 
 
-def budget(solution: Solution) -> Budget:
+def budget(solution: Solution) -> list[Term]:
     """
-    Return what each cause contributes to the reported covariance of the transform.
+    Return what each cause contributes to the reported covariance of the transform, and all of it.
 
     White noise of sensor and poses, and each block by its name, are the exact parts of C in (5) at
     the conservative scales: with the gain C A', noise of covariance V gives (C A')V(C A')', and a
@@ -108,8 +108,8 @@ def budget(solution: Solution) -> Budget:
         solution.transform_covariance - conservative.covariance[:6, :6] - np.outer(shift, shift)
         - sum(solution.added_covariances.values()))
     terms = [_term(solution, name, part) for name, part in parts.items()]
-    return Budget(tuple(sorted((t for t in terms if t.mapped > 0), key=lambda t: -t.mapped)),
-                  _term(solution, 'all', solution.transform_covariance), len(solution.used))
+    return [*sorted((t for t in terms if t.mapped > 0), key=lambda t: -t.mapped),
+            _term(solution, 'all', solution.transform_covariance)]
 
 
 def _of_noise(conservative: Solution) -> dict[str, Array]:

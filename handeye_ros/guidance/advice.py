@@ -166,14 +166,14 @@ def sigma_table(covariance: Array, levers: Array, config: Config) -> tuple[Sigma
 
 def largest_cause(solution: Solution) -> tuple[Cause, float] | None:
     """Return the largest cause and its share of the sigma, None where noise dominates."""
-    spent = budget(solution)
+    *terms, total = budget(solution)
     squares = dict[Cause, float]()
-    for term in spent.terms:
+    for term in terms:
         for name, cause in CAUSES_BY_BLOCK.items():
             if term.name == name or term.name.startswith(f'{name}_'):
                 squares[cause] = squares.get(cause, 0.0) + term.mapped ** 2
     cause, square = max(squares.items(), key=lambda item: item[1], default=(SETBACK, 0.0))
-    share = square ** 0.5 / spent.total.mapped
+    share = square ** 0.5 / total.mapped
     return (cause, share) if share >= SMALLEST_CAUSE else None
 
 

@@ -33,11 +33,8 @@ NAME, TRUTH_NAME = 'calibration.yaml', 'truth.yaml'
 SIDE_POINTS = 13  # points along each side of the field of view: fewer would be mostly its corners
 FIELD_TEXT = 'x within +-20 mm, range 160-190 mm'
 
-HEADER = """\
-# Hand-eye calibration. T is the pose of {child} in {parent}: it maps points of {child}
-# into {parent}, p_{parent} = T @ p_{child}. Metres and radians; quaternion x y z w; rpy is
-# that of URDF; the covariance (6x6) is of x y z rx ry rz, in {parent}.
-"""
+SI_TEXT = ('Metres and radians; quaternions are x y z w; roll pitch yaw turn about the fixed axes '
+           'x, y, z, as in URDF; the covariance (6x6) is of x y z rx ry rz, in the parent frame.')
 
 # the keys below target of one number each
 FLOATS = 'radius|distance|scale|rotation_lag|clock_drift|line_bend|setback.*|.*(angle|_error|_std)'
@@ -67,9 +64,23 @@ def one_line(text: str) -> str:
 
 def text(calibration: Calibration) -> str:
     """Return the content of the file."""
-    header = HEADER.format(parent=one_line(calibration.parent_frame),
-                           child=one_line(calibration.child_frame))
+    header = ''.join(f'# {line}\n' for line in preamble(calibration))
     return header + yaml_text(content_of(calibration))
+
+
+def preamble(calibration: Calibration, units: str = SI_TEXT) -> tuple[str, ...]:
+    """Return lines that explain the numbers: direction, frames, units, uncertainty."""
+    parent, child = one_line(calibration.parent_frame), one_line(calibration.child_frame)
+    std = np.sqrt(np.diag(calibration.covariance))
+    (x, y, z), (rx, ry, rz) = 1e3 * std[:3], np.degrees(std[3:])
+    return (
+        f'Hand-eye calibration {one_line(calibration.name)} ({one_line(calibration.method)}), '
+        f'written by handeye_ros {__version__}.',
+        f'The pose of {child} in {parent}: p_{parent} = T @ p_{child}, so it maps points of '
+        f'{child} into {parent}.',
+        f'Parent frame {parent}, child frame {child}. {units}',
+        f'1 sigma of the position: x {x:.3f}, y {y:.3f}, z {z:.3f} mm; of the rotation about the '
+        f'axes of {parent}: x {rx:.4f}, y {ry:.4f}, z {rz:.4f} degrees.')
 
 
 def content_of(calibration: Calibration) -> dict[str, Any]:

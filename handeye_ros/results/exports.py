@@ -17,18 +17,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, UTC
 from functools import partial
-import json
 from pathlib import Path
 import re
 import shutil
 
-from handeye_ros import __version__, se3
+from handeye_ros import se3
 from handeye_ros.config import SAVE_FORMATS
 from handeye_ros.data import Calibration
 from handeye_ros.errors import UnknownNameError
-from handeye_ros.output import rendered, write_atomically, write_errors_for, yaml_text
+from handeye_ros.output import rendered, write_atomically, write_errors_for
 from handeye_ros.results import calibration_file
-from handeye_ros.results.calibration_file import config_of, one_line
+from handeye_ros.results.calibration_file import config_of, one_line, preamble
 from handeye_ros.tables import notation_of
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -36,10 +35,7 @@ from scipy.spatial.transform import Rotation
 YAML = 'yaml'
 REPORT_FILE = 'report.html'
 HISTORY_FOLDER = 'history'  # the folder of previous results, each in a folder named after the time
-SI_TEXT = ('Metres and radians; quaternions are x y z w; roll pitch yaw turn about the fixed '
-           'axes x, y, z, as in URDF.')
 DIGITS_OF_UNIT = {'mm': 4, 'm': 7, 'deg': 5, 'rad': 8, '': 9}
-TARGET_FRAME = 'handeye_target'  # our target has no frame in the robot's tree
 # By vendor: file, start of a comment, and what is typed at the pendant or put into a program.
 PENDANTS = {
     'kuka': ('tool_kuka.dat', '; ', 'DECL FRAME SENSOR={{X {x},Y {y},Z {z},A {a},B {b},C {c}}}'),
@@ -49,36 +45,6 @@ PENDANTS = {
     'staubli': ('tool_staubli.txt', '// ', '{{{x}, {y}, {z}, {rx}, {ry}, {rz}}}'),
     'yaskawa': ('tool_yaskawa.txt', '; ', '{xyz},{angles}'),
 }
-
-
-def preamble(calibration: Calibration, units: str = SI_TEXT) -> tuple[str, ...]:
-    """Return lines that explain the numbers: direction, frames, units, uncertainty."""
-    parent, child = one_line(calibration.parent_frame), one_line(calibration.child_frame)
-    std = np.sqrt(np.diag(calibration.covariance))
-    (x, y, z), (rx, ry, rz) = 1e3 * std[:3], np.degrees(std[3:])
-    return (
-        f'Hand-eye calibration {one_line(calibration.name)} ({one_line(calibration.method)}), '
-        f'written by handeye_ros {__version__}.',
-        f'The pose of {child} in {parent}: p_{parent} = T @ p_{child}, so it maps points of '
-        f'{child} into {parent}.',
-        f'Parent frame {parent}, child frame {child}. {units}',
-        f'1 sigma of the position: x {x:.3f}, y {y:.3f}, z {z:.3f} mm; of the rotation about the '
-        f'axes of {parent}: x {rx:.4f}, y {ry:.4f}, z {rz:.4f} degrees.')
-
-
-def commented(calibration: Calibration, mark: str = '# ', units: str = SI_TEXT) -> str:
-    """Return the preamble as comment lines."""
-    return ''.join(f'{mark}{line}\n' for line in preamble(calibration, units))
-
-
-def as_json(calibration: Calibration) -> str:
-    """Return the calibration as JSON, with the preamble under "comment"."""
-    content = calibration_file.content_of(calibration)
-    names = ('name', 'parent_frame', 'child_frame', 'transform', 'rpy')
-    values = {
-        'comment': preamble(calibration), **{name: content[name] for name in names},
-        'matrix': calibration.T_flange_sensor, 'covariance': calibration.covariance}
-    return json.dumps(values, indent=2, default=np.ndarray.tolist) + '\n'
 
 
 def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> str:
@@ -94,11 +60,12 @@ def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> s
     values = [*T[:3, 3] * (1e3 if notation.length == 'mm' else 1.0), *angles]
     texts = [f'{round(value, DIGITS_OF_UNIT[unit]) + 0.0:.{DIGITS_OF_UNIT[unit]}f}'  # no -0
              for value, unit in zip(values, units, strict=True)]
-    rows = [f'{mark}{name.upper():3} {text} {unit}'.rstrip()
-            for name, text, unit in zip(names, texts, units, strict=True)]
-    rows.append(line.format(**dict(zip(names, texts, strict=True)), xyz=','.join(texts[:3]),
-                            angles=','.join(texts[3:])))
-    return commented(calibration, mark, f'{notation.title}.') + '\n'.join(rows) + '\n'
+    rows = [*preamble(calibration, f'{notation.title}.'), *(
+        f'{name.upper():3} {text} {unit}'.rstrip()
+        for name, text, unit in zip(names, texts, units, strict=True))]
+    program = line.format(**dict(zip(names, texts, strict=True)), xyz=','.join(texts[:3]),
+                          angles=','.join(texts[3:]))
+    return ''.join(f'{mark}{row}\n' for row in rows) + f'{program}\n'
 
 
 def by_template(calibration: Calibration, template: str) -> str:
@@ -109,27 +76,14 @@ def by_template(calibration: Calibration, template: str) -> str:
     pose = zip(('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw'),
                (*T[:3, 3].tolist(), *se3.quaternion(T).tolist()), strict=True)
     return rendered(template, c=calibration, comment=preamble(calibration), node=node,
-                    matrix=T.tolist(), pose=dict(pose), rpy=se3.rpy(T).tolist())
+                    matrix=T.tolist(), pose=dict(pose), rpy=se3.rpy(T).tolist(),
+                    transform=se3.transform_values(T), config=config_of(calibration),
+                    stem=_stem(calibration))
 
 
-def easy_handeye2(calibration: Calibration) -> str:
-    """Return the content of the file for easy_handeye2."""
-    config, file = config_of(calibration), FORMATS['easy_handeye2'].file_name(calibration)
-    parent = 'robot_effector_frame' if config.in_hand else 'robot_base_frame'
-    content = {
-        'parameters': {
-            'name': file.removesuffix('.calib'),
-            'calibration_type': config.calibration_type,
-            'robot_base_frame': config.base_frame,
-            'robot_effector_frame': config.robot_effector_frame,
-            parent: calibration.parent_frame,
-            'tracking_base_frame': calibration.child_frame,
-            'tracking_marker_frame': TARGET_FRAME,
-            'freehand_robot_movement': True,
-        },
-        'transform': se3.transform_values(calibration.T_flange_sensor)}
-    return (f'{commented(calibration)}# For easy_handeye2: its place is '
-            f'~/.ros2/easy_handeye2/calibrations/{file}\n{yaml_text(content)}')
+def _stem(calibration: Calibration) -> str:
+    """Return the name of a calibration as a part of the name of a file."""
+    return one_line(calibration.name).replace('/', '_')
 
 
 @dataclass(frozen=True)
@@ -146,16 +100,16 @@ class Format:
 
     def file_name(self, calibration: Calibration) -> str:
         """Return the name of the file in the folder of the result."""
-        return self.file.format(name=one_line(calibration.name).replace('/', '_'))
+        return self.file.format(name=_stem(calibration))
 
 
 FORMATS = {
     YAML: Format(calibration_file.NAME, calibration_file.text),
     **{name: Format(file, partial(by_template, template=f'{file}.jinja')) for name, file in (
         ('urdf', 'sensor.urdf.xacro'), ('launch', 'static_transform.launch.py'),
-        ('matrix', 'matrix.txt'))},
-    'easy_handeye2': Format('{name}.calib', easy_handeye2),
-    'json': Format('calibration.json', as_json),
+        ('matrix', 'matrix.txt'), ('json', 'calibration.json'))},
+    'easy_handeye2': Format('{name}.calib', partial(
+        by_template, template='easy_handeye2.calib.jinja')),
     **{vendor: Format(file, partial(tool_frame, vendor=vendor, mark=mark, line=line))
        for vendor, (file, mark, line) in PENDANTS.items()},
 }

@@ -174,7 +174,8 @@ def outline_of(target: Mapping[str, Any], size: tuple[float, ...], seen: Array) 
     if 'pose' in target:
         return _plate(target, size, seen)
     if 'direction' in target and 'point' in target:
-        return Outline(edges=(_along(_xyz(target['point']), np.array(target['direction']), seen),))
+        point, axes = _xyz(target['point']), np.array([target['direction']])
+        return Outline(edges=(point + _extent(seen - point, axes) @ axes,))
     if 'normal' in target:
         return Outline(outline=(_square(np.array(target['normal']), target['distance'], seen),))
     return Outline()
@@ -195,20 +196,18 @@ def _plate(target: Mapping[str, Any], size: tuple[float, ...], seen: Array) -> O
     return Outline(edges=(ends[[0, 1]], ends[[0, 2]]), outline=(ends[[1, 3, 2]],))
 
 
-def _along(point: Array, direction: Array, seen: Array) -> Array:
-    """Return the ends (2, 3) of the visible part of a line."""
-    along = ((seen - point) @ direction if len(seen) else
-             DRAWN_EDGE_LENGTH / 2 * np.array([-1.0, 1]))
-    return point + np.outer([along.min(), along.max()], direction)
+def _extent(seen: Array, axes: Array) -> Array:
+    """Return the least and the largest coordinates (2, k) of seen points along axes (k, 3)."""
+    half = DRAWN_EDGE_LENGTH / 2 * np.ones(len(axes))
+    flat = seen @ axes.T if len(seen) else np.array([-half, half])
+    return np.array([flat.min(axis=0), flat.max(axis=0)])
 
 
 def _square(normal: Array, distance: float, seen: Array) -> Array:
     """Return the outline (5, 3) of the visible part of a plane."""
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     axes = np.array([first, np.cross(normal, first)]) / np.linalg.norm(first)
-    flat = seen @ axes.T if len(seen) else DRAWN_EDGE_LENGTH / 2 * np.array([[-1.0, -1], [1, 1]])
-    (x0, y0), (x1, y1) = flat.min(axis=0), flat.max(axis=0)
-    corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
+    corners = _extent(seen, axes)[[[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]], [0, 1]]
     return np.asarray(corners @ axes + normal * distance)
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Container, Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 import math
 import re
 from typing import Any
@@ -14,13 +14,13 @@ from handeye_ros.config import RECORD_PREFIX
 from handeye_ros.data import (
     Arc,
     Array,
-    Budget,
     Calibration,
     EdgePoint,
     FaceLine,
     Quality,
     Reject,
     Sample,
+    Term,
 )
 from handeye_ros.results.calibration_file import Errors
 import numpy as np
@@ -74,15 +74,14 @@ def figures_table(*heads: str, rows: Iterable[Iterable[str]] = (), right: Contai
     return table
 
 
-def budget_table(budget: Budget) -> RenderableType:
-    """Return the table of what the uncertainty comes from."""
-    rows = ((term.name, f'{100 * (term.mapped / budget.total.mapped) ** 2:.1f} %',
+def budget_table(terms: Sequence[Term], samples: int) -> RenderableType:
+    """Return the table of what the uncertainty comes from; the last of the terms is their sum."""
+    rows = ((term.name, f'{100 * (term.mapped / terms[-1].mapped) ** 2:.1f} %',
              f'{1e3 * term.mapped:.4f} mm', f'{1e3 * term.translation:.4f} mm',
-             f'{math.degrees(term.rotation):.4f} degrees')
-            for term in (*budget.terms, budget.total))
+             f'{math.degrees(term.rotation):.4f} degrees') for term in terms)
     causes = figures_table('1 sigma by cause', 'share', 'mapped points', 'position', 'rotation',
                            rows=rows, right=range(1, 5))
-    return Group(causes, Text(f'squares add up; {budget.samples} samples; mapped points: RMS over '
+    return Group(causes, Text(f'squares add up; {samples} samples; mapped points: RMS over '
                               'the field of view;\nposition, rotation: RMS of the axes'))
 
 

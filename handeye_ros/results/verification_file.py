@@ -25,11 +25,12 @@ FORMAT_PREFIX = 'handeye_ros/verification/'
 FORMAT = f'{FORMAT_PREFIX}1'
 TABLE_COLUMNS = ('measured', 'nominal', 'deviation', 'U (k = 2)', 'claimed, 1 sigma',
                  'ISO 14253-1')
-SCATTER_ROWS = (('mean distance from the fit', 'mean'), ('its standard deviation', 'std'),
-                ('its maximum', 'maximum'), ('its RMS', 'rms'))
-LIMIT_ROWS = (('tolerance of lengths', 'tolerance', 'm'),
-              ('tolerance of angles', 'angle_tolerance', 'rad'),
-              ('smallest error of the calibration that would show', 'smallest_error', 'm'))
+# Rows of a figure alone, of the scatter or of the whole: name, key, unit.
+FIGURE_ROWS = (('mean distance from the fit', 'mean', 'm'), ('its standard deviation', 'std', 'm'),
+               ('its maximum', 'maximum', 'm'), ('its RMS', 'rms', 'm'),
+               ('tolerance of lengths', 'tolerance', 'm'),
+               ('tolerance of angles', 'angle_tolerance', 'rad'),
+               ('smallest error of the calibration that would show', 'smallest_error', 'm'))
 # Characteristics of VDI/VDE 2634 parts 2 and 3: meaning, and factor to the error of the quantity
 # (PS is of the diameter). E is the length measurement error of ISO 10360.
 CHARACTERISTICS = {
@@ -59,11 +60,6 @@ def title_of(content: Mapping[str, Any]) -> str:
     return f'{content["routine"]}: {content["verdict"].upper()}, {content["stations"]} stations'
 
 
-def verdict_style(verdict: str) -> str:
-    """Return how a verdict looks: good, bad, or open where nothing was decided."""
-    return {'pass': 'good', 'fail': 'bad'}.get(verdict, 'open')
-
-
 def table_rows(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Yield the measured values: a name, and the texts of TABLE_COLUMNS."""
     for q in content['quantities']:
@@ -75,9 +71,8 @@ def table_rows(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...
         claimed = q['claimed'] or None  # a scatter claims nothing
         figures = (formatted(v, q['unit']) for v in (q['value'], nominal, error, U, claimed))
         yield q['name'], (*figures, decided)
-    for name, size, unit in (*((name, content['scatter'][key], 'm') for name, key in SCATTER_ROWS),
-                             *((name, content[key], unit) for name, key, unit in LIMIT_ROWS)):
-        yield name, (formatted(size, unit), '', '', '', '', '')
+    for name, key, unit in FIGURE_ROWS:
+        yield name, (formatted({**content, **content['scatter']}[key], unit), *[''] * 5)
 
 
 def table(content: Mapping[str, Any]) -> Table:
@@ -118,7 +113,6 @@ def protocol(content: Mapping[str, Any]) -> str:
     digest = hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode())
     return rendered(
         'protocol.html', t=content, number=digest.hexdigest()[:12], title=title_of(content),
-        look=verdict_style(content['verdict']),
         columns=TABLE_COLUMNS, rows=list(table_rows(content)),
         characteristics=list(_characteristics(content)), formatted=formatted)
 

@@ -45,7 +45,7 @@ from handeye_ros.robot.selection import (
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import problem_of_known_poses, with_estimated_clocks
-from handeye_ros.tables import ANGLE, LENGTH, Table
+from handeye_ros.tables import ANGLE, LENGTH, Table, UNITS
 from handeye_ros.targets.profile_target import xyz
 import numpy as np
 from numpy.typing import NDArray
@@ -230,14 +230,15 @@ def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, list[str
     table = Table(path)
     kinds = {j.name: LENGTH if j.kind == PRISMATIC else ANGLE for j in arm.joints}
     readings = {name: table.values([name], kind)[:, 0] for name, kind in kinds.items()
-                if table.has([name])}
+                if name in table.columns}
     q, points = arm.positions(readings, path), table.values(['x', 'y', 'z'], LENGTH)
-    labels = table.text('target') if table.has(['target']) else ['target'] * len(points)
+    labels = table.text('target') if 'target' in table.columns else ['target'] * len(points)
     names = tuple(dict.fromkeys(labels))
     target = np.array([names.index(label) for label in labels], dtype=np.intp)
     order = np.argsort(target, kind='stable')
     unused = [f'the column {name} is no joint between {arm.base} and {arm.flange}: it is not used'
-              for name in table.names if table.kind(name) == ANGLE and name not in kinds]
+              for name, (unit, _) in table.columns.items()
+              if unit in UNITS[ANGLE] and name not in kinds]
     return (PointRows(q[order], points[order], target[order], names, order + 1, in_hand),
             [*unused, *joint_notes(arm, q)])
 

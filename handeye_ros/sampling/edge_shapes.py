@@ -51,7 +51,7 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     """Return the edge shape that all samples support, with one common radius where they agree."""
     ends = [f for s in samples for f in s.features
             if isinstance(f, EdgePoint) and f.ending != 'roof']
-    depth = np.array([end.drop_depth for end in ends])
+    depth = np.hypot(*np.reshape([end.drop for end in ends], (-1, 2)).T)
     if len(ends) < 3 or np.median(depth) <= SHARP_DEPTH:
         return EdgeShape()
     bent = [end.shape_log_odds for end in ends if len(end.shape_log_odds)]

@@ -15,8 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import compress, islice
 
-from handeye_ros import units
-from handeye_ros.config import Config, NoiseConfig
+from handeye_ros.config import Config, NoiseConfig, parse_length
 from handeye_ros.data import Array, Calibration, Profile, ROTATION_LAG
 from handeye_ros.errors import DataError
 from handeye_ros.frames import mount_poses, target_frame, unit_vectors
@@ -51,8 +50,8 @@ class ScanOptions:
     @classmethod
     def of_texts(cls, limits: Sequence[str], degrees: float, voxel: str, std: bool) -> ScanOptions:
         """Return the options of a command line; raises BadValueError."""
-        nearest, farthest = units.parse_limits(limits, '--range', 10.0)
-        edge = units.parse_length(voxel, '--voxel', 0.1, 0.0)
+        nearest, farthest = (parse_length(text, '--range', 10.0) for text in limits)
+        edge = parse_length(voxel, '--voxel', 0.1, 0.0)
         return cls(nearest, farthest, float(np.deg2rad(degrees)), edge, std)
 
 

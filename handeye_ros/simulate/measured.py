@@ -35,7 +35,7 @@ class SimulatedFiles:
     T_flange_sensor: (4, 4), of the camera in the base with eye_on_base
     noise: 1 sigma each, in SI units
     settings: the configuration by dotted key
-    profiles, poses: of the bag beside the tables, if there is one
+    profiles, poses: of the bag beside the tables, if there is one; without joint values
     """
 
     tables: Mapping[str, str]
@@ -44,6 +44,13 @@ class SimulatedFiles:
     settings: Mapping[str, Any]
     profiles: tuple[Profile, ...] = ()
     poses: tuple[TimedPose, ...] = ()
+    joints: tuple[()] = ()
+
+    @property
+    def true_values(self) -> dict[str, Any]:
+        """Return what truth.yaml holds, by key."""
+        return {'T_flange_sensor': se3.transform_values(self.T_flange_sensor),
+                'noise': self.noise, 'settings': self.settings}
 
 
 def points(rng: np.random.Generator, noise: float = 3e-5, count: int = 10) -> SimulatedFiles:

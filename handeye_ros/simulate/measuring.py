@@ -10,7 +10,8 @@ Also a curved preform with a seam, as a cloud.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Profile, TimedPose
@@ -97,20 +98,14 @@ class Gauge:
 
     def solids(self) -> tuple[Solid, ...]:
         """Return the teeth on their bar."""
-        outward = np.array([[self.height, 0, self.flank], [-self.height, 0, self.flank]])
-        outward /= np.hypot(self.flank, self.height)
-        normals = np.vstack([outward, [[0, 0, 1], [0, 1, 0]]])
-        half = self.length / 2
+        out, _, up = np.array([self.height, 0, self.flank]) / np.hypot(self.flank, self.height)
+        normals = np.array([[out, 0, up], [-out, 0, up], [0, 0, 1], [0, 1, 0]])
+        # the flanks are a quarter of the pitch from the middle at half the height
+        flank = out * self.pitch / 4 + up * self.height / 2
+        half, width = self.length / 2, self.count * self.pitch / 2
         low = np.array([-np.inf, -np.inf, -1e-3, -half])
-        teeth: list[Solid] = []
-        for k in range(self.count):
-            middle = (k - (self.count - 1) / 2) * self.pitch
-            # the flanks are a quarter of the pitch from the middle at half the height
-            flanks = np.array([[middle + self.pitch / 4, 0, self.height / 2],
-                               [middle - self.pitch / 4, 0, self.height / 2]])
-            high = np.append((outward * flanks).sum(axis=1), [self.height, half])
-            teeth.append(Polyhedron(normals, low, high))
-        width = self.count * self.pitch / 2
+        teeth = [Polyhedron(normals, low, np.array([flank + x, flank - x, self.height, half]))
+                 for x in out * (np.arange(self.count) - (self.count - 1) / 2) * self.pitch]
         return (box((-width, -half, -0.01), (width, half, 0.0)), *teeth)
 
 
@@ -143,31 +138,29 @@ GAUGE_BALL = SphereTarget(0.02, table=None, clutter=False)
 BALL_BAR_LENGTH = 0.2  # m between two balls
 
 
-def measuring_cell(rng: np.random.Generator, columns: int = 1280
-                   ) -> tuple[dict[str, Messages], Array]:
+def measuring_cell(rng: np.random.Generator) -> tuple[dict[str, Messages], dict[str, Any]]:
     """
-    Return recordings by name and T_flange_sensor (4, 4).
+    Return recordings by name, and what the truth.yaml of each holds.
 
     The artefacts are GAUGE_BALL, two of them BALL_BAR_LENGTH apart, and Gauge().
 
     The sensor has noise of 0.03 mm, the robot is that of the plate scenario.
     """
     plate = SCENARIOS['plate']
-    sensor, robot = replace(plate.sensor, columns=columns), plate.robot
-    simulated = simulate(replace(plate, sensor=sensor), rng)
+    simulated = simulate(plate, rng)
     X, T_bar = simulated.truth.T_flange_sensor, draw_pose(rng)
     recordings = {'plate': Messages(simulated.profiles, simulated.poses)}
-    wide = changed(SCENARIOS['sphere'], 'ball', target=GAUGE_BALL, stations=(12, 0), robot=robot,
-                   sensor={'columns': columns, 'noise': sensor.noise})
+    wide = changed(SCENARIOS['sphere'], 'ball', target=GAUGE_BALL, stations=(12, 0))
     for k in range(2):
         T_ball = np.eye(4)
         T_ball[0, 3] = k * BALL_BAR_LENGTH
         stops = SCENES[wide.scene].stops(wide, rng)
         recordings[f'ball_{k + 1}'] = rendered(wide, X, T_bar @ T_ball, stops, rng,
                                                1000.0 * (k + 1))
-    passes = scan_gauge(Gauge(), X, draw_pose(rng), sensor, robot, rng)
+    passes = scan_gauge(Gauge(), X, draw_pose(rng), plate.sensor, plate.robot, rng)
     recordings |= {f'pass_{k + 1}': one for k, one in enumerate(passes)}
-    return recordings, X
+    return recordings, {'T_flange_sensor': se3.transform_values(X), 'artefacts': {
+        'ball_radius': GAUGE_BALL.radius, 'bar': BALL_BAR_LENGTH, 'gauge': asdict(Gauge())}}
 
 
 # -- a preform with a seam

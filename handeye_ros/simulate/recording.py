@@ -9,7 +9,7 @@ stops directly.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from handeye_ros import se3
@@ -78,6 +78,12 @@ class Simulated:
     poses: tuple[TimedPose, ...]
     truth: Truth
 
+    @property
+    def tables(self) -> dict[str, str]:
+        """Return the texts of the files beside the bag, by name: the URDF of an arm."""
+        return {'robot.urdf': robots.urdf()} if self.scenario.robot.geometry else {}
+
+    @property
     def joints(self) -> list[tuple[int, Array]]:
         """Return stamps and joint values of the arm at the poses, empty without an arm."""
         if not self.scenario.robot.geometry:
@@ -86,6 +92,18 @@ class Simulated:
                                 np.array([pose.quaternion for pose in self.poses]))
         values = np.unwrap(robots.inverse(T), axis=0)
         return [(pose.stamp, row) for pose, row in zip(self.poses, values, strict=True)]
+
+    @property
+    def true_values(self) -> dict[str, Any]:
+        """Return what truth.yaml holds, by key."""
+        sensor, robot, truth = self.scenario.sensor, self.scenario.robot, self.truth
+        known = {key: getattr(truth, key) for key in (
+            'T_flange_sensor', 'T_base_target', 'time_offset', 'T_corrected_sensor')}
+        return {key: se3.transform_values(value) if np.ndim(value) else value
+                for key, value in known.items() if value is not None} | {
+            'noise': {'sensor': sensor.noise, 'robot_translation': robot.repeatability[0],
+                      'robot_rotation': robot.repeatability[1]},
+            'parameters': asdict(self.scenario)}
 
 
 def settings(scenario: Scenario) -> dict[str, Any]:

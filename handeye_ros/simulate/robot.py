@@ -4,12 +4,13 @@
 The robot: a six-axis arm, and what is wrong with the poses that a controller reports.
 
 The arm has a spherical wrist: T_base_flange = Rz(q1) Tz(D1) Ry(q2) Tz(A2) Ry(q3) Tz(D4) Rz(q4)
-Ry(q5) Rz(q6) Tz(D6). Its errors are unknown to its controller.
+Ry(q5) Rz(q6) Tz(D6), as in assets/arm.urdf. Its errors are unknown to its controller.
 """
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.data import Array
@@ -19,7 +20,6 @@ from scipy.spatial.transform import Rotation
 
 D1, A2, D4, D6 = 0.45, 0.75, 0.75, 0.10  # m: shoulder, upper arm, forearm, flange
 JOINT_AXES = 'zyyzyz'
-CONTINUOUS_JOINTS = (4, 6)  # continuous joints
 LINK_LENGTHS = (D1, A2, D4, 0.0, 0.0, D6)  # m, along z, after each joint
 
 
@@ -99,22 +99,7 @@ def reported_error(T: Array, errors: ArmErrors) -> Array:
 
 def urdf() -> str:
     """Return the URDF of the nominal arm."""
-    heights = (0.0, *LINK_LENGTHS[:-1])
-    links = ''.join(f'  <link name="{name}"/>\n' for name in (
-        'base', *(f'link_{k}' for k in range(1, 7)), 'flange'))
-    kinds = {False: 'revolute', True: 'continuous'}
-    axes = {'y': '0 1 0', 'z': '0 0 1'}
-    joints = ''.join(
-        f'  <joint name="joint_{k}" type="{kinds[k in CONTINUOUS_JOINTS]}">\n'
-        f'    <origin xyz="0 0 {height}"/>\n'
-        f'    <parent link="{f"link_{k - 1}" if k > 1 else "base"}"/>\n'
-        f'    <child link="link_{k}"/>\n    <axis xyz="{axes[axis]}"/>\n'
-        '    <limit lower="-3.2" upper="3.2" effort="0" velocity="3"/>\n  </joint>\n'
-        for k, (axis, height) in enumerate(zip(JOINT_AXES, heights, strict=True), 1))
-    return (f'<?xml version="1.0"?>\n<robot name="arm">\n{links}{joints}'
-            '  <joint name="end" type="fixed">\n'
-            f'    <origin xyz="0 0 {LINK_LENGTHS[-1]}"/>\n    <parent link="link_6"/>\n'
-            '    <child link="flange"/>\n  </joint>\n</robot>\n')
+    return Path(__file__).with_name('assets').joinpath('arm.urdf').read_text(encoding='utf-8')
 
 
 def pose_error(robot: RobotModel, T: Array, rng: np.random.Generator) -> Array:

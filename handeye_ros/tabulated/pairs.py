@@ -23,7 +23,7 @@ from handeye_ros import se3
 from handeye_ros.checks.refusals import require_rotations
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array
-from handeye_ros.errors import DataError, TooFewError
+from handeye_ros.errors import DataError, require_count
 from handeye_ros.estimation.least_squares import (
     adjust,
     Adjusted,
@@ -260,9 +260,8 @@ class PointPairs(PairedRows):
 
     def require_determined(self) -> None:
         """Raise DataError for few points, and for points that are (nearly) collinear."""
-        if len(self) < self.fewest:
-            raise TooFewError('the transform between two sets of points', self.fewest, 'points',
-                              len(self))
+        require_count('the transform between two sets of points', self.fewest, 'points',
+                      len(self))
         along, across = np.linalg.svd(self.robot - self.robot.mean(axis=0), compute_uv=False)[:2]
         if across < SMALLEST_ANGLE * along:
             raise DataError('the points lie in one line, so a turn about it is free; put some of '
@@ -330,8 +329,7 @@ class PosePairs(PairedRows):
 
     def require_determined(self) -> None:
         """Raise DataError for few poses, and for poses that turn about one axis or none."""
-        if len(self) < self.fewest:
-            raise TooFewError('A X = X B', self.fewest, 'poses', len(self))
+        require_count('A X = X B', self.fewest, 'poses', len(self))
         require_rotations(self.robot, mount_frame(self.config), 'the position along it is free')
 
     def closed_form(self) -> Array:

@@ -236,7 +236,7 @@ def test_a_face_that_is_seen_bent_is_a_parabola_up_to_its_edge(bow: float) -> No
         line, (edge,) = found(marked(height, seed))
         x, z = edge.point
         assert abs(x + 0.012) < 2 * PITCH
-        assert abs(z - height(max(x, -0.01199))) < 8 * edge.std_across and edge.drop_depth == 0
+        assert abs(z - height(max(x, -0.01199))) < 8 * edge.std_across and not edge.drop.any()
         x, z = line.points.T
         off.append((z - height(x)) / line.points_std)
     assert np.abs(np.sum(off, axis=0)).max() < 4 * seeds ** 0.5  # no point of it is biased
@@ -262,7 +262,7 @@ def test_a_wall_in_sight_gives_the_same_edge_whatever_the_corner(radius: float, 
         z = bent(radius, wall)
         edge = edge_of(np.column_stack([X, z + np.random.default_rng(seed).normal(
             0, NOISE, COLUMNS)]))
-        assert edge.ending == 'roof' and edge.drop_depth == 0
+        assert edge.ending == 'roof' and not edge.drop.any()
         errors.append((edge.point - [0, 0.17]) @ edge.direction)
         assert abs(errors[-1]) < 4 * edge.std
     assert abs(np.mean(errors)) < 0.6 * PITCH

@@ -15,7 +15,7 @@ import command
 from command import assert_refused, ROOT
 from handeye_ros import se3, tabulated
 from handeye_ros.bags import bag, bag_write
-from handeye_ros.cli import simulated
+from handeye_ros.cli.tools import write_simulated
 from handeye_ros.compare import compare_files
 from handeye_ros.config import load, with_values
 from handeye_ros.errors import DataError, InputError
@@ -130,7 +130,7 @@ def test_without_noise_all_find_the_truth(name: str, handeye: Run, tmp_path: Pat
 
 
 def test_a_wrong_row_is_left_out_and_reported(tmp_path: Path) -> None:
-    simulated.write('points', 1, tmp_path / 'cell')
+    write_simulated('points', 1, tmp_path / 'cell')
     file = tmp_path / 'cell' / 'points.csv'
     header, first, *rest = file.read_text().splitlines()
     file.write_text('\n'.join([header, first.replace(first.split(',')[0], '500.0'), *rest]))
@@ -145,7 +145,7 @@ def test_a_wrong_row_is_left_out_and_reported(tmp_path: Path) -> None:
 
 
 def test_the_samples_of_the_tracker_are_its_rows_and_the_profiles(tmp_path: Path) -> None:
-    simulated.write('small_tracker', 2, tmp_path / 'cell')
+    write_simulated('small_tracker', 2, tmp_path / 'cell')
     file = tmp_path / 'cell' / 'tracker.csv'
     text = file.read_text()
     lines = text.splitlines()
@@ -264,7 +264,7 @@ INVERTED = 'set calibration_type to the other one, or, if it is right, give the 
 def test_files_without_an_answer(name: str, change: Callable[[str], str], code: int, words: str,
                                  handeye: Run, tmp_path: Path) -> None:
     name, *settings = name.split()
-    simulated.write(name, 1, tmp_path / 'cell')
+    write_simulated(name, 1, tmp_path / 'cell')
     file = tmp_path / 'cell' / TABLES[target_of(name)]
     file.write_text(change(file.read_text()))
     refused(handeye('solve', *given(name, tmp_path / 'cell'),
@@ -285,7 +285,7 @@ NUMBERS: dict[str, Callable[[Rotation], np.ndarray]] = {
 def test_the_notation_of_a_controller_is_named(
         written: str, unit: str, length: str, columns: str, angles: str, words: str, handeye: Run,
         tmp_path: Path) -> None:
-    simulated.write('hand_eye', 1, tmp_path / 'cell')
+    write_simulated('hand_eye', 1, tmp_path / 'cell')
     table = Table(tmp_path / 'cell' / 'poses.csv')
     flange, target = table.poses('flange'), table.poses('target')
     turned = NUMBERS[written](Rotation.from_matrix(flange[:, :3, :3]))
@@ -333,7 +333,7 @@ def test_turns_about_one_axis_are_refused(eye_on_base: bool, handeye: Run, tmp_p
 
 def test_an_answer_beyond_the_limits_is_refused_and_others_may_answer(handeye: Run, tmp_path: Path
                                                                       ) -> None:
-    simulated.write('points', 1, tmp_path / 'cell')
+    write_simulated('points', 1, tmp_path / 'cell')
     arguments = given('points', tmp_path / 'cell')
     for limit, words in (('translation', 'the position along'), ('rotation', 'the rotation about'),
                          ('residual', 'samples differ by 0.04')):
@@ -362,7 +362,7 @@ def test_settings_that_do_not_fit_end_with_2(settings: tuple[str, ...], words: s
 
 
 def test_inputs_that_are_none_end_with_2(handeye: Run, tmp_path: Path) -> None:
-    simulated.write('small_tracker', 1, tmp_path / 'cell')
+    write_simulated('small_tracker', 1, tmp_path / 'cell')
     _, *settings = given('points', tmp_path)
     refused(handeye('solve', 'nowhere.csv', *settings), 2, 'nowhere.csv', 'cannot be read')
     refused(handeye('solve', 'cell/tracker.csv', '--set', 'target.type=pointz'), 2,
