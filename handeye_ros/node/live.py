@@ -490,6 +490,9 @@ class LiveSession:
         if other_topics:
             self._switch_to(self.files, Session(config, self.session.last_number),
                             'the topics were changed')
+        elif config.offset_ns != old.offset_ns:  # the profiles that wait have the old one
+            with suppress(InputError):
+                self.process_all()
         with self.lock:
             self.session.configure(config)
         if config.verify.routine != old.verify.routine:

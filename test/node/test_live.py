@@ -173,6 +173,24 @@ def test_settings_that_change_while_the_end_of_a_stop_waits_lose_none_of_its_pro
         sample.profiles for sample in whole.session.samples]
 
 
+@pytest.mark.parametrize(('before', 'lost'), [(4.8, 4), (-4.8, 4), (0.02, 0), (-0.02, 0)])
+def test_a_time_offset_that_changes_during_a_stop_holds_for_that_too(
+        before: float, lost: int) -> None:
+    live, began = new(set_to(SPHERE.config, time_offset=before)), fed().copied().stops[3].stamp
+    received = {profile.stamp: profile.points for profile in SPHERE.profiles}
+    for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
+        if live.config.time_offset and item.stamp > began + 0.8e9:
+            changed(live, time_offset=0.0)
+        shift = live.config.offset_ns if hasattr(item, 'points') else 0
+        feed_one(live, replace(item, stamp=item.stamp + shift))
+    live.ask(live.process_all)
+    stops = live.copied().stops
+    assert [bool(stop.sample) for stop in stops] == [False] * lost + [True] * (len(stops) - lost)
+    for profile in [one for stop in stops for one in stop.load(live.config).profiles]:
+        points = profile.read(live.config.profile).points
+        assert np.array_equal(points, received[profile.stamp], equal_nan=True)
+
+
 @pytest.mark.parametrize('kind', ['pose', 'profile', 'sample'])
 def test_it_begins_anew_with_the_frame_that_comes_unless_another_gave_a_sample(kind: str) -> None:
     exclude = () if kind == 'sample' else (1, 2)  # of samples that are gone then
