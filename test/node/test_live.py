@@ -254,6 +254,8 @@ def test_settings_that_change_need_no_new_samples() -> None:
         assert np.allclose(found.T_flange_sensor, expected.T_flange_sensor, atol=1e-12)
         solved_with, name = found.provenance['config'], key.replace('__', '.')
         assert solved_with[name] == expected.provenance['config'][name]
+    live.configure(set_to(live.config, time_offset_std=0.06))
+    assert not live.to_evaluate, 'it changes no sample'
     changed(live, sampling__min_points=5000)  # extracts again
     assert sample_count(state_of(live)) == 0
     changed(live, sampling__min_points=20)
