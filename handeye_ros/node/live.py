@@ -167,8 +167,7 @@ class LiveSession:
     def pose(self) -> Array | None:
         """Return T_base_flange (4, 4) of the last pose, None before the first."""
         poses = self._poses
-        last = poses[-1] if poses else None  # another may come meanwhile
-        return None if last is None else se3.from_quaternion(last.translation, last.quaternion)
+        return se3.of_pose(poses[-1]) if poses else None
 
     def current(self) -> StopSnapshot | None:
         """Return the last profile with poses before and after it; None without a usable one."""
