@@ -399,8 +399,11 @@ class LiveSession:
         """
         Store settings and then stops that could not be stored before, if that works now.
 
-        A folder that is gone is found here too: then there is a trouble.
+        A folder that is gone is found here too: then there is a trouble. Stops whose process ended
+        are evaluated again.
         """
+        self._evaluate_again(stop for stop in self.session.stops if stop.result == Reject(
+            stop.result.stamp, str(PoolEndedError())))
         path = self.files.path
         if 'storing' in self.troubles or path and not path.is_dir():
             self._store_settings()

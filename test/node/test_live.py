@@ -444,7 +444,7 @@ def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(
     assert len(state['samples']) >= 7 and sample_count(state) == 0
     assert 'ended before it had an answer' in state['samples'][0]['text']
     monkeypatch.undo()
-    changed(live, sampling__min_points=21)
+    computed(live)
     assert sample_count(state_of(live)) >= 7
 
 
