@@ -23,7 +23,7 @@ from handeye_ros.config import read_yaml
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError, nearest, unusable_file
 from handeye_ros.estimation.covariance import CORRECTED_ARM
-from handeye_ros.estimation.noise import whitening
+from handeye_ros.estimation.noise import TURN_LENGTH, whitening
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.results.calibration_file import require_format, transform_from
 import numpy as np
@@ -36,7 +36,6 @@ OFFSET, DIRECTION, POSITION = GEOMETRY = ('offset', 'direction', 'position')
 ERROR_KINDS = np.array([OFFSET, DIRECTION, DIRECTION, POSITION, POSITION])  # the errors of a joint
 # prior 1 sigma of them (rad or m), 0: it has no such error
 PRIOR_STDS = {REVOLUTE: (1e-3, 5e-4, 5e-4, 5e-4, 5e-4), PRISMATIC: (5e-4, 5e-4, 5e-4, 0.0, 0.0)}
-LENGTH_OF_RADIAN = 0.3  # m that count as much as a radian, between poses
 MOST_ROUNDS, LARGEST_STEP = 20, 0.2  # of the search for joint values (rad or m)
 FORMAT, KINEMATICS_FILE = 'handeye_ros/kinematics/', 'kinematics.yaml'
 FLANGE_FRAMES = ('tool0', 'flange', 'tool', 'tcp')  # usual names of the last frame
@@ -189,7 +188,7 @@ class Arm:
 
         Poses beyond reach get those that come near.
         """
-        known, lengths = self.forward(self.configurations), np.repeat([1.0, LENGTH_OF_RADIAN], 3)
+        known, lengths = self.forward(self.configurations), np.repeat([1.0, TURN_LENGTH], 3)
         q = self.configurations[[
             np.argmin(np.linalg.norm(se3.difference(known, T) * lengths, axis=1))
             for T in T_base_flange]]

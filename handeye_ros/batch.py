@@ -12,7 +12,6 @@ import io
 import json
 import os
 from pathlib import Path
-import re
 import shlex
 import shutil
 import time
@@ -21,7 +20,7 @@ from typing import Any, TypeAlias
 from handeye_ros import __version__
 from handeye_ros.bags.reader import SUFFIXES
 from handeye_ros.config import read_yaml
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.errors import DataError, InputError, without_numbers
 from handeye_ros.output import csv_text, rendered, write_atomically
 from handeye_ros.tables import Table
 from handeye_ros.trend import AXES
@@ -288,8 +287,8 @@ def write_table(rows: Sequence[Row], out: Path) -> None:
         -row['exit_code'], -(row.get('residual_rms') or row.get('rms') or 0.0)))
     causes: dict[str, list[Row]] = {}
     for row in worst_first:
-        if row.get('cause'):  # the same sentence with other numbers is the same cause
-            causes.setdefault(re.sub(r'\d[\d.e+-]*', '', row['cause']), []).append(row)
+        if row.get('cause'):
+            causes.setdefault(without_numbers(row['cause']), []).append(row)
     write_atomically(out / 'report.html', rendered(
         'batch.html', rows=worst_first, result=outcome_of,
         figures=[figure for figure in RESULT_FIGURES

@@ -340,7 +340,7 @@ def outliers_at_one_end(solution: Solution) -> str:
     """
     n, used = len(solution.full_problem.poses), solution.used
     k = n - len(used)
-    if solution.problem.pose_model is not None or 2 > PARTED_P * math.comb(n, k):
+    if solution.problem.pose_model is not None or math.comb(n, k) < 2 / PARTED_P:
         return ''
     which, side = {0: ('last', 'before'), k: ('first', 'after')}.get(int(used[0]), ('', ''))
     if not which or np.ptp(used) >= n - k:

@@ -483,12 +483,13 @@ def with_values(config: Config, values: Mapping[str, Any], source: str = 'values
 
 def from_provenance(values: Any) -> Config:
     """Return the configuration of a calibration file; what other versions know is ignored."""
-    known, config = {p.key for p in parameters()}, Config()
+    known, usable = {p.key for p in parameters()}, {}
     for key, value in values.items() if isinstance(values, Mapping) else ():
         if key in known or str(key).startswith(RECORD_PREFIX):
             with suppress(BadValueError):
-                config = with_values(config, {key: value})
-    return config
+                with_values(Config(), {key: value})
+                usable[key] = value
+    return with_values(Config(), usable)
 
 
 def with_assignments(config: Config, assignments: Iterable[str]) -> Config:

@@ -15,6 +15,7 @@ import errno
 import math
 import os
 from pathlib import Path
+import re
 import sys
 import traceback
 from typing import Any
@@ -124,6 +125,11 @@ def mm(metres: float) -> str:
 def degrees(radians: float) -> str:
     """Return an angle in words."""
     return f'{math.degrees(radians):.3g} degrees' if radians < 1 else 'more than 57 degrees'
+
+
+def without_numbers(sentence: str) -> str:
+    """Return a sentence with # for its numbers, as those that are equal then say the same."""
+    return re.sub(r'[-+]?\d[\d.e+-]*', '#', sentence)
 
 
 class UnwritableError(InputError):

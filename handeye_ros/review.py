@@ -100,8 +100,7 @@ def stop_snapshot(stop: Stop, config: Config) -> StopSnapshot:
     if sample:
         T = sample.T_base_flange
     else:
-        middle = stop.poses[len(stop.poses) // 2]
-        T = se3.from_quaternion(middle.translation, middle.quaternion)
+        T = se3.of_pose(stop.poses[len(stop.poses) // 2])
     points = np.empty((0, 2))
     profile = min(stop.profiles, key=lambda p: abs(p.stamp - stamp), default=None)
     with suppress(UnusableMessageError):

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import cast
 
-from handeye_ros.data import Array
+from handeye_ros.data import Array, TimedPose
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -62,6 +62,11 @@ def from_quaternion(translation: Array, quaternion: Array) -> Array:
     """Return the (..., 4, 4) transform of (..., 3) translation and (..., 4) x y z w."""
     flat = Rotation.from_quat(np.array(quaternion).reshape(-1, 4)).as_matrix()
     return transform(flat.reshape(*quaternion.shape[:-1], 3, 3), translation)
+
+
+def of_pose(pose: TimedPose) -> Array:
+    """Return T_base_flange (4, 4) of a pose."""
+    return from_quaternion(pose.translation, pose.quaternion)
 
 
 def quaternion(T: Array) -> Array:

@@ -19,7 +19,7 @@ from handeye_ros.config import (
     with_values,
 )
 from handeye_ros.errors import BadValueError, InputError, UnknownKeyError
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
@@ -58,6 +58,7 @@ some_values = st.sets(st.sampled_from(sorted(KEYS))).flatmap(
 
 
 @given(some_values)
+@example({'noise.robot_class': 'calibrated', 'noise.robot_smooth': 1e-3})
 def test_values_put_in_come_out_again(values: dict[str, object]) -> None:
     config = with_values(Config(), values, 'test')
     flat = flatten(config)

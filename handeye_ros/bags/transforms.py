@@ -35,12 +35,12 @@ class _Link:
         """Return T_parent_child (4, 4) at a stamp; None if it is too new, or too old."""
         poses = self.poses
         if self.static:
-            return se3.from_quaternion(poses[0].translation, poses[0].quaternion)
+            return se3.of_pose(poses[0])
         if not poses or not poses[0].stamp <= stamp <= poses[-1].stamp:
             return None
         index = bisect_left(poses, stamp, key=lambda pose: pose.stamp)
         if poses[index].stamp == stamp:
-            return se3.from_quaternion(poses[index].translation, poses[index].quaternion)
+            return se3.of_pose(poses[index])
         return interpolate([poses[index - 1], poses[index]], [stamp])[0]
 
 

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 from handeye_ros import se3
 from handeye_ros.calibration import clock_estimate
 from handeye_ros.checks.hypotheses import explanation_of_samples, Hypothesis, refuse_better
-from handeye_ros.config import Config
+from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, CLOCK_DRIFT, NS, Profile, Sample
-from handeye_ros.errors import DataError, FeatureError
+from handeye_ros.errors import BadValueError, DataError, FeatureError
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.features import combined_features
@@ -65,11 +65,14 @@ def require_same_clock(session: Session, config: Config) -> None:
             samples = [replace(rest.sample, T_base_flange=other.pose) for rest, other in pairs
                        if rest.sample]
             fit = explanation_of_samples(with_common_shape(samples), config, stamps)
+            offset, setting = config.time_offset - late, ''
+            with suppress(BadValueError):  # it may be out of the range of the key
+                with_values(config, {'time_offset': offset})
+                setting = f'set time_offset to {offset:.1f} (it is {config.time_offset:g}), or '
             hypotheses.append(Hypothesis(fit, DataError(
                 'the samples do not fit the poses of their time, but as if the profiles were '
                 f'{abs(late):.1f} s {"late" if late > 0 else "early"}: the clocks of sensor and '
-                f'robot differ; set time_offset to {config.time_offset - late:.1f} (it is '
-                f'{config.time_offset:g}), or give both the same clock', reason='clocks_differ')))
+                f'robot differ; {setting}give both the same clock', reason='clocks_differ')))
     samples = with_common_shape(session.samples)
     refuse_better(explanation_of_samples(samples, config, [s.stamp for s in samples]), hypotheses)
 

@@ -32,7 +32,7 @@ from handeye_ros.estimation.least_squares import (
     bounded_inverse,
     covariance_of,
     FREE_DIRECTION,
-    LARGEST_STD,
+    leave_one_out,
     left_out_residuals,
 )
 from handeye_ros.estimation.noise import (
@@ -401,12 +401,10 @@ class Solution:
         freedom it is chi-squared distributed when the station is good. All points of a station
         share one pose, which has 6 degrees of freedom.
         """
-        station, n = self.problem.observations.station, len(self.problem.poses)
-        statistic, count = np.zeros(n), np.bincount(station, minlength=n)
-        for group in self.problem.station_groups:
-            r = self.postfit_residuals[group.rows]
-            left_out = left_out_residuals(self.predicted_covariance(group.rows), r)
-            statistic[station[group.rows[:, 0]]] = (r * left_out).sum(axis=1)
+        station, r = self.problem.observations.station, self.postfit_residuals
+        products = r * leave_one_out(r, self.jacobian, self.covariance, station)
+        statistic, count = (np.bincount(station, weights, len(self.problem.poses))
+                            for weights in (products, None))
         return statistic / np.maximum(count, 1), np.clip(count, 1, 6)
 
     @property
@@ -434,13 +432,8 @@ class Solution:
         steps = np.empty((fold.max() + 1, len(self.prior_information)))
         for k in range(len(steps)):
             J, r = self.jacobian[of_row == k], self.postfit_residuals[of_row == k]
-            if len(r) < J.shape[1]:
-                left_out = left_out_residuals((J @ self.covariance @ J.T)[None], r[None])[0]
-                steps[k] = self.covariance @ (J.T @ left_out)
-            else:
-                # what no other fold shows keeps a large, finite variance
-                rest = self.information - J.T @ J + np.eye(J.shape[1]) / LARGEST_STD ** 2
-                steps[k] = bounded_inverse(rest) @ (J.T @ r)
+            left_out = left_out_residuals((J @ self.covariance @ J.T)[None], r[None])[0]
+            steps[k] = self.covariance @ (J.T @ left_out)
         return ([self.problem.retracted(self.estimate, step) for step in steps[:, :u]],
                 self.corrected_poses(self.nuisance + steps[fold, u:]))
 

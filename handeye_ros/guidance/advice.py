@@ -165,7 +165,7 @@ def sigma_table(covariance: Array, levers: Array, config: Config) -> tuple[Sigma
 
 
 def largest_cause(solution: Solution) -> tuple[Cause, float] | None:
-    """Return the largest cause and its share of the sigma, None where noise dominates."""
+    """Return the largest cause and its share of the sigma, None if no one is that large."""
     *terms, total = budget(solution)
     squares = dict[Cause, float]()
     for term in terms:
@@ -186,14 +186,14 @@ def enough_and_why(std: float, accuracy: float, expected: float | None,
     """
     content = (f'points in view are known to {1e3 * std:.3f} mm (1 sigma, {1e3 * accuracy:.3f} '
                'wanted)')
-    remedy = 'noise dominates'
+    remedy = ''
     if largest:
         cause, share = largest
         content += f', of which {1e3 * share * std:.3f} mm is {cause.text} ({cause.key})'
-        remedy = f'a better {cause.remedy} would'
+        remedy = f', a better {cause.remedy} would'
     if std > accuracy and count >= GOOD_COUNT and expected and (
             expected > (1 - SMALLEST_GAIN) * std):
-        return True, f'enough: {content}; more samples bring little, {remedy}'
+        return True, f'enough: {content}; more samples bring little{remedy}'
     if expected:
         content += f'; one more sample would bring {1e3 * expected:.3f} mm'
     return (True, f'enough: {content}') if std <= accuracy else (False, content)

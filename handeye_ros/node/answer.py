@@ -32,12 +32,13 @@ import numpy as np
 if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession
 
-# Keys, or prefixes of keys, that affect the sample of a stop, or the answer from given stops.
+# Keys, or the sections of keys, that affect the sample of a stop, or the answer from given stops.
 SAMPLE_KEYS = ('method', 'profile.', 'target.', 'noise.sensor', 'time_offset',
                'sampling.mode', 'sampling.min_points', 'sampling.settle_time',
                'sampling.max_pose_gap')
 ANSWER_KEYS = (*SAMPLE_KEYS, 'calibration_type', 'noise.', 'limits.', 'samples.',
-               'rotation_lag_std', 'clock_drift_std', 'sampling.min_crossing_angle')
+               'time_offset_std', 'rotation_lag_std', 'clock_drift_std',
+               'sampling.min_crossing_angle')
 COMPUTING = 'the calibration is computed'
 
 MadeFrom = tuple[object, ...]  # settings first, see LiveAnswer._made_from
@@ -236,5 +237,6 @@ def _used_numbers(session: Session) -> set[int]:
 
 
 def values_of(config: Config, keys: tuple[str, ...]) -> dict[str, Any]:
-    """Return the settings whose keys begin with some of these."""
-    return {key: value for key, value in flatten(config).items() if key.startswith(keys)}
+    """Return the settings of keys and of whole sections, whose names end in a dot."""
+    return {key: value for key, value in flatten(config).items()
+            if key in keys or f'{key.partition(".")[0]}.' in keys}

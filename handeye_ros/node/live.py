@@ -167,8 +167,7 @@ class LiveSession:
     def pose(self) -> Array | None:
         """Return T_base_flange (4, 4) of the last pose, None before the first."""
         poses = self._poses
-        last = poses[-1] if poses else None  # another may come meanwhile
-        return None if last is None else se3.from_quaternion(last.translation, last.quaternion)
+        return se3.of_pose(poses[-1]) if poses else None
 
     def current(self) -> StopSnapshot | None:
         """Return the last profile with poses before and after it; None without a usable one."""
@@ -400,8 +399,11 @@ class LiveSession:
         """
         Store settings and then stops that could not be stored before, if that works now.
 
-        A folder that is gone is found here too: then there is a trouble.
+        A folder that is gone is found here too: then there is a trouble. Stops whose process ended
+        are evaluated again.
         """
+        self._evaluate_again(stop for stop in self.session.stops if stop.result == Reject(
+            stop.result.stamp, str(PoolEndedError())))
         path = self.files.path
         if 'storing' in self.troubles or path and not path.is_dir():
             self._store_settings()
@@ -490,6 +492,9 @@ class LiveSession:
         if other_topics:
             self._switch_to(self.files, Session(config, self.session.last_number),
                             'the topics were changed')
+        elif config.offset_ns != old.offset_ns:  # the profiles that wait have the old one
+            with suppress(InputError):
+                self.process_all()
         with self.lock:
             self.session.configure(config)
         if config.verify.routine != old.verify.routine:

@@ -8,7 +8,6 @@ from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-import re
 from typing import Any
 
 from handeye_ros import config as configuration
@@ -20,7 +19,7 @@ from handeye_ros.bags.session_files import (
     StoredSession,
 )
 from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD_NAMES, RECORD_PREFIX
-from handeye_ros.errors import InputError, sentence_and_log
+from handeye_ros.errors import InputError, sentence_and_log, without_numbers
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.pool import Pool
 from handeye_ros.node.publishers import Publishers
@@ -125,7 +124,7 @@ class HandeyeNode(Node):
         """Publish the state, and log the warnings that are new but for their numbers."""
         state = self.state
         self.publishers.diagnose(state)
-        warnings = {re.sub(r'[-+.\d]+', '#', sentence): sentence
+        warnings = {without_numbers(sentence): sentence
                     for sentence in (*troubles_of(state), *state['session']['notes'])}
         for kind in warnings.keys() - self._warned:
             self.get_logger().warning(warnings[kind])

@@ -22,6 +22,7 @@ from handeye_ros.data import (
     Sample,
     Term,
 )
+from handeye_ros.errors import without_numbers
 from handeye_ros.results.calibration_file import Errors
 import numpy as np
 from rich import box
@@ -125,13 +126,14 @@ def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
                       'the others)'
     yield 'weakest', weakest(quality)
     yield 'samples', f'{quality.samples_used} used, {quality.samples_rejected} rejected'
-    causes = defaultdict[str, list[str]](list)  # reasons that differ in their figures alone
+    causes = defaultdict[str, list[str]](list)
     for sample in calibration.samples:
         if not sample.used:
             reason = sample.reason or 'no reason given'
-            causes[reason.split(':')[0]].append(reason)
-    for cause, reasons in causes.items():
-        yield '', f'{len(reasons)} rejected: {cause if len(set(reasons)) > 1 else reasons[0]}'
+            causes[without_numbers(reason)].append(reason)
+    for reasons in causes.values():
+        first = ', the first' if len(set(reasons)) > 1 else ''
+        yield '', f'{len(reasons)} rejected{first}: {reasons[0]}'
     if offset := calibration.time_offset:
         yield 'time offset', (f'{offset.value * 1e3:.3f} ms, 1 sigma {offset.std * 1e3:.3f} '
                               '(to be added to the stamps of the profiles)')

@@ -92,6 +92,9 @@ class Session(Copyable):
         """Apply another configuration to what comes from now on, the current stop too."""
         if config.sampling.moving != self.config.sampling.moving:
             self._finder = StopFinder(config.sampling)
+        if config.offset_ns != self.config.offset_ns:  # stamps before have the old one
+            self._profiles = ProfileBuffer()
+            self._profile_stream = Stream('profile', self._profile_stream.frame)
         self.config, self._finder.sampling = config, config.sampling
 
     def without_messages(self, config: Config) -> Session:

@@ -92,8 +92,7 @@ class Stop:
     @property
     def pose(self) -> Array:
         """Return T_base_flange (4, 4) of the last pose, which a stored stop of a node has too."""
-        last = self.poses[-1]
-        return se3.from_quaternion(last.translation, last.quaternion)
+        return se3.of_pose(self.poses[-1])
 
     def with_profiles(self, candidates: Sequence[AnyProfile], config: Config) -> Stop:
         """Return the stop with the profiles surely taken during it, among candidates in order."""

@@ -7,9 +7,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 import re
+from types import SimpleNamespace
 
 from cells import Cell, cell, settings_of, squared_error
 from handeye_ros import pipeline, se3
+from handeye_ros.calibration import outliers_at_one_end
 from handeye_ros.checks.conventions import orientations_scatter
 from handeye_ros.config import Config, flipped_range, with_values
 from handeye_ros.data import Array, FaceLine, Sample
@@ -223,6 +225,13 @@ def test_a_move_is_told_while_few_samples_lie_beyond_it(name: str, first: bool) 
              for k, s in enumerate(mixed)]
     assert 'moved' not in told(apart, made.config)
     assert 'moved' not in told([*mixed[:9], samples[-1]], made.config)
+
+
+def test_outliers_at_one_end_are_told_of_however_many_samples() -> None:
+    problem = SimpleNamespace(pose_model=None, poses=range(3000))
+    assert outliers_at_one_end(SimpleNamespace(
+        problem=problem, full_problem=problem, used=np.arange(2800))).startswith(
+        'the last 200 of 3000 samples contradict the 2800 before them')
 
 
 @pytest.mark.parametrize(('name', 'seed'), [('plate', 2), ('sphere', 1)])

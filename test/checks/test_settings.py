@@ -155,6 +155,14 @@ def test_clocks_apart_are_reported_and_mended(target: str, late: float) -> None:
 
 
 @pytest.mark.thorough
+def test_no_time_offset_is_advised_that_no_key_takes() -> None:
+    made, config = at_20_hz('plate')
+    profiles = [replace(p, stamp=p.stamp - round(0.7 * NS)) for p in made.profiles]
+    with pytest.raises(DataError, match='sensor and robot differ; give both the same clock'):
+        pipeline.calibrate(profiles, made.poses, replace(config, time_offset=9.8))
+
+
+@pytest.mark.thorough
 def test_clocks_are_not_blamed_for_what_else_is_wrong() -> None:
     made, config = at_20_hz('plate')
     wrong = [replace(p, quaternion=p.quaternion[[3, 0, 1, 2]]) for p in made.poses]

@@ -173,6 +173,24 @@ def test_settings_that_change_while_the_end_of_a_stop_waits_lose_none_of_its_pro
         sample.profiles for sample in whole.session.samples]
 
 
+@pytest.mark.parametrize(('before', 'lost'), [(4.8, 4), (-4.8, 4), (0.02, 0), (-0.02, 0)])
+def test_a_time_offset_that_changes_during_a_stop_holds_for_that_too(
+        before: float, lost: int) -> None:
+    live, began = new(set_to(SPHERE.config, time_offset=before)), fed().copied().stops[3].stamp
+    received = {profile.stamp: profile.points for profile in SPHERE.profiles}
+    for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
+        if live.config.time_offset and item.stamp > began + 0.8e9:
+            changed(live, time_offset=0.0)
+        shift = live.config.offset_ns if hasattr(item, 'points') else 0
+        feed_one(live, replace(item, stamp=item.stamp + shift))
+    live.ask(live.process_all)
+    stops = live.copied().stops
+    assert [bool(stop.sample) for stop in stops] == [False] * lost + [True] * (len(stops) - lost)
+    for profile in [one for stop in stops for one in stop.load(live.config).profiles]:
+        points = profile.read(live.config.profile).points
+        assert np.array_equal(points, received[profile.stamp], equal_nan=True)
+
+
 @pytest.mark.parametrize('kind', ['pose', 'profile', 'sample'])
 def test_it_begins_anew_with_the_frame_that_comes_unless_another_gave_a_sample(kind: str) -> None:
     exclude = () if kind == 'sample' else (1, 2)  # of samples that are gone then
@@ -236,6 +254,8 @@ def test_settings_that_change_need_no_new_samples() -> None:
         assert np.allclose(found.T_flange_sensor, expected.T_flange_sensor, atol=1e-12)
         solved_with, name = found.provenance['config'], key.replace('__', '.')
         assert solved_with[name] == expected.provenance['config'][name]
+    live.configure(set_to(live.config, time_offset_std=0.06))
+    assert not live.to_evaluate, 'it changes no sample'
     changed(live, sampling__min_points=5000)  # extracts again
     assert sample_count(state_of(live)) == 0
     changed(live, sampling__min_points=20)
@@ -424,7 +444,7 @@ def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(
     assert len(state['samples']) >= 7 and sample_count(state) == 0
     assert 'ended before it had an answer' in state['samples'][0]['text']
     monkeypatch.undo()
-    changed(live, sampling__min_points=21)
+    computed(live)
     assert sample_count(state_of(live)) >= 7
 
 

@@ -155,6 +155,16 @@ def test_sigma_of_roll_pitch_yaw_is_that_of_drawn_rotations():
         np.std(rpy, axis=0), rel=0.05)
 
 
+def test_samples_not_used_for_one_reason_are_one_line_whatever_its_numbers():
+    reasons = [*(f'sample {k} is excluded by samples.exclude' for k in range(1, 13)),
+               '8 mm and 1.0 degrees from sample 3: it brings nothing new',
+               '12 mm and -0.5 degrees from sample 4: it brings nothing new']
+    samples = tuple(SampleReport(k, False, reason=reason) for k, reason in enumerate(reasons))
+    told = [text for name, text in table.facts(replace(CALIBRATION, samples=samples)) if not name]
+    assert told == [f'12 rejected, the first: {reasons[0]}',
+                    f'2 rejected, the first: {reasons[12]}']
+
+
 def test_errors_of_known_differences():
     T = CALIBRATION.T_flange_sensor
     assert calibration_file.errors_against(T, T) == calibration_file.Errors(0.0, 0.0, 0.0)
