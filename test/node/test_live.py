@@ -27,7 +27,13 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.node import answer as answers
 from handeye_ros.node import live as lives
 from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended
-from handeye_ros.node.state import sample_count, samples_message, state_of, status_message
+from handeye_ros.node.state import (
+    MessageCount,
+    sample_count,
+    samples_message,
+    state_of,
+    status_message,
+)
 from handeye_ros.sampling.features import result_of
 from handeye_ros.simulate import SCENARIOS, simulate
 from handeye_ros.verification.routines import routine_of
@@ -113,6 +119,18 @@ def test_what_the_streams_dropped_is_told_with_the_answer() -> None:
     warnings = live.answer.calibration.provenance['warnings']
     assert [text for text in warnings if text.startswith('dropped a pose whose stamp')], warnings
     assert warnings == list(dict.fromkeys(warnings))
+
+
+def test_lost_messages_are_told_until_many_have_come() -> None:
+    count = MessageCount('profile')
+    count.add_lost(50)
+    for stamp in range(900):
+        count.add(stamp)
+    assert '50 of the last 950 profiles were lost' in count.state('/profile', '')['trouble']
+    for stamp in range(900, 1000):
+        count.add(stamp)
+    state = count.state('/profile', '')
+    assert (state['lost'], state['trouble']) == (50, '')
 
 
 @pytest.mark.thorough
