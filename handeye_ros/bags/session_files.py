@@ -273,7 +273,8 @@ def files_of(folder: Path) -> list[Path]:
 
 def is_session(path: Path) -> bool:
     """Return whether a folder holds a session."""
-    with suppress(OSError, InputError, IndexError):  # no folder, none that can be read, no file
+    # no folder, no name of one, none that can be read, no file
+    with suppress(OSError, ValueError, InputError, IndexError):
         channels = contents_of(files_of(path)[0]).channels
         return any(channel.topic == OUTCOME_TOPIC for channel in channels.values())
     return False

@@ -245,7 +245,8 @@ class LiveSession:
         """
         Begin a long computation in another process; return the future of what accept returns.
 
-        name: in words, '' for what nobody waits for: its error is a trouble of the session.
+        name: in words, '' for what nobody waits for: its error is a trouble of the session, as is
+        always that of a process that ended.
         accept: called by the worker with the result.
         """
         answered = Future[Result]()
@@ -256,7 +257,7 @@ class LiveSession:
                 answered.set_result(accept(result_or_ended(job)))
             except Exception as error:
                 answered.set_exception(error)
-                if not (name and isinstance(error, HandeyeError)):
+                if not (name and isinstance(error, DataError | InputError)):
                     raise
             self.wake()  # samples or settings may have changed meanwhile
 

@@ -84,8 +84,8 @@ def _call(node: HandeyeNode, name: str, values: Mapping[str, Any]) -> tuple[bool
 def _remove_last(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Remove the last sample; number: of that which the person has seen as the last."""
     last = max((s['number'] for s in node.state['samples'] if s['taken']), default=None)
-    if values.get('number', last) != last:
-        return False, f'sample {last} has been taken since: look at it before you remove it'
+    if last and values.get('number', last) != last:
+        return False, f'the last sample is {last} now: look at it before you remove it'
     return node.call_service('remove_last_sample')
 
 

@@ -307,7 +307,7 @@ def test_a_session_without_its_last_metadata_is_whole(tmp_path: Path) -> None:
 
 
 def test_what_is_no_session_is_reported(tmp_path: Path) -> None:
-    assert not is_session(tmp_path / 'nothing') and not is_session(tmp_path)
+    assert not any(map(is_session, (tmp_path, *(tmp_path / name for name in ('no', 'n\0')))))
     with pytest.raises(InputError, match='is no session'):
         settings_and_session({'session': str(tmp_path)}, OutputFolders())
     live = feed(stored(tmp_path), stops=1)

@@ -133,7 +133,7 @@ def undone(browser: Any, count: int) -> None:
     refused = json.loads(browser.execute_async_script(
         "fetch('act/remove_last_sample', {method: 'POST', body: '{\"number\": 1}',"
         "headers: {'Content-Type': 'application/json'}}).then(r => r.text()).then(arguments[0])"))
-    assert not refused['success'] and 'has been taken since' in refused['message']
+    assert not refused['success'] and 'the last sample is' in refused['message']
     assert browser.execute_script(f'return {LINES}') == count
     click(browser, '#undo')
     press(browser, '#yes', 'removed sample')
