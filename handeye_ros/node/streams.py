@@ -254,7 +254,9 @@ class Streams:
         for topic in [topic for topic in self._topics if topic.key]:
             kind, name = topic.messages.kind, self._full_name(topic.name)
             types = {info.topic_type for info in topic.publishers}
-            found[kind] = ''
+            found[kind] = '' if topic.messages.count or topic.qos is RELIABLE_QOS else (
+                'its driver publishes with best effort: large messages may all get lost; '
+                'publish reliably')
             if topic.type not in types:
                 others = ', '.join([other for other in self.topics_of(topic.type)
                                     if other != name][:MOST_LISTED])  # its own has just begun

@@ -264,6 +264,7 @@ def test_other_topics_are_heard_while_the_node_runs_and_a_wrong_type_is_reported
     assert set_parameter(client, 'profile_topic', '/scan').successful
     client.until(lambda: robot.get_subscription_count()
                  and not client.profiles.get_subscription_count(), 'it hears others')
+    client.until(lambda: 'with best effort' in client.state()['message'], 'why none comes')
     before = client.state()['poses']
     client.send(robot, [pose_message(START + i) for i in range(5)], rate=20)
     client.until(lambda: client.state()['poses'] != before, 'a pose is counted')
