@@ -548,10 +548,12 @@ def load(path: Path | str, config: Config | None = None) -> Config:
     path = path_of('path', path)
     sections: dict[str, dict[str, Any]] = {}  # by the full name of the node
     for names, value in _values(read_yaml(path)):
-        if 'ros__parameters' in names[:-1]:
+        if 'ros__parameters' in (names if value == {} else names[:-1]):
             first = names.index('ros__parameters')
-            node = ''.join(f'/{name.strip("/")}' for name in names[:first])
-            sections.setdefault(node, {})['.'.join(names[first + 1:])] = value
+            section = sections.setdefault(
+                ''.join(f'/{name.strip("/")}' for name in names[:first]), {})
+            if names[first + 1:]:
+                section['.'.join(names[first + 1:])] = value
     general = [node for node in sections if node.split('/')[-1] in ('*', '**')]
     own = [node for node in sections if node.split('/')[-1] == NODE_NAME]
     if not general and not own:
@@ -568,7 +570,7 @@ def load(path: Path | str, config: Config | None = None) -> Config:
 
 def _values(content: Any, names: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Yield the names that lead to each value in nested mappings, and the value."""
-    if not isinstance(content, dict):
+    if not isinstance(content, dict) or not content and names:
         yield names, content
         return
     for name, value in content.items():

@@ -141,6 +141,7 @@ VALID += [
     ('"/**":\n  ros__parameters:\n    use_sim_time: true\n    noise: {sensor: 1.0e-5}\n'
      '    noise.robot_translation: 0.0001\n    target:\n      size: [0.2, 0.15]\n',
      {'noise.sensor': 1e-5, 'noise.robot_translation': 1e-4, 'target.size': [0.2, 0.15]}),
+    ('/**: {ros__parameters: {}}', {}),
     # as `ros2 param dump` prints it: empty lists without a type are null there
     ('/handeye:\n  ros__parameters:\n    name: cell\n    output_dir: /tmp/results\n'
      '    qos_overrides:\n      /clock:\n        subscription: {depth: 1}\n'

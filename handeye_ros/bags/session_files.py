@@ -273,15 +273,23 @@ def files_of(folder: Path) -> list[Path]:
 
 def is_session(path: Path) -> bool:
     """Return whether a folder holds a session."""
-    with suppress(OSError, InputError, IndexError):  # no folder, none that can be read, no file
+    # no folder, no name of one, none that can be read, no file
+    with suppress(OSError, ValueError, InputError, IndexError):
         channels = contents_of(files_of(path)[0]).channels
         return any(channel.topic == OUTCOME_TOPIC for channel in channels.values())
     return False
 
 
 def sessions_in(folder: Path) -> Iterator[Path]:
-    """Yield the sessions in the folder of a name, the newest first."""
-    return filter(is_session, sorted(folder.glob('*'), reverse=True))
+    """Yield the sessions in the folder of a name, the last used one first."""
+    return filter(is_session, sorted(folder.glob('*'), key=_last_use, reverse=True))
+
+
+def _last_use(session: Path) -> tuple[int, str]:
+    """Return when a session was begun, continued or written last; of equal times, its name."""
+    with suppress(OSError):  # it is gone
+        return session.stat().st_mtime_ns, session.name
+    return 0, session.name
 
 
 def read_session(path: Path) -> StoredSession:
@@ -360,7 +368,7 @@ def settings_and_session(overrides: Mapping[str, Any], folders: OutputFolders
         is_named = 'name' in overrides or 'target.type' in overrides
         named = [folders.folder(config)] if is_named else folders.parent(config).glob('*')
         newest = [session for folder in named for session in islice(sessions_in(folder), 1)]
-        path = max(newest, key=lambda session: session.name, default=None)
+        path = max(newest, key=_last_use, default=None)
     if path is None:
         return config, None
     stored = read_session(path)

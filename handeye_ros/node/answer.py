@@ -101,6 +101,7 @@ class LiveAnswer:
         self.why_missing, self.saved, self.is_wanted = why, '', False
         # the last computation: of which samples and settings, whether asked for, its message
         self._last: tuple[MadeFrom, bool, Future[str]] | None = None
+        self._asked: MadeFrom = ()  # of the last one that was asked for
 
     def difference(self, session: Session) -> str:
         """Return how the samples of a session differ from those of the answer, or ''."""
@@ -166,6 +167,7 @@ class LiveAnswer:
             self.seen = extremes(np.concatenate([self.seen, current.points]))
         session = live.copied().without_messages(config)
         made_from = self._made_from()
+        self._asked = made_from if asked else self._asked
         message = live.run_job(
             COMPUTING if asked else '', partial(self._accept, made_from, session, asked),
             review_of, session, config, self.seen, asked or self.calibration is not None)
@@ -187,9 +189,12 @@ class LiveAnswer:
                             'there is no answer: take new samples')
         if not asked:
             return ''
-        if answer.refusal:
+        is_newest = made_from is self._asked
+        if answer.refusal and is_newest:
             self._refuse(answer.refusal)
         calibration = answer.require_calibration()
+        if not is_newest:  # one that was asked for later was ready before
+            return summary(calibration)
         inputs = [{'topic': live.config.profile_topic}, {'topic': live.config.pose_origin[0]},
                   {'session': live.path}]
         self.calibration = dated(replace(

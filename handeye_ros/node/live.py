@@ -50,7 +50,7 @@ from handeye_ros.errors import (
     UnusableMessageError,
 )
 from handeye_ros.frames import mount_poses
-from handeye_ros.node.answer import LiveAnswer, SAMPLE_KEYS, values_of
+from handeye_ros.node.answer import ANSWER_KEYS, LiveAnswer, SAMPLE_KEYS, values_of
 from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended, trim_memory
 from handeye_ros.node.state import Attempt, MessageCount
 from handeye_ros.node.verification import LiveVerification
@@ -244,7 +244,8 @@ class LiveSession:
         """
         Begin a long computation in another process; return the future of what accept returns.
 
-        name: in words, '' for what nobody waits for: its error is a trouble of the session.
+        name: in words, '' for what nobody waits for: its error is a trouble of the session, as is
+        always that of a process that ended.
         accept: called by the worker with the result.
         """
         answered = Future[Result]()
@@ -255,7 +256,7 @@ class LiveSession:
                 answered.set_result(accept(result_or_ended(job)))
             except Exception as error:
                 answered.set_exception(error)
-                if not (name and isinstance(error, HandeyeError)):
+                if not (name and isinstance(error, DataError | InputError)):
                     raise
             self.wake()  # samples or settings may have changed meanwhile
 
@@ -472,7 +473,10 @@ class LiveSession:
         files = SessionFiles(self.folders.folder, stored, config)
         self._switch_to(files, stored.session(config), 'a session was opened')
         self.answer.is_wanted = bool(self.session.samples)  # as it probably was before
-        return f'continuing with {count_of(self._sample_count(), "sample")} of {self.path}'
+        now, before = values_of(config, ANSWER_KEYS), values_of(stored.config, ANSWER_KEYS)
+        other = ''.join(f'; {key} is {value} now, was {before[key]}'
+                        for key, value in now.items() if value != before[key])
+        return f'continuing with {count_of(self._sample_count(), "sample")} of {self.path}{other}'
 
     def _switch_to(self, files: SessionFiles, session: Session, why: str) -> None:
         """Go on with another session; forget what followed from the one before."""

@@ -8,8 +8,10 @@ agree and use the same sentences. SI units; docs/cell.md documents the fields.
 """
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from itertools import takewhile
 import time
 from types import MappingProxyType
 from typing import Any, TYPE_CHECKING
@@ -37,7 +39,9 @@ NO_ANSWER = {
     **dict.fromkeys(('translation', 'rotation', 'rpy', 'std', 'residual_rms', 'holdout_rms'))}
 SILENCE_TIME = 2.0  # s without a message until it is reported
 BAD_IN_A_ROW = 3  # consecutive invalid messages until they are reported,
-BAD_SHARE = 0.01  # or such a share of all, or of the messages lost in transit
+BAD_SHARE = 0.01  # or such a share of the last RECENT, or of the messages lost in transit
+RECENT = 1000
+VALID, MALFORMED, LOST = 'valid', 'malformed', 'lost'  # what a message was
 FRESH_TIME = 1.0  # s: the clocks are compared if the last messages of both kinds are not older
 LARGEST_APART = 5.0  # s: difference of the clocks that a slow network or a queue explains
 
@@ -61,21 +65,27 @@ class MessageCount:
         """Start without messages."""
         self.kind, self.count, self.malformed, self.lost = kind, 0, 0, 0
         self.reason, self.stamp = '', 0
-        self._bad_in_a_row, self._received = 0, time.monotonic()
+        self._recent, self._received = deque[str](maxlen=RECENT), time.monotonic()
 
     def add(self, stamp: int) -> None:
         """Count a valid message; stamp: of its header, in ns."""
-        self.count, self.stamp = self.count + 1, stamp
-        self._bad_in_a_row, self._received = 0, time.monotonic()
+        self.count, self.stamp, self._received = self.count + 1, stamp, time.monotonic()
+        self._recent.append(VALID)
 
     def add_malformed(self, reason: str) -> None:
         """Count an invalid message."""
         self.malformed, self.reason = self.malformed + 1, reason
-        self._bad_in_a_row += 1
+        self._recent.append(MALFORMED)
+
+    def add_lost(self, number: int) -> None:
+        """Count messages that were lost on their way."""
+        self.lost += number
+        self._recent.extend([LOST] * min(number, RECENT))
 
     def forget_malformed(self) -> None:
         """Forget the invalid messages, as they were read with other settings."""
-        self.malformed, self.reason, self._bad_in_a_row = 0, '', 0
+        self.malformed, self.reason = 0, ''
+        self._recent.clear()
 
     @property
     def silence(self) -> float:
@@ -88,21 +98,24 @@ class MessageCount:
 
         count, malformed: numbers of valid and invalid messages; reason: of the last invalid one;
         lost: of those lost on their way; age: seconds since the last valid one, or since the
-        start; trouble: that many, or the last, are invalid or lost, or none arrive; or ''.
+        start; trouble: that many of the last, or all of them, are invalid or lost, or none
+        arrive; or ''.
         """
-        kind, count, bad, last = self.kind, self.count, self.malformed, self._bad_in_a_row
-        sentences, age, sent = [], self.silence, self.lost + bad + count
-        if last >= BAD_IN_A_ROW or bad >= max(BAD_IN_A_ROW, BAD_SHARE * (bad + count)):
-            which = f'the last {last}' if last >= BAD_IN_A_ROW else f'{bad} of {bad + count}'
+        kind, count, recent = self.kind, self.count, [*self._recent]
+        sentences, age, sent = [], self.silence, len(recent)
+        last = len([*takewhile(MALFORMED.__eq__, reversed(recent))])
+        bad, lost = recent.count(MALFORMED), recent.count(LOST)
+        if last >= BAD_IN_A_ROW or bad >= max(BAD_IN_A_ROW, BAD_SHARE * (sent - lost)):
+            which = f'the last {last}' if last >= BAD_IN_A_ROW else f'{bad} of the last {sent}'
             sentences.append(f'{which} {kind}s cannot be used; the last reason: {self.reason}')
-        if self.lost > BAD_SHARE * sent:
-            sentences.append(f'{self.lost} of {sent} {kind}s were lost on their way: let the '
+        if lost > BAD_SHARE * sent:
+            sentences.append(f'{lost} of the last {sent} {kind}s were lost on their way: let the '
                              'driver publish them reliably, with a queue for as many as come at '
                              'once, or fewer or smaller ones')
         if not sentences and age >= SILENCE_TIME:
             sentences.append(f'{"no more" if count else "no"} {kind}s on {topic} for {age:.0f} s'
                              + (f' ({obstacle})' if obstacle else ''))
-        return {'kind': kind, 'topic': topic, 'count': count, 'malformed': bad,
+        return {'kind': kind, 'topic': topic, 'count': count, 'malformed': self.malformed,
                 'reason': self.reason, 'lost': self.lost, 'age': age,
                 'trouble': '; '.join(sentences)}
 
@@ -137,7 +150,7 @@ def state_of(live: LiveSession, disturbances: Mapping[str, str] = MappingProxyTy
     troubles = (
         outside, str(conflict or ''),
         'all samples are of the first: ~/clear_samples begins anew with the frame of now'
-        if conflict and conflict.reason == 'two_frames' else '',
+        if conflict and conflict.reason == 'two_frames' and session.samples else '',
         late and f'{late} are dropped, as their stamps are older than those before; if they stay '
         'so, sampling goes on with them', str(session.unusable_poses or ''),
         # of two publishers stamps that seem to be of two clocks follow

@@ -187,13 +187,13 @@ class Streams:
                     time.sleep(READ_PERIOD)
 
     def _match_reliability(self) -> None:
-        """Subscribe again, with best effort, where a publisher offers no more."""
+        """Subscribe again where the publishers are not as reliable as those before."""
         for topic in [topic for topic in self._topics if topic.key]:
             topic.publishers = self._node.get_publishers_info_by_topic(topic.name)
-            if topic.qos is RELIABLE_QOS and any(
-                    info.qos_profile.reliability == BEST_EFFORT_QOS.reliability
-                    for info in topic.publishers):
-                old, topic.qos, topic.number = topic.subscription, BEST_EFFORT_QOS, 0
+            offered = {info.qos_profile.reliability for info in topic.publishers}
+            qos = BEST_EFFORT_QOS if BEST_EFFORT_QOS.reliability in offered else RELIABLE_QOS
+            if offered and qos is not topic.qos:
+                old, topic.qos, topic.number = topic.subscription, qos, 0
                 self._subscribe(topic)
                 self._node.destroy_subscription(old)
 
@@ -209,7 +209,7 @@ class Streams:
                 data, info = received
                 number = info['publication_sequence_number'] or 0
                 if len(topic.publishers) == 1 and 0 < topic.number < number:
-                    topic.messages.lost += number - topic.number - 1
+                    topic.messages.add_lost(number - topic.number - 1)
                 topic.number = number
                 try:
                     topic.receive(data)
@@ -254,9 +254,12 @@ class Streams:
         for topic in [topic for topic in self._topics if topic.key]:
             kind, name = topic.messages.kind, self._full_name(topic.name)
             types = {info.topic_type for info in topic.publishers}
-            found[kind] = ''
+            found[kind] = '' if topic.messages.count or topic.qos is RELIABLE_QOS else (
+                'its driver publishes with best effort: large messages may all get lost; '
+                'publish reliably')
             if topic.type not in types:
-                others = ', '.join(self.topics_of(topic.type)[:MOST_LISTED])
+                others = ', '.join([other for other in self.topics_of(topic.type)
+                                    if other != name][:MOST_LISTED])  # its own has just begun
                 found[kind] = (
                     f'it carries {", ".join(sorted(types))}, expected {topic.type}' if types else
                     f'{name} has no publisher') + (
@@ -266,7 +269,8 @@ class Streams:
             if len(names) > 1:
                 sentences.append(
                     f'{len(names)} publishers send {kind}s on {name} '
-                    f'({", ".join(names[:MOST_LISTED])}): let only one publish')
+                    f'({", ".join(names[:MOST_LISTED])}): let only one publish; one that was '
+                    'killed is listed for 20 s more')
         own_name = (node.get_name(), node.get_namespace())
         if node.get_node_names_and_namespaces().count(own_name) > 1:
             sentences.append(

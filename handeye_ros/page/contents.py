@@ -40,6 +40,8 @@ PAGE_SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', '
                  'verify.routine', 'verify.radius', 'verify.lengths', 'verify.reference',
                  'verify.tolerance')
 
+FEW_STOPS = 3  # of a session that has just begun, perhaps by itself; as in page.js
+
 State = Mapping[str, Any]  # of handeye_ros.node.state
 Act = Callable[[Mapping[str, Any]], tuple[bool, str]]
 Read = Callable[[Mapping[str, str]], Any]
@@ -84,8 +86,8 @@ def _call(node: HandeyeNode, name: str, values: Mapping[str, Any]) -> tuple[bool
 def _remove_last(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Remove the last sample; number: of that which the person has seen as the last."""
     last = max((s['number'] for s in node.state['samples'] if s['taken']), default=None)
-    if values.get('number', last) != last:
-        return False, f'sample {last} has been taken since: look at it before you remove it'
+    if last and values.get('number', last) != last:
+        return False, f'the last sample is {last} now: look at it before you remove it'
     return node.call_service('remove_last_sample')
 
 
@@ -116,7 +118,7 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     """
     Return the settings with their choices, and the names of the sessions, the newest first.
 
-    previous: of an empty session, the number of samples in the session before.
+    previous: of a session that has just begun, the number of samples in the session before.
     """
     live = node.live
     values, known = configuration.flatten(live.config), {
@@ -127,7 +129,7 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     current = Path(live.path).name
     sessions = [path for path in sessions_in(live.folders.folder(live.config))
                 if path.name != current]
-    goes_on = sessions and not live.session.stops
+    goes_on = sessions and len(live.session.stops) <= FEW_STOPS
     previous = read_session(sessions[0]).sample_count if goes_on else 0
     return {'sessions': [path.name for path in sessions], 'session': current,
             'previous': previous, 'settings': [{

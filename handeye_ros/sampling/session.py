@@ -123,8 +123,9 @@ class Session(Copyable):
 
     def keep_waiting(self, most: int) -> None:
         """Limit the number of stops that wait for profiles; the oldest are dropped and counted."""
-        self._expired_stops += max(len(self._waiting) - most, 0)
-        del self._waiting[:-most]
+        too_many = max(len(self._waiting) - most, 0)
+        self._expired_stops += too_many
+        del self._waiting[:too_many]
 
     def completed(self) -> list[Stop]:
         """Return the stops that are over in both streams, each once, with their profiles."""

@@ -194,9 +194,13 @@ def test_another_session_is_opened_with_what_it_excludes_or_not_at_all(tmp_path:
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert (live.path, sample_count(state_of(live)), live.config.samples.exclude) == (path, 0, ())
-    assert live.open(found, config) == f'continuing with 3 samples of {before}'
+    assert live.open(found, config) == (f'continuing with 3 samples of {before}; noise.sensor is '
+                                        f'4e-05 now, was {found.config.noise.sensor}')
     assert [s['number'] for s in state_of(live)['samples'] if s['excluded']] == [2]
     assert read_session(before).config == live.config
+    live.files.close()
+    last = {'output_dir': str(tmp_path), 'session': 'last'}
+    assert settings_and_session(last, OutputFolders())[1].path == before, 'used last'
 
 
 def test_clearing_begins_another_session_and_keeps_the_one_before(tmp_path: Path) -> None:
@@ -307,7 +311,7 @@ def test_a_session_without_its_last_metadata_is_whole(tmp_path: Path) -> None:
 
 
 def test_what_is_no_session_is_reported(tmp_path: Path) -> None:
-    assert not is_session(tmp_path / 'nothing') and not is_session(tmp_path)
+    assert not any(map(is_session, (tmp_path, *(tmp_path / name for name in ('no', 'n\0')))))
     with pytest.raises(InputError, match='is no session'):
         settings_and_session({'session': str(tmp_path)}, OutputFolders())
     live = feed(stored(tmp_path), stops=1)

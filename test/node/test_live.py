@@ -27,7 +27,13 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.node import answer as answers
 from handeye_ros.node import live as lives
 from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended
-from handeye_ros.node.state import sample_count, samples_message, state_of, status_message
+from handeye_ros.node.state import (
+    MessageCount,
+    sample_count,
+    samples_message,
+    state_of,
+    status_message,
+)
 from handeye_ros.sampling.features import result_of
 from handeye_ros.simulate import SCENARIOS, simulate
 from handeye_ros.verification.routines import routine_of
@@ -113,6 +119,18 @@ def test_what_the_streams_dropped_is_told_with_the_answer() -> None:
     warnings = live.answer.calibration.provenance['warnings']
     assert [text for text in warnings if text.startswith('dropped a pose whose stamp')], warnings
     assert warnings == list(dict.fromkeys(warnings))
+
+
+def test_lost_messages_are_told_until_many_have_come() -> None:
+    count = MessageCount('profile')
+    count.add_lost(50)
+    for stamp in range(900):
+        count.add(stamp)
+    assert '50 of the last 950 profiles were lost' in count.state('/profile', '')['trouble']
+    for stamp in range(900, 1000):
+        count.add(stamp)
+    state = count.state('/profile', '')
+    assert (state['lost'], state['trouble']) == (50, '')
 
 
 @pytest.mark.thorough
@@ -211,6 +229,14 @@ def test_it_begins_anew_with_the_frame_that_comes_unless_another_gave_a_sample(k
     else:
         assert sample_count(state_of(live)) > 10 and not state_of(live)['session']['trouble']
         assert not any(sample['excluded'] for sample in state_of(live)['samples'])
+
+
+def test_two_frames_before_the_first_sample_tell_of_no_sample() -> None:
+    live = new()
+    feed(live, [replace(p, frame_id='other') for p in SPHERE.profiles[:9]])
+    feed(live, SPHERE.profiles[9:18])
+    trouble = state_of(live)['session']['trouble']
+    assert 'two frames' in trouble and 'samples' not in trouble
 
 
 @pytest.mark.parametrize('kind', ['pose', 'profile'])
@@ -378,6 +404,9 @@ def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
             live.add_poses([pose])
     assert any('stops, the oldest that waited for profiles' in note
                for note in state_of(live)['session']['notes'])
+    session = live.copied()
+    session.keep_waiting(0)
+    assert len(session.remaining()) <= 1, 'the current one'
 
 
 # -- a thread, and processes that take their time or end
@@ -478,6 +507,32 @@ def test_a_review_that_is_ready_late_does_not_replace_a_newer_one(
     late.set_result(old)
     update(live)
     assert live.answer.review is newest
+
+
+def test_of_two_answers_the_one_that_was_asked_for_last_stays(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    live = fed()
+    live.ask(live.process_all)
+    jobs, submit = [], live.pool.submit
+    monkeypatch.setattr(live.pool, 'submit', lambda *args: jobs.append((Future(), args))
+                        or jobs[-1][0])
+    first = live.ask(live.answer.compute_calibration)
+    live.remove_last_sample()
+    second = live.ask(live.answer.compute_calibration)
+    for future, args in reversed(jobs):
+        future.set_result(submit(*args).result())
+    assert first.result(PATIENCE) != second.result(PATIENCE)
+    told = state_of(live)['calibration']
+    assert (told['state'], told['text']) == ('current', second.result())
+
+
+def test_a_recomputation_whose_process_is_killed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    live, ended = fed(), Future()
+    computed(live)
+    ended.set_exception(BrokenProcessPool())
+    monkeypatch.setattr(live.pool, 'submit', lambda *args: ended)
+    changed(live, noise__sensor=5e-5)
+    assert 'ended before it had an answer' in state_of(live)['session']['trouble']
 
 
 def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:

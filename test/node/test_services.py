@@ -161,15 +161,17 @@ def test_malformed_messages_stop_nothing_and_their_cause_is_in_every_answer(
     stand_still(client, START)
     state = client.until_counted(malformed=6, profiles=20, poses=20)
     assert 'message not used: ' in state['last malformed'] and node.poll() is None
-    for number in range(5):
+    for number in range(16):
         broken = sphere_profile(START + 2 * NS + number * NS // 4)
         millimetres = 1e3 * np.frombuffer(broken.data, '<f4')
         broken.data = array.array('B', millimetres.astype('<f4').tobytes())
         client.profiles.publish(broken)
-    state = client.until_counted(malformed=11, profiles=20)
+    state = client.until_counted(malformed=22, profiles=20)
     for text in (state['message'], client.call('take_sample').message):
-        assert 'the last 5 profiles cannot be used; the last reason: ' in text
+        assert 'the last 16 profiles cannot be used; the last reason: ' in text
         assert 'set profile.unit to mm' in text
+    client.send(client.profiles, (sphere_profile(START + 4 * NS + i) for i in range(1000)), 1000)
+    client.until(lambda: 'cannot be used' not in client.state()['message'], 'that was long ago')
 
 
 def test_what_came_before_the_samples_were_cleared_tells_no_duration(
@@ -262,9 +264,15 @@ def test_other_topics_are_heard_while_the_node_runs_and_a_wrong_type_is_reported
     assert set_parameter(client, 'profile_topic', '/scan').successful
     client.until(lambda: robot.get_subscription_count()
                  and not client.profiles.get_subscription_count(), 'it hears others')
+    client.until(lambda: 'with best effort' in client.state()['message'], 'why none comes')
     before = client.state()['poses']
     client.send(robot, [pose_message(START + i) for i in range(5)], rate=20)
     client.until(lambda: client.state()['poses'] != before, 'a pose is counted')
+    client.node.destroy_publisher(robot)
+    robot = client.node.create_publisher(PoseStamped, '/robot/pose', RELIABLE)
+    client.until(lambda: [info.qos_profile.reliability for info in
+                          client.node.get_subscriptions_info_by_topic('/robot/pose')]
+                 == [RELIABLE.reliability], 'it hears as reliably as the driver now sends')
     client.until(lambda: cause in client.state()['message'], 'it says what is there')
     assert all(cause in client.call(service).message
                for service in ('take_sample', 'compute_calibration'))
