@@ -199,8 +199,8 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         require_tested(solution)
         require_no_half_turn_twin(solution)
         solution, warning = with_possible_move(solution)  # a move makes the answer uncertain
-        require_certain(solution.transform_covariance, config, missing_motion(solution, config),
-                        solution.linear.lever)
+        require_certain(solution.transform_covariance, config,
+                        warning or missing_motion(solution, config), solution.linear.lever)
         require_edges(solution)
         # 9. Predict each sample from the others.
         warnings = session.warnings if session else warnings

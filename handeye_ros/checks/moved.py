@@ -27,7 +27,7 @@ from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.least_squares import chi2_isf
-from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, whitening
+from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise, whitening
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import quick_solution, reassigned
 from handeye_ros.estimation.solve import (
@@ -43,6 +43,7 @@ from numpy.typing import NDArray
 SENSOR, TARGET = range(2)  # a body that moves: an index of gains, derivatives, arms
 POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
 MOMENTS_TRIED = 40  # possible moments of a small move
+STATIONS_TRIED = 100  # over the number of stations: moments from which the likeliest is sought
 MOVE_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 TIME_STD = 0.01  # of the times that may be wrong instead, 1 sigma (s)
 SIZE_FACTORS = (1.0, 0.25)  # factors on MOVE_STD, of equal prior probability
@@ -134,7 +135,9 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     sweep = agreed.problem.pose_model is not None
     margin = max(2, n // MOMENTS_TRIED) if sweep else 2
     moments = np.unique(np.linspace(margin, n - margin, MOMENTS_TRIED).round().astype(int))
-    first = _gains(conservative, moments)[0]
+    # noise estimated without a move absorbs it; configured noise may be too large
+    configured = solution_at(agreed.problem, agreed.estimate, Noise())
+    first = np.maximum(*(_gains(one, moments)[0] for one in (configured, conservative)))
     if first.max() < -WARNING_EVIDENCE:  # evidence against a move
         return agreed, ''
     # the likeliest move against none, and against wrong times
@@ -182,13 +185,15 @@ def _likeliest(agreed: Solution, moments: NDArray[np.intp], first: Array
     first: (k, 2) gains of moves with the noise as it is without one.
     """
     conservative, tried = agreed.conservative, dict[tuple[int, int], Solution]()
-    for body, gains in enumerate(first.T):
-        while (move := (body, int(np.argmax(gains)))) not in tried:
+    starts = np.argsort(-first, axis=0)[:max(STATIONS_TRIED // len(agreed.used), 1)]
+    for k, body in np.ndindex(starts.shape):
+        move = body, int(starts[k, body])
+        while move not in tried:
             further = _blocks_of_move(conservative, body, int(moments[move[1]]))
             tried[move] = with_noise_reestimated(conservative, further)
             # noise and scales estimated with the move do not absorb it: its time is clearer
-            gains = _gains(solution_at(agreed.problem, agreed.estimate, tried[move].noise),
-                           moments)[0, :, body]
+            gains = _gains(solution_at(agreed.problem, agreed.estimate, tried[move].noise), moments)
+            move = body, int(np.argmax(gains[0, :, body]))
     (body, k), moved = min(tried.items(), key=lambda move: move[1].deviance)
     return body, k, moved
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from handeye_ros.calibration import block_estimates, CONTRADICTION_SIGMAS, PLATE_LENGTHS
+from handeye_ros.calibration import block_estimates, NOTED_SIGMAS, PLATE_LENGTHS
 from handeye_ros.checks.hypotheses import Explanation, explanation_of_problem, Hypothesis
 from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.errors import DataError
@@ -105,8 +105,8 @@ def require_one_scale(agreed: Solution) -> None:
     Raises DataError: scale, or moved where the evidence for a move is decisive.
     """
     scale = block_estimates(agreed.conservative).get('scale')
-    if scale and abs(scale.contradiction) > CONTRADICTION_SIGMAS and abs(scale.value) > max(
-            SMALLEST_SCALE_ERROR, CONTRADICTION_SIGMAS * scale.std):
+    if scale and abs(scale.contradiction) > NOTED_SIGMAS and abs(scale.value) > max(
+            SMALLEST_SCALE_ERROR, NOTED_SIGMAS * scale.std):
         with_possible_move(agreed)  # raises where something surely moved
         raise _scales_differ(abs(scale.value), scale.std)
 

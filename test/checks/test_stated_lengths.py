@@ -144,6 +144,13 @@ def test_lengths_that_differ_are_named(target: str, scale: float) -> None:
     assert named == pytest.approx(2.0, abs=0.3)
 
 
+@pytest.mark.parametrize('seed', [7, 12])
+def test_lengths_that_differ_little_are_named(seed: int) -> None:
+    with pytest.raises(DataError, match='differ by 0.4') as refusal:
+        solved(SCENARIOS['wedge'], seed, 1.004)
+    assert refusal.value.reason == 'scale'
+
+
 def test_a_scale_is_no_move_of_a_few_samples() -> None:
     made = cell('line', 2)
     samples = [replace(sample, T_base_flange=se3.transform(
