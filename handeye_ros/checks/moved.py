@@ -134,14 +134,14 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     sweep = agreed.problem.pose_model is not None
     margin = max(2, n // MOMENTS_TRIED) if sweep else 2
     moments = np.unique(np.linspace(margin, n - margin, MOMENTS_TRIED).round().astype(int))
-    first = _gains(conservative, moments)[0]
-    if first.max() < -WARNING_EVIDENCE:  # evidence against a move
+    if _gains(conservative, moments).max() < -WARNING_EVIDENCE:  # evidence against a move
         return agreed, ''
-    # the likeliest move against none, and against wrong times
-    body, k, moved = _likeliest(agreed, moments, first)
+    # the likeliest move against none, and against wrong times; a moment a few profiles off leaves
+    # an error that only a much worse robot would explain
+    body, k, moved = _likeliest(agreed, np.arange(margin, n - margin + 1))
     unmoved = with_noise_reestimated(conservative)
     others = [with_noise_reestimated(conservative, (block,)) for block in
-              _wrong_times(conservative, moments[max(k - 2, 0):k + 3])]
+              _wrong_times(conservative, k + margin * np.arange(-2, 3))]
     evidence = min(other.deviance for other in (unmoved, *others)) - moved.deviance
     shift, turn, size = _size(moved, body)
     # a smaller move may be part of the robot's smooth error, which a move can only explain
@@ -160,7 +160,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     what, frame = (('sensor', mount_frame(config)) if body == SENSOR
                    else ('target', target_frame(config)))
     sentence = (
-        f'after the first {agreed.used[moments[k]]} of {len(agreed.full_problem.poses)} samples '
+        f'after the first {agreed.used[k]} of {len(agreed.full_problem.poses)} samples '
         f'the {what} seems to have moved in {frame} by about {mm(shift)} and {degrees(turn)}, or '
         'the tool or base of the robot was switched, or robot or sensor drift: check that it is '
         'fixed firmly, and take all samples again')
@@ -174,17 +174,12 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     return replace(agreed, added_covariances=added), sentence
 
 
-def _likeliest(agreed: Solution, moments: NDArray[np.intp], first: Array
-               ) -> tuple[int, int, Solution]:
-    """
-    Return the body that moved, before which of the moments, and the solution with that move.
-
-    first: (k, 2) gains of moves with the noise as it is without one.
-    """
+def _likeliest(agreed: Solution, moments: NDArray[np.intp]) -> tuple[int, int, Solution]:
+    """Return the body that moved, before which station, and the solution with that move."""
     conservative, tried = agreed.conservative, dict[tuple[int, int], Solution]()
-    for body, gains in enumerate(first.T):
-        while (move := (body, int(np.argmax(gains)))) not in tried:
-            further = _blocks_of_move(conservative, body, int(moments[move[1]]))
+    for body, gains in enumerate(_gains(conservative, moments)[0].T):
+        while (move := (body, int(moments[np.argmax(gains)]))) not in tried:
+            further = _blocks_of_move(conservative, *move)
             tried[move] = with_noise_reestimated(conservative, further)
             # noise and scales estimated with the move do not absorb it: its time is clearer
             gains = _gains(solution_at(agreed.problem, agreed.estimate, tried[move].noise),
