@@ -140,11 +140,13 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     first = np.maximum(*(_gains(one, moments)[0] for one in (configured, conservative)))
     if first.max() < -WARNING_EVIDENCE:  # evidence against a move
         return agreed, ''
-    # the likeliest move against none, and against wrong times
-    body, k, moved = _likeliest(agreed, moments, first)
+    # the likeliest move against none, and against wrong times; a moment a few profiles off leaves
+    # an error that only a much worse robot would explain
+    starts = moments[np.argsort(-first, axis=0)[:max(STATIONS_TRIED // n, 1)]]
+    body, k, moved = _likeliest(agreed, starts, np.arange(margin, n - margin + 1))
     unmoved = with_noise_reestimated(conservative)
     others = [with_noise_reestimated(conservative, (block,)) for block in
-              _wrong_times(conservative, moments[max(k - 2, 0):k + 3])]
+              _wrong_times(conservative, k + margin * np.arange(-2, 3))]
     evidence = min(other.deviance for other in (unmoved, *others)) - moved.deviance
     shift, turn, size = _size(moved, body)
     # a smaller move may be part of the robot's smooth error, which a move can only explain
@@ -163,7 +165,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     what, frame = (('sensor', mount_frame(config)) if body == SENSOR
                    else ('target', target_frame(config)))
     sentence = (
-        f'after the first {agreed.used[moments[k]]} of {len(agreed.full_problem.poses)} samples '
+        f'after the first {agreed.used[k]} of {len(agreed.full_problem.poses)} samples '
         f'the {what} seems to have moved in {frame} by about {mm(shift)} and {degrees(turn)}, or '
         'the tool or base of the robot was switched, or robot or sensor drift: check that it is '
         'fixed firmly, and take all samples again')
@@ -177,23 +179,22 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     return replace(agreed, added_covariances=added), sentence
 
 
-def _likeliest(agreed: Solution, moments: NDArray[np.intp], first: Array
+def _likeliest(agreed: Solution, starts: NDArray[np.intp], moments: NDArray[np.intp]
                ) -> tuple[int, int, Solution]:
     """
-    Return the body that moved, before which of the moments, and the solution with that move.
+    Return the body that moved, before which station, and the solution with that move.
 
-    first: (k, 2) gains of moves with the noise as it is without one.
+    starts: (s, 2) stations from which each body's is sought, among all moments.
     """
     conservative, tried = agreed.conservative, dict[tuple[int, int], Solution]()
-    starts = np.argsort(-first, axis=0)[:max(STATIONS_TRIED // len(agreed.used), 1)]
-    for k, body in np.ndindex(starts.shape):
-        move = body, int(starts[k, body])
+    for (_, body), station in np.ndenumerate(starts):
+        move = body, int(station)
         while move not in tried:
-            further = _blocks_of_move(conservative, body, int(moments[move[1]]))
+            further = _blocks_of_move(conservative, *move)
             tried[move] = with_noise_reestimated(conservative, further)
             # noise and scales estimated with the move do not absorb it: its time is clearer
             gains = _gains(solution_at(agreed.problem, agreed.estimate, tried[move].noise), moments)
-            move = body, int(np.argmax(gains[0, :, body]))
+            move = body, int(moments[np.argmax(gains[0, :, body])])
     (body, k), moved = min(tried.items(), key=lambda move: move[1].deviance)
     return body, k, moved
 

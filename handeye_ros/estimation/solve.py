@@ -52,6 +52,7 @@ from numpy.typing import NDArray
 # sigmas: the last step of the unknowns; one more follows with the final scales. After MOST_STEPS a
 # step of NEAR_SIGMAS is small enough.
 CONVERGED_SIGMAS, NEAR_SIGMAS, MOST_STEPS = 0.25, 1.0, 10
+FULL_STEPS = 5  # of the scales, of which the others are half
 LEFT_BY_OTHERS = 1e-6  # rest of a variance that the other stations leave
 LAST_STEPS = 3  # iterations of variance factors and scales after it
 MAP_PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
@@ -503,19 +504,23 @@ def _until_converged(start: Solution) -> tuple[Solution, bool]:
 
     Each is linearised where the step of the one before leads, with the variance factors from its
     residuals, and takes one step of the conservative scales. (Both from the same residuals may
-    swing from too much of one to too much of the other for ever.)
+    swing from too much of one to too much of the other for ever. Where these do all the same, half
+    of the steps that follow, in logarithms, ends it.)
     """
     current = nearest = start
     least = np.inf
-    for _ in range(MOST_STEPS):
+    for number in range(MOST_STEPS):
         step = current._step_to_minimum[:current.unknowns]
         size = float(np.abs(step / np.sqrt(np.diag(current.covariance)[:len(step)])).max())
         if size < least:
             nearest, least = current, size
-        factors, before = current.estimated_factors(), current.noise.variance_factors
-        steady = np.abs(np.log(factors / before)).max() < 0.1
+        factors = current.estimated_factors()
+        steady = np.abs(np.log(factors / current.noise.variance_factors)).max() < 0.1
         noise = replace(current.noise, variance_factors=factors)
+        before = current
         current = Solution.of_linear(current.relinearise(), noise).with_conservative_scales(1)
+        if number >= FULL_STEPS and len(before.blocks) == len(current.blocks):
+            current = current.with_variances(np.sqrt(current.variances * before.variances))
         if size < CONVERGED_SIGMAS and steady:
             break
     # a variance factor of a few points may settle slowly, and hardly moves the solution

@@ -34,9 +34,16 @@ from handeye_ros.estimation.least_squares import (
     Whitener,
 )
 from handeye_ros.estimation.noise import Noise, total_covariance, Whitening
-from handeye_ros.estimation.problem import Estimate, Linear, Observations, Problem
+from handeye_ros.estimation.problem import (
+    Estimate,
+    Linear,
+    Observations,
+    Problem,
+    StationGroup,
+)
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import mount_frame, name_direction
+from handeye_ros.targets.target import grazing
 import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg
@@ -52,6 +59,7 @@ LEAST_STATIONS = 4  # of a recording
 FREE_STD = 1e6  # 1 sigma of an unknown that may have any value, beside that by which it shows
 # share of the others in what a group nearly determines alone: extrapolated
 LEFT_BY_OTHERS_SHARE = 1e-3
+NOISE = Noise(np.array([1.0, 1.0, 0.0, 1.0, 1.0]))  # without what differs of the distortion
 MOST_OUTLIERS = 0.2  # of the groups: more are no outliers, but a disagreement
 
 T = TypeVar('T')
@@ -81,8 +89,11 @@ class StationSet:
     def of(cls, target: Target, poses: Array, observations: Observations, config: Config,
            **values: Any) -> StationSet:
         """Return what is seen from poses; config.verify.aim is a further error of their place."""
-        noise = replace(config.noise, distortion=0.0, robot_translation=math.hypot(
-            config.noise.robot_translation, config.verify.aim))
+        # the ends of a line are no face, and the flanks of teeth are steep by design
+        is_face = target.kinds == ('face',) and not values.get('are_passes')
+        noise = replace(
+            config.noise, distortion=config.noise.distortion if is_face else 0.0,
+            robot_translation=math.hypot(config.noise.robot_translation, config.verify.aim))
         return cls(Problem(target, poses, observations, replace(config, noise=noise),
                            long_errors=True), **values)
 
@@ -288,7 +299,7 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
 
     def whitening(linear: Linear) -> Whitening:
         return Whitening(tuple(group.rows for group in groups), tuple(
-            inverse_roots(total_covariance(linear, group, Noise())) for group in groups))
+            inverse_roots(_covariance(linear, group)) for group in groups))
 
     # the shape q, at which all is linear: white distances r, their derivatives J by the shape, and
     # E by the errors e, of the calibration and of the robot (of unit covariance)
@@ -322,7 +333,7 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
     # of each point what sensor and robot add; and what a fit of other groups would leave unknown
     variances = np.square(robot).sum(axis=1)
     for group in groups:
-        variances[group.rows] += np.einsum('nii->ni', total_covariance(linear, group, Noise()))
+        variances[group.rows] += np.einsum('nii->ni', _covariance(linear, group))
     unknowns = np.hstack([J, E[:, :6]])
     unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
     return Fit(
@@ -332,6 +343,15 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
         p_of_error=float(chi2_sf((square_without - square) / factor, 6)),
         largest_error=largest_error, largest_error_std=largest_error_std, white_distances=r,
         wrt_unknowns=np.hstack([unknowns, E[:, 6:]]))
+
+
+def _covariance(linear: Linear, group: StationGroup) -> Array:
+    """Return the covariance (stations, c, c) of the noise, with the doubt of steep faces."""
+    total = total_covariance(linear, group, NOISE)
+    for block in grazing(linear):
+        columns = block.columns[group.rows] * block.largest_variance ** 0.5
+        total += columns @ np.swapaxes(columns, 1, 2)
+    return total
 
 
 def likeliest(A: Array, b: Array, prior: Array | float = 1.0) -> tuple[Array, Array, float]:

@@ -169,8 +169,9 @@ def test_what_jumps_in_the_middle_of_a_sweep_is_named() -> None:
     assert caught.value.reason == 'moved'
 
 
-def test_a_sensor_that_slips_is_no_scale() -> None:
-    scenario, rng = SCENARIOS['small_plate_sweep'], np.random.default_rng(1)
+@pytest.mark.parametrize('name', ['small_plate_sweep', 'sphere_sweep'])
+def test_a_sensor_that_slips_is_no_scale_and_no_error_of_the_robot(name: str) -> None:
+    scenario, rng = SCENARIOS[name], np.random.default_rng(1)
     made, way = simulate(scenario, rng), rng.normal(size=3)
     slip = made.truth.T_flange_sensor[:3, :3] @ way / np.linalg.norm(way) * 1e-3
     middle = (made.poses[0].stamp + made.poses[-1].stamp) // 2
