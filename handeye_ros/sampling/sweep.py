@@ -47,6 +47,7 @@ from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Estimate, Linear, PoseModel, Problem
 from handeye_ros.estimation.search import (
     CONVINCING_SQUARE,
+    is_convincing,
     loss,
     refined_robustly,
     station_squares,
@@ -216,8 +217,10 @@ def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Solution:
         values = np.zeros(len(problem.pose_values))
         values[0] = offset * problem.config.time_offset_std
         shifted = problem.with_pose_values(values)
-        fits += [refined_robustly(shifted, start)
-                 for start in islice(shifted.target.starts(shifted, rng), 3)]
+        for start in islice(shifted.target.starts(shifted, rng), 3):
+            fits.append(refined_robustly(shifted, start))
+            if is_convincing(fits[-1]):
+                return fits[-1]
         if typical_square(station_squares(min(fits, key=loss))) < CONVINCING_SQUARE:
             break
     return min(fits, key=loss)
