@@ -35,6 +35,7 @@ from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise, Whitening, whit
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem, UNUSED
 from handeye_ros.estimation.solve import (
     estimated_of_part,
+    LAST_STEPS,
     map_solution,
     reported_at,
     Solution,
@@ -113,15 +114,16 @@ def with_systematic_errors(agreed: Solution) -> Solution:
     this.
     """
     problem, many = agreed.full_problem, 2 * agreed.full_problem.many
-    # many: a part tells the noise, and outliers are left out with the solution for the report
+    # of many a part tells linearisation, noise, and scales for the report, by which outliers drop
     part = (estimated_of_part(agreed.problem, agreed.estimate, Noise())
             if len(agreed.used) >= many else None)
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         kept = agreed.problem.subset(np.flatnonzero(np.isin(agreed.used, used)))
+        nonlocal part
         if part and len(used) >= many:
-            return (reported_at(part[0], before.noise, kept, 1) if before else
-                    reported_at(part[0], part[2], kept))
+            part = (*part[:2], before.noise) if before else part
+            return reported_at(part[0], part[2], kept, 1 if before else LAST_STEPS)
         return with_possibly_wrong_station(map_solution(kept, agreed.estimate, Noise()),
                                            len(problem.poses) - len(used))
 
@@ -129,7 +131,7 @@ def with_systematic_errors(agreed: Solution) -> Solution:
         agreed.used, len(problem.poses), problem.target.min_samples, fitted,
         lambda fit: fit.conservative.left_out_squares(), lambda fit: fit.surely_wrong)
     if part and len(used) >= many:
-        solution = solution_of_many(*part[:2], solution)
+        solution = solution_of_many(*part, solution)
     return replace(solution, full_problem=problem, used=used,
                    dropped_squares={**agreed.dropped_squares, **dropped})
 

@@ -468,7 +468,8 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
         return replace(Solution.of_linear(linear, for_estimate),
                        at_conservative_scales=reported_at(linear, for_report, problem))
     linear, for_estimate, for_report = estimated_of_part(problem, start, noise)
-    return solution_of_many(linear, for_estimate, reported_at(linear, for_report, problem))
+    return solution_of_many(linear, for_estimate, for_report,
+                            reported_at(linear, for_report, problem))
 
 
 def estimated_of_part(problem: Problem, start: Estimate, noise: Noise
@@ -478,15 +479,16 @@ def estimated_of_part(problem: Problem, start: Estimate, noise: Noise
     return _estimated(problem.subset(np.arange(0, n, round(n / problem.many))), start, noise)
 
 
-def solution_of_many(linear: Linear, noise: Noise, reported: Solution) -> Solution:
+def solution_of_many(linear: Linear, noise: Noise, conservative_noise: Noise, reported: Solution
+                     ) -> Solution:
     """
-    Return the MAP solution of the many stations of that for the report, linearised as a part.
+    Return the MAP solution of many stations from what a part told, and from that for the report.
 
-    It has the noise of that part, and its scales after one step.
+    It is linearised where the part was, and has its noise. Scales take one step from its own.
     """
     near = solution_at(replace(reported.problem, long_errors=False), linear.estimate, noise)
     conservative = replace(
-        near, noise=replace(noise, block_variances=reported.noise.block_variances))
+        near, noise=replace(noise, block_variances=conservative_noise.block_variances))
     return replace(near.with_variances(conservative.prior_variances()[0]),
                    at_conservative_scales=reported)
 
