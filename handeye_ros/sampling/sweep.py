@@ -126,10 +126,8 @@ def problem_of_known_poses(samples: Sequence[Sample], config: Config) -> Problem
 
 
 def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:
-    """Return the problem of samples; for a moving robot with the clocks among the unknowns."""
+    """Return the problem of samples, some of a moving robot, with the clocks as unknowns."""
     problem = problem_of_known_poses(samples, config)
-    if not any(sample.moving for sample in samples):
-        return problem
     clocked = ClockedPoses.of(samples)
     stds = config.time_offset_std, config.rotation_lag_std, config.clock_drift_std
     model = PoseModel(
@@ -163,13 +161,14 @@ def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
 @dataclass(frozen=True, eq=False)
 class TimedSamples:
     """
-    Samples with the poses at the most likely times, and an estimate near their solution.
+    Samples with the poses at the most likely times, their problem, and an estimate near the answer.
 
     rejects: samples without poses at their time.
     """
 
     samples: list[Sample]
     rejects: list[Reject]
+    problem: Problem | None = None
     estimate: Estimate | None = None
 
 
@@ -197,7 +196,9 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
                   samples, instants.T_base_flange, instants.inside, strict=True) if inside]
     rejects = [Reject(sample.stamp, NO_POSES)
                for sample, inside in zip(samples, instants.inside, strict=True) if not inside]
-    return TimedSamples(paired, rejects, fit.estimate)
+    of_paired = problem.subset(np.flatnonzero(instants.inside))
+    return TimedSamples(paired, rejects, of_paired.with_pose_values(fit.problem.pose_values),
+                        fit.estimate)
 
 
 def _with_poses(clocked: ClockedPoses, values: Iterable[float], problem: Problem) -> Instants:
