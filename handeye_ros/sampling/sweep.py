@@ -161,9 +161,9 @@ def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
 @dataclass(frozen=True, eq=False)
 class TimedSamples:
     """
-    Samples with the poses at the most likely times, their problem, and an estimate near the answer.
+    Samples with the poses at the most likely times.
 
-    rejects: samples without poses at their time.
+    rejects: samples without poses at their time; problem, estimate: of a sweep, near its solution.
     """
 
     samples: list[Sample]
