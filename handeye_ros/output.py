@@ -50,7 +50,7 @@ def csv_text(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     return lines.getvalue()
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
     """Writes numpy values as plain ones, and a value that is there twice twice."""
 
     def ignore_aliases(self, data: Any) -> bool:

@@ -33,7 +33,14 @@ from handeye_ros.estimation.least_squares import (
 )
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise, Whitening, whitening
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem, UNUSED
-from handeye_ros.estimation.solve import map_solution, Solution, solution_of_many
+from handeye_ros.estimation.solve import (
+    estimated_of_part,
+    LAST_STEPS,
+    map_solution,
+    reported_at,
+    Solution,
+    solution_of_many,
+)
 import numpy as np
 from numpy.typing import NDArray
 
@@ -106,18 +113,25 @@ def with_systematic_errors(agreed: Solution) -> Solution:
     With few stations, each may be wrong without being detected; the reported covariance includes
     this.
     """
-    problem = agreed.full_problem
+    problem, many = agreed.full_problem, 2 * agreed.full_problem.many
+    # of many a part tells linearisation, noise, and scales for the report, by which outliers drop
+    part = (estimated_of_part(agreed.problem, agreed.estimate, Noise())
+            if len(agreed.used) >= many else None)
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         kept = agreed.problem.subset(np.flatnonzero(np.isin(agreed.used, used)))
-        solution = (map_solution(kept, agreed.estimate, Noise())
-                    if before is None or len(used) < 2 * problem.many else
-                    solution_of_many(kept, before.linear, before.noise, before.conservative.noise))
-        return with_possibly_wrong_station(solution, len(problem.poses) - len(used))
+        nonlocal part
+        if part and len(used) >= many:
+            part = (*part[:2], before.noise) if before else part
+            return reported_at(part[0], part[2], kept, 1 if before else LAST_STEPS)
+        return with_possibly_wrong_station(map_solution(kept, agreed.estimate, Noise()),
+                                           len(problem.poses) - len(used))
 
     solution, used, dropped = drop_outliers(
         agreed.used, len(problem.poses), problem.target.min_samples, fitted,
         lambda fit: fit.conservative.left_out_squares(), lambda fit: fit.surely_wrong)
+    if part and len(used) >= many:
+        solution = solution_of_many(*part, solution)
     return replace(solution, full_problem=problem, used=used,
                    dropped_squares={**agreed.dropped_squares, **dropped})
 

@@ -457,27 +457,34 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
     It is for the estimate, at the MAP scales, and holds another one for the report: at the
     conservative scales, with long errors of the robot only. noise: to start with.
     """
-    n = len(problem.poses)
-    if n < 2 * problem.many:
+    if len(problem.poses) < 2 * problem.many:
         linear, for_estimate, for_report = _estimated(problem, start, noise)
-        return _with_conservative(Solution.of_linear(linear, for_estimate), for_report, LAST_STEPS)
-    some = problem.subset(np.arange(0, n, round(n / problem.many)))
-    return solution_of_many(problem, *_estimated(some, start, noise), LAST_STEPS)
+        return replace(Solution.of_linear(linear, for_estimate),
+                       at_conservative_scales=reported_at(linear, for_report, problem))
+    linear, for_estimate, for_report = estimated_of_part(problem, start, noise)
+    return solution_of_many(linear, for_estimate, for_report,
+                            reported_at(linear, for_report, problem))
 
 
-def solution_of_many(problem: Problem, linear: Linear, noise: Noise, reported: Noise,
-                     steps: int = 1) -> Solution:
+def estimated_of_part(problem: Problem, start: Estimate, noise: Noise
+                      ) -> tuple[Linear, Noise, Noise]:
+    """Return what _estimated does, of a part of many stations."""
+    n = len(problem.poses)
+    return _estimated(problem.subset(np.arange(0, n, round(n / problem.many))), start, noise)
+
+
+def solution_of_many(linear: Linear, noise: Noise, conservative_noise: Noise, reported: Solution
+                     ) -> Solution:
     """
-    Return the MAP solution of many stations from that of a part of them, or of a few more.
+    Return the MAP solution of many stations from what a part told, and from that for the report.
 
-    It is linearised where that was, and has its noise, for the estimate and as reported. Scales
-    take one step from its own, those of the report some steps.
+    It is linearised where the part was, and has its noise. Scales take one step from its own.
     """
-    problem = problem.with_pose_values(linear.problem.pose_values)
-    near = solution_at(problem, linear.estimate, noise)
-    conservative = replace(near, noise=replace(noise, block_variances=reported.block_variances))
-    for_estimate = near.with_variances(conservative.estimated_block_variances()[0])
-    return _with_conservative(for_estimate, reported, steps)
+    near = solution_at(replace(reported.problem, long_errors=False), linear.estimate, noise)
+    conservative = replace(
+        near, noise=replace(noise, block_variances=conservative_noise.block_variances))
+    return replace(near.with_variances(conservative.estimated_block_variances()[0]),
+                   at_conservative_scales=reported)
 
 
 def _estimated(problem: Problem, start: Estimate, noise: Noise) -> tuple[Linear, Noise, Noise]:
@@ -527,11 +534,15 @@ def _until_converged(start: Solution) -> tuple[Solution, bool]:
     return (current, True) if size < NEAR_SIGMAS else (nearest, False)
 
 
-def _with_conservative(for_estimate: Solution, noise: Noise, steps: int) -> Solution:
-    """Return a solution together with that for the report: at the conservative scales of noise."""
-    long_errors = replace(for_estimate.problem, long_errors=True)
-    start = solution_at(long_errors, for_estimate.linear.estimate, noise)
-    return replace(for_estimate, at_conservative_scales=start.with_conservative_scales(steps))
+def reported_at(linear: Linear, noise: Noise, problem: Problem, steps: int = LAST_STEPS
+                ) -> Solution:
+    """
+    Return the solution of a problem for the report, linearised where another is.
+
+    It has the conservative scales, some steps from those of noise.
+    """
+    long_errors = replace(problem.with_pose_values(linear.problem.pose_values), long_errors=True)
+    return solution_at(long_errors, linear.estimate, noise).with_conservative_scales(steps)
 
 
 def solution_at(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:

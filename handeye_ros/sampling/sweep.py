@@ -49,6 +49,7 @@ from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Estimate, Linear, PoseModel, Problem
 from handeye_ros.estimation.search import (
     CONVINCING_SQUARE,
+    is_convincing,
     loss,
     refined_robustly,
     station_squares,
@@ -127,10 +128,8 @@ def problem_of_known_poses(samples: Sequence[Sample], config: Config) -> Problem
 
 
 def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:
-    """Return the problem of samples; for a moving robot with the clocks among the unknowns."""
+    """Return the problem of samples, some of a moving robot, with the clocks as unknowns."""
     problem = problem_of_known_poses(samples, config)
-    if not any(sample.moving for sample in samples):
-        return problem
     clocked = ClockedPoses.of(samples)
     stds = config.time_offset_std, config.rotation_lag_std, config.clock_drift_std
     model = PoseModel(
@@ -164,13 +163,14 @@ def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
 @dataclass(frozen=True, eq=False)
 class TimedSamples:
     """
-    Samples with the poses at the most likely times, and an estimate near their solution.
+    Samples with the poses at the most likely times.
 
-    rejects: samples without poses at their time.
+    rejects: samples without poses at their time; problem, estimate: of a sweep, near its solution.
     """
 
     samples: list[Sample]
     rejects: list[Reject]
+    problem: Problem | None = None
     estimate: Estimate | None = None
 
 
@@ -198,7 +198,9 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
                   samples, instants.T_base_flange, instants.inside, strict=True) if inside]
     rejects = [Reject(sample.stamp, NO_POSES)
                for sample, inside in zip(samples, instants.inside, strict=True) if not inside]
-    return TimedSamples(paired, rejects, fit.estimate)
+    of_paired = problem.subset(np.flatnonzero(instants.inside))
+    return TimedSamples(paired, rejects, of_paired.with_pose_values(fit.problem.pose_values),
+                        fit.estimate)
 
 
 def _with_poses(clocked: ClockedPoses, values: Iterable[float], problem: Problem) -> Instants:
@@ -218,8 +220,10 @@ def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Solution:
         values = np.zeros(len(problem.pose_values))
         values[0] = offset * problem.config.time_offset_std
         shifted = problem.with_pose_values(values)
-        fits += [refined_robustly(shifted, start)
-                 for start in islice(shifted.target.starts(shifted, rng), 3)]
+        for start in islice(shifted.target.starts(shifted, rng), 3):
+            fits.append(refined_robustly(shifted, start))
+            if is_convincing(fits[-1]):
+                return fits[-1]
         if typical_square(station_squares(min(fits, key=loss))) < CONVINCING_SQUARE:
             break
     return min(fits, key=loss)
