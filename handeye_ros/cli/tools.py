@@ -201,14 +201,14 @@ def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> 
         recordings, true_values = measuring.measuring_cell(rng)
         truth |= true_values
 
-        def fill(folder: Path) -> None:
-            folder.mkdir()
-            for name, made in recordings.items():
-                bag_write.write(folder / name, made.profiles, made.poses, truth=truth)
+        def fill(new: Path) -> None:
+            new.mkdir()
+            for part, messages in recordings.items():
+                bag_write.write(new / part, messages.profiles, messages.poses, truth=truth)
             points = measuring.preform_cloud(measuring.Preform(), np.random.default_rng(seed)
                                              ).points
             rows = unstructured_to_structured(points, np.dtype([(axis, '<f4') for axis in 'xyz']))
-            write_cloud(folder / PREFORM_FILE, [rows], 'frame base, metres')
+            write_cloud(new / PREFORM_FILE, [rows], 'frame base, metres')
 
         bag_write.write_folder(folder, {TRUTH_NAME: yaml_text(truth)}, fill, force)
         return ', '.join([*recordings, PREFORM_FILE])

@@ -34,7 +34,7 @@ SIDE_POINTS = 13  # points along each side of the field of view: fewer would be 
 FIELD_TEXT = 'x within +-20 mm, range 160-190 mm'
 
 SI_TEXT = ('Metres and radians; quaternions are x y z w; roll pitch yaw turn about the fixed axes '
-           'x, y, z, as in URDF; the covariance (6x6) is of x y z rx ry rz, in the parent frame.')
+           'x, y, z, as in URDF; covariances (6x6) are of x y z rx ry rz, in the parent frame.')
 
 # the keys below target of one number each
 FLOATS = 'radius|distance|scale|rotation_lag|clock_drift|line_bend|setback.*|.*(angle|_error|_std)'
