@@ -269,15 +269,14 @@ class Streams:
             if len(names) > 1:
                 sentences.append(
                     f'{len(names)} publishers send {kind}s on {name} '
-                    f'({", ".join(names[:MOST_LISTED])}): let only one publish; one that was '
-                    'killed is listed for 20 s more')
+                    f'({", ".join(names[:MOST_LISTED])}): let only one publish')
         own_name = (node.get_name(), node.get_namespace())
         if node.get_node_names_and_namespaces().count(own_name) > 1:
             sentences.append(
                 f'there are two nodes {node.get_fully_qualified_name()}: both take samples, and '
-                'either may answer; end one, or rename it (-r __node:=other). One that was killed '
-                'is listed for 20 s more')
-        return {**found, 'session': '; '.join(sentences)}
+                'either may answer; end one, or rename it (-r __node:=other)')
+        note = ['one that was killed is listed for 20 s more'] if sentences else []
+        return {**found, 'session': '; '.join(sentences + note)}
 
     def topics_of(self, message_type: str) -> list[str]:
         """Return the topics with publishers of a message type, without those of this node."""

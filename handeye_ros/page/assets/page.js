@@ -313,7 +313,8 @@ function showAnswer(c, rows) {
   text('saved', c.saved ? `saved in ${c.saved}` : '');
   $('figures').hidden = $('files').hidden = !rows.length;
   const quality = rows.length ? [['residual', mm(c.residual_rms), '', 'mm'],
-    ['left out', mm(c.holdout_rms), '', 'mm'], ['samples used', String(c.used), '', '']] : [];
+    ['left out', mm(c.holdout_rms), '', 'mm'],
+    [(c.text.match(/(profile|sample)s? used/) || [])[0], String(c.used), '', '']] : [];
   $('figures').tBodies[0].replaceChildren(...rows.concat(quality).map(([name, value, std, unit]) => {
     const made = document.createElement('tr');
     made.id = 'answer-' + name.replace(' ', '-');
