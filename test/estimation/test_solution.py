@@ -90,7 +90,7 @@ def test_a_solve_that_diverges_reports_the_errors_of_any_other(seed: int) -> Non
 
 def numerical(problem: Problem, at: Estimate, h: float = 1e-6) -> Array:
     """Return the Jacobian (m, 6 + k) by central differences, of all parameters."""
-    k = len(problem.target.labels)
+    k = len(problem.target.parameter_names)
 
     def residuals(delta: Array) -> Array:
         moved = Estimate(se3.perturb(at.X, delta[:6]),
@@ -105,7 +105,7 @@ def somewhere(problem: Problem, solution: Solution, seed: int) -> tuple[Problem,
     rng = np.random.default_rng(seed)
     at, target = solution.estimate, problem.target
     at = Estimate(se3.perturb(at.X, rng.normal(size=6) * 0.02),
-                  target.retract(at.state, rng.normal(size=len(target.labels)) * 0.02))
+                  target.retract(at.state, rng.normal(size=len(target.parameter_names)) * 0.02))
     kinds = rng.integers(0, len(target.kinds), len(problem.observations))
     return replace(problem, observations=replace(problem.observations, kind=kinds)), at
 
