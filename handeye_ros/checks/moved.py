@@ -192,8 +192,8 @@ def _likeliest(agreed: Solution, moments: NDArray[np.intp], first: Array
             further = _blocks_of_move(conservative, body, int(moments[move[1]]))
             tried[move] = with_noise_reestimated(conservative, further)
             # noise and scales estimated with the move do not absorb it: its time is clearer
-            gains = _gains(solution_at(agreed.problem, agreed.estimate, tried[move].noise), moments)
-            move = body, int(np.argmax(gains[0, :, body]))
+            again = solution_at(agreed.problem, agreed.estimate, tried[move].noise)
+            move = body, int(np.argmax(_gains(again, moments)[0, :, body]))
     (body, k), moved = min(tried.items(), key=lambda move: move[1].deviance)
     return body, k, moved
 
