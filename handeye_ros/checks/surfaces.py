@@ -54,13 +54,13 @@ class OtherSurfaceError(DataError):
 
 def require_seen_edges(session: Session, config: Config) -> None:
     """Raise OtherSurfaceError where ends of faces lie at columns that return nothing anywhere."""
-    stops = [s for s in session.stops if s.sample and not session.excludes(s)]
+    stops = np.array([s for s in session.stops if s.sample and not session.excludes(s)])
     read = [decoded(thinned(stop, config).profiles, config) for stop in stops]
     if len({len(profile.points) for profiles in read for profile in profiles}) != 1:
         return
     finite = np.isfinite([profile.points for profiles in read for profile in profiles])
-    live = finite.all(axis=2).any(axis=0).nonzero()[0]
-    gaps = (np.diff(live) > GAP_COLUMNS).nonzero()[0]
+    live = np.flatnonzero(finite.all(axis=2).any(axis=0))
+    gaps = np.flatnonzero(np.diff(live) > GAP_COLUMNS)
     brinks = live[np.append(gaps, gaps + 1)]
 
     def at_a_brink(x: float, line: Array) -> bool:
