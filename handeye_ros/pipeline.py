@@ -36,7 +36,7 @@ from handeye_ros.checks.stated_lengths import (
     with_free_shape_if_needed,
     with_free_size_if_needed,
 )
-from handeye_ros.checks.surfaces import OtherSurfaceError
+from handeye_ros.checks.surfaces import NotOfTargetError
 from handeye_ros.config import Config
 from handeye_ros.data import (
     AnyProfile,
@@ -213,14 +213,14 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         # 10. Without a certain cause, ask whether other settings or clocks explain the stops;
         # those that show another surface are left out.
         refusal = with_known_cause(error, stated, session, config) if session else error
-        if session and isinstance(refusal, OtherSurfaceError):
+        if session and isinstance(refusal, NotOfTargetError):
             others = _answer_without(refusal, session, config)
             if others.calibration:
                 return others
     return Answer(ordered, solution, agree, calibration, refusal)
 
 
-def _answer_without(found: OtherSurfaceError, session: Session, config: Config) -> Answer:
+def _answer_without(found: NotOfTargetError, session: Session, config: Config) -> Answer:
     """Return the answer from the stops of a session that do not show another surface."""
     rejects = [Reject(stamp, f'shows {found.why}') for stamp in found.stamps]
     others = [sample for sample in session.samples if sample.stamp not in found.stamps]

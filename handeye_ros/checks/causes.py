@@ -32,7 +32,7 @@ from handeye_ros.checks.refusals import (
 )
 from handeye_ros.checks.settings import setting_hypotheses, sign_hypothesis
 from handeye_ros.checks.stated_lengths import scale_hypothesis
-from handeye_ros.checks.surfaces import require_one_surface
+from handeye_ros.checks.surfaces import require_one_surface, require_seen_edges
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
 from handeye_ros.errors import DataError, mm
@@ -90,6 +90,9 @@ def with_known_cause(refusal: DataError, stated: Explanation, session: Session, 
     try:
         if unexplained or refusal.reason == 'moved':
             refuse_better(stated, setting_hypotheses(session, config, stated))
+        if unexplained or refusal.reason in ('moved', 'uncertain'):
+            require_seen_edges(session, config)
+        if unexplained or refusal.reason == 'moved':
             require_one_surface(session, config, refusal)
         if unexplained or refusal.reason == 'uncertain':
             require_same_clock(session, config)

@@ -193,9 +193,8 @@ def _likeliest(agreed: Solution, starts: NDArray[np.intp], moments: NDArray[np.i
             further = _blocks_of_move(conservative, *move)
             tried[move] = with_noise_reestimated(conservative, further)
             # noise and scales estimated with the move do not absorb it: its time is clearer
-            gains = _gains(solution_at(agreed.problem, agreed.estimate, tried[move].noise),
-                           moments)[0, :, body]
-            move = body, int(moments[np.argmax(gains)])
+            again = solution_at(agreed.problem, agreed.estimate, tried[move].noise)
+            move = body, int(moments[np.argmax(_gains(again, moments)[0, :, body])])
     (body, k), moved = min(tried.items(), key=lambda move: move[1].deviance)
     return body, k, moved
 

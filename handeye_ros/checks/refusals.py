@@ -26,7 +26,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 LARGEST_DROPPED_SHARE = 0.34  # largest share of the stations that an answer may leave out
-FEWEST_REDUNDANT = 3  # conditions needed, and as many for each dropped station if it has so many
+FEWEST_REDUNDANT = 3  # redundant conditions needed, and as many for each dropped station
 LARGEST_P_WRONG = 0.1  # largest probability that one of few samples is wrong
 # the same where several stations were dropped and similar surfaces may be confused
 SURELY_WRONG_P = 0.99
@@ -141,13 +141,13 @@ def require_tested(solution: Solution) -> None:
     may be wrong too.
     """
     used, dropped, left = len(solution.used), len(solution.dropped_squares), solution.redundancy
-    each = int(solution.ranks.max())
-    needed = FEWEST_REDUNDANT + min(each, FEWEST_REDUNDANT) * dropped + bool(dropped)
+    needed = FEWEST_REDUNDANT * (1 + dropped) + bool(dropped)
     if left < needed:
         lost = f' ({dropped} of them contradict the others)' if dropped else ''
         raise UnexplainedError(
             f'{used + dropped} usable samples{lost} give only {left} redundant equations; at '
             f'least {needed} are needed: take more samples at new poses', reason='few')
+    each = int(solution.ranks.max())
     missing = FEWEST_REDUNDANT * (2 + dropped) + 1 - (left - each)
     not_all_found = (solution.probability_wrong > SURELY_WRONG_P and dropped > 1
                      and solution.full_problem.ambiguous)

@@ -7,21 +7,23 @@ Such ends agree among themselves, so that no consensus of edges stands out. But 
 pieces only, the stops agree on one plane, which tells where the sensor is, and so at which heights
 their faces lie. The plane may be that of the table: the target is at the height whose stops agree
 on it as it is set. The others are named, and left out where these carry an answer (pipeline.py).
+So are faces that end where the sensor is blind, as behind dirt on its window.
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from handeye_ros.checks.hypotheses import explanation_of_samples
 from handeye_ros.checks.settings import thinned, with_settings
 from handeye_ros.config import Config
-from handeye_ros.data import Array, FaceLine, Reject, Sample
+from handeye_ros.data import Array, EdgePoint, FaceLine, Reject, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.frames import mount_poses
+from handeye_ros.profiles.edges import GAP_COLUMNS
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import Stop
+from handeye_ros.sampling.stops import decoded, Stop
 from handeye_ros.se3 import inverse
 from handeye_ros.targets import target_for
 import numpy as np
@@ -34,24 +36,44 @@ ADVICE = ('take samples where the laser crosses the target alone; if it does, ch
           'profile.range_sign and profile.axes')
 
 
-class OtherSurfaceError(DataError):
+class NotOfTargetError(DataError):
     """
-    Some stops show the edge of another surface.
+    Some stops show the edge of another surface, or only the end of what the sensor sees.
 
     stamps: of their samples; why: what they show, in words.
     """
 
-    def __init__(self, stops: Sequence[Stop], heights: Array) -> None:
-        """Build the sentence; heights (m) of their faces over the target, NaN if not parallel."""
-        self.stamps = {stop.result.stamp for stop in stops}
-        lowest_highest = np.nanquantile(heights * 1e3, (0, 1))
-        told = ' to '.join(dict.fromkeys(f'{height:.1f}' for height in lowest_highest))
-        inclined = ' or inclined' if np.isnan(heights).any() else ''
-        self.why = (f'the edge of another surface, {told} mm above that of the others{inclined}, '
-                    'such as a clamp or a second plate')
-        shown = f'the {_numbers(stops)} show {self.why}'
+    def __init__(self, stops: Iterable[Stop], why: str, advice: str = ADVICE) -> None:
+        """Build the sentence from stops, what they show and what to do, in words."""
+        stops = list(stops)
+        self.stamps, self.why = {stop.result.stamp for stop in stops}, why
+        shown = f'the {_numbers(stops)} show {why}'
         self.warning = f'{shown}: they are left out'
-        super().__init__(f'{shown}: {ADVICE}', reason='surface')
+        super().__init__(f'{shown}: {advice}', reason='surface')
+
+
+def require_seen_edges(session: Session, config: Config) -> None:
+    """Raise NotOfTargetError where ends of faces lie at columns that return nothing anywhere."""
+    stops = np.array([s for s in session.stops if s.sample and not session.excludes(s)])
+    read = [decoded(thinned(stop, config).profiles, config) for stop in stops]
+    if len({len(profile.points) for profiles in read for profile in profiles}) != 1:
+        return
+    finite = np.isfinite([profile.points for profiles in read for profile in profiles])
+    live = np.flatnonzero(finite.all(axis=2).any(axis=0))
+    gaps = np.flatnonzero(np.diff(live) > GAP_COLUMNS)
+    brinks = live[np.append(gaps, gaps + 1)]
+
+    def at_a_brink(x: float, line: Array) -> bool:
+        column = np.nan_to_num(np.abs(line - x), nan=np.inf).argmin()
+        return bool(np.any(np.abs(brinks - column) <= GAP_COLUMNS))
+
+    ending = [stop for stop, (first, *_) in zip(stops, read, strict=True)
+              if any(at_a_brink(edge.point[0], first.points[:, 0])
+                     for edge in stop.sample.features if isinstance(edge, EdgePoint))]
+    if ending:
+        raise NotOfTargetError(
+            ending, 'the end of a face where the sensor returns nothing at any stop, as through '
+            'a dirty window', 'clean it, or cross the edges elsewhere in the view')
 
 
 def require_one_surface(session: Session, config: Config, refusal: DataError) -> None:
@@ -74,7 +96,7 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
         above = height[~at_level] - level
         # only wrong axes or a wrong sign make the ground beneath a face
         if np.nanmedian(above) > 0 and _agree_on_target(stops[at_level], config):
-            raise OtherSurfaceError(list(stops[~at_level]), above)
+            raise NotOfTargetError(stops[~at_level], _told(above))
     if several and refusal.reason in ('misfit', 'edges'):
         told = '; '.join(f'{(level - np.nanmin(height)) * 1e3:.1f} mm: {_numbers(stops[at_level])}'
                          for level, at_level in levels)
@@ -118,6 +140,15 @@ def _agree_on_target(stops: NDArray[np.object_], config: Config) -> bool:
     samples = with_common_shape([stop.sample for stop in stops])
     return explanation_of_samples(samples, config, [sample.stamp for sample in samples],
                                   all_starts=True).agrees
+
+
+def _told(heights: Array) -> str:
+    """Return in words what has edges at heights (m) over the target, NaN if not parallel."""
+    lowest_highest = np.nanquantile(heights * 1e3, (0, 1))
+    told = ' to '.join(dict.fromkeys(f'{height:.1f}' for height in lowest_highest))
+    inclined = ' or inclined' if np.isnan(heights).any() else ''
+    return (f'the edge of another surface, {told} mm above that of the others{inclined}, such as '
+            'a clamp or a second plate')
 
 
 def _levels(height: Array) -> list[tuple[float, NDArray[np.bool_]]]:

@@ -343,6 +343,19 @@ def test_the_stops_that_show_another_surface_are_named_and_left_out(
 
 
 @pytest.mark.thorough
+def test_faces_that_end_where_the_sensor_is_blind_are_named_and_left_out() -> None:
+    made = simulate(SCENARIOS['line'], np.random.default_rng(5))
+    blind = np.zeros((len(made.profiles[0].points), 1), dtype=bool)
+    blind[793:844] = True
+    profiles = [replace(p, points=np.where(blind, np.nan, p.points)) for p in made.profiles]
+    config = with_values(Config(), settings(SCENARIOS['line']), 'the test')
+    found = pipeline.calibrate(profiles, made.poses, config)
+    [told] = found.provenance['warnings']
+    assert re.fullmatch('the stops [0-9, ]+ show the end of a face where the sensor .*', told)
+    assert squared_error(found, made.truth) < 16.8
+
+
+@pytest.mark.thorough
 def test_heights_of_edges_are_named_where_too_few_stops_show_the_target(
         monkeypatch: pytest.MonkeyPatch) -> None:
     """Most stops show a clamp, and one the table: no part of them agrees on one edge."""
