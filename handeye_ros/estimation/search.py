@@ -119,8 +119,8 @@ def with_systematic_errors(agreed: Solution) -> Solution:
             if len(agreed.used) >= many else None)
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
-        kept = agreed.problem.subset(np.flatnonzero(np.isin(agreed.used, used)))
         nonlocal part
+        kept = agreed.problem.subset(np.flatnonzero(np.isin(agreed.used, used)))
         if part and len(used) >= many:
             part = (*part[:2], before.noise) if before else part
             return reported_at(part[0], part[2], kept, 1 if before else LAST_STEPS)
