@@ -185,6 +185,27 @@ def test_a_sensor_that_slips_is_no_scale_and_no_error_of_the_robot(name: str) ->
     assert 'the sensor seems to have moved' in said and 'length' not in said
 
 
+def test_of_a_sweep_of_less_than_a_second_no_cause_is_named() -> None:
+    scenario = sweep('sphere', 0.0)
+    made = simulate(scenario, np.random.default_rng(0))
+    first = made.poses[0].stamp + 3 * NS
+    wxyz = [replace(p, quaternion=np.roll(p.quaternion, 1)) for p in made.poses
+            if 0 <= p.stamp - first < 0.8 * NS]
+    profiles = [p for p in made.profiles if 0 <= p.stamp - first < 0.8 * NS]
+    with pytest.raises(DataError, match='of 0.8 s.*record a longer sweep'):
+        pipeline.calibrate(profiles, wxyz, config_of(scenario))
+
+
+def test_the_offset_of_a_robot_that_drifts_is_in_its_stated_region() -> None:
+    scenario = sweep('sphere', 0.02, drift=(1e-4, 3e-4))
+    off = []
+    for seed in OFFSET_SEEDS:
+        made = simulate(scenario, np.random.default_rng(seed))
+        found = pipeline.calibrate(made.profiles, made.poses, config_of(scenario)).time_offset
+        off.append((found.value - 0.02) / found.std)
+    assert np.sqrt(np.mean(np.square(off))) < 1.2
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize('name', ['plate_sweep', 'line_sweep'])
 def test_times_that_jump_are_no_move(name: str) -> None:
