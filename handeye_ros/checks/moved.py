@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 
 SENSOR, TARGET = range(2)  # a body that moves: an index of gains, derivatives, arms
 POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
-MOMENTS_TRIED = 160  # possible moments of a small move
+MOMENTS_TRIED = 160  # of a small move, most of them, before it is examined
 MOVE_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 TIME_STD = 0.01  # of the times that may be wrong instead, 1 sigma (s)
 SIZE_FACTORS = (1.0, 0.25)  # factors on MOVE_STD, of equal prior probability
@@ -133,13 +133,13 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
         return agreed, ''
     sweep = agreed.problem.pose_model is not None
     margin = max(2, n // PARTS_EXCHANGED) if sweep else 2
-    # a moment a few profiles off leaves an error that only a much worse robot would explain
-    few, moments = (np.unique(np.linspace(margin, n - margin, count).round().astype(int))
-                    for count in (PARTS_EXCHANGED, MOMENTS_TRIED))
-    if _gains(conservative, moments).max() < -WARNING_EVIDENCE:  # evidence against a move
+    few, many = (np.unique(np.linspace(margin, n - margin, count).round().astype(int))
+                 for count in (PARTS_EXCHANGED, MOMENTS_TRIED))
+    if _gains(conservative, many).max() < -WARNING_EVIDENCE:  # evidence against a move
         return agreed, ''
-    # the likeliest move against none, and against wrong times
-    body, k, moved = _likeliest(agreed, moments)
+    # the likeliest move against none, and against wrong times; a moment a few profiles off leaves
+    # an error that only a much worse robot would explain
+    body, k, moved = _likeliest(agreed, np.arange(margin, n - margin + 1))
     unmoved = with_noise_reestimated(conservative)
     others = [with_noise_reestimated(conservative, (block,)) for block in
               _wrong_times(conservative, k + margin * np.arange(-2, 3))]
