@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 
 SENSOR, TARGET = range(2)  # a body that moves: an index of gains, derivatives, arms
 POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
-MOMENTS_TRIED = 40  # possible moments of a small move
+MOMENTS_TRIED = 160  # of a small move, most of them, before it is examined
 STATIONS_TRIED = 100  # over the number of stations: moments from which the likeliest is sought
 MOVE_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 TIME_STD = 0.01  # of the times that may be wrong instead, 1 sigma (s)
@@ -50,7 +50,7 @@ SIZE_FACTORS = (1.0, 0.25)  # factors on MOVE_STD, of equal prior probability
 # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
 WARNING_EVIDENCE = 5.0
 LEAST_MOVE_SIGMAS = 3.0  # smallest move over the robot's smooth error
-RANDOM_ORDERS = 200  # of the permutation test
+RANDOM_ORDERS, PARTS_EXCHANGED = 200, 40  # of the permutation test
 WARNING_P, REFUSAL_P = 0.1, 0.01  # largest p-value of the permutation test: to warn, to refuse
 
 
@@ -133,16 +133,18 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     if n < agreed.problem.target.min_samples + 4:  # too few to tell a move from an outlier
         return agreed, ''
     sweep = agreed.problem.pose_model is not None
-    margin = max(2, n // MOMENTS_TRIED) if sweep else 2
-    moments = np.unique(np.linspace(margin, n - margin, MOMENTS_TRIED).round().astype(int))
-    # noise estimated without a move absorbs it; configured noise may be too large
-    configured = solution_at(agreed.problem, agreed.estimate, Noise())
-    first = np.maximum(*(_gains(one, moments)[0] for one in (configured, conservative)))
+    margin = max(2, n // PARTS_EXCHANGED) if sweep else 2
+    few, many = (np.unique(np.linspace(margin, n - margin, count).round().astype(int))
+                 for count in (PARTS_EXCHANGED, MOMENTS_TRIED))
+    found_without = [conservative]
+    if not sweep:  # of a few stations, estimated noise absorbs a move; configured may be too large
+        found_without.append(solution_at(agreed.problem, agreed.estimate, Noise()))
+    first = np.max([_gains(solution, many)[0] for solution in found_without], axis=0)
     if first.max() < -WARNING_EVIDENCE:  # evidence against a move
         return agreed, ''
     # the likeliest move against none, and against wrong times; a moment a few profiles off leaves
     # an error that only a much worse robot would explain
-    starts = moments[np.argsort(-first, axis=0)[:max(STATIONS_TRIED // n, 1)]]
+    starts = many[np.argsort(-first, axis=0)[:max(STATIONS_TRIED // n, 1)]]
     body, k, moved = _likeliest(agreed, starts, np.arange(margin, n - margin + 1))
     unmoved = with_noise_reestimated(conservative)
     others = [with_noise_reestimated(conservative, (block,)) for block in
@@ -157,7 +159,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     if evidence < WARNING_EVIDENCE or size < least:
         return agreed, ''
     # errors of the robot look like a move in any order of the samples
-    in_time, *random = _gains(solution_at(agreed.problem, agreed.estimate, moved.noise), moments,
+    in_time, *random = _gains(solution_at(agreed.problem, agreed.estimate, moved.noise), few,
                               RANDOM_ORDERS).max(axis=(1, 2))
     p_value = float(np.mean(random >= in_time))
     if p_value >= WARNING_P:

@@ -164,12 +164,12 @@ def smooth_basis(poses: Array, long_errors: bool = False) -> Array:
     return _kernel_root(features, farthest_points(features, 24), long_errors)
 
 
-def smooth_basis_in_time(times: Array) -> Array:
-    """Return a square root (n, k) of the kernel at times (n,) in s, k <= 48."""
+def smooth_basis_in_time(times: Array, long_errors: bool) -> Array:
+    """Return a square root (n, k) of a kernel, see _kernel_root, at times (n,) in s, k <= 48."""
     count = min(48, len(times), 2 + int(np.ptp(times) / TIME_LENGTH))
     evenly = np.linspace(times.min(), times.max(), count)
     nearest = np.abs(times - evenly[:, None]).argmin(axis=1)
-    return _kernel_root(times[:, None] / TIME_LENGTH, np.unique(nearest).tolist())
+    return _kernel_root(times[:, None] / TIME_LENGTH, np.unique(nearest).tolist(), long_errors)
 
 
 def _kernel_root(features: Array, chosen: list[int], long_errors: bool = False) -> Array:

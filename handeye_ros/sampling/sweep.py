@@ -62,6 +62,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 CLOCK_KEYS = TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT
+LEAST_TIME = 1.0  # s of a sweep: of less any cause may seem to explain what does not fit
 NO_POSES = 'there are no poses of that time'
 MOST_SAMPLES, SEARCH_SAMPLES = 400, 60  # of a sweep; where some do: a start, a wrong convention
 
@@ -145,7 +146,8 @@ def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
     """Yield the blocks of errors of a moving robot: smooth in time, and of the exposure."""
     size, model = linear.problem.config.noise.robot_smooth, linear.problem.pose_model
     assert model is not None
-    functions = smooth_basis_in_time((stamps[model.stations] - stamps[0]) * 1e-9)
+    functions = smooth_basis_in_time((stamps[model.stations] - stamps[0]) * 1e-9,
+                                     linear.problem.long_errors)
     shifts, turns = np.hsplit(np.eye(6), 2)
     for name, axes, std in (('tracking_position', shifts, size),
                             ('tracking_rotation', turns, size / TURN_LENGTH)):
@@ -184,6 +186,9 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     if not any(sample.moving for sample in samples):
         return TimedSamples(list(samples), [])
     samples = evenly(samples, MOST_SAMPLES)
+    if (seconds := (samples[-1].stamp - samples[0].stamp) * 1e-9) < LEAST_TIME:
+        raise DataError(f'the profiles that show the target are of {seconds:.1f} s, in which a '
+                        'robot hardly turns: record a longer sweep', reason='few')
     clocked, problem = ClockedPoses.of(samples), problem_with_clocks(samples, config)
     some = problem.subset(evenly_chosen(len(samples), SEARCH_SAMPLES))
     start = _best_over_offsets(some, np.random.default_rng(0))
