@@ -21,7 +21,7 @@ from typing import Any, TypeAlias
 from handeye_ros import __version__
 from handeye_ros.bags.reader import SUFFIXES
 from handeye_ros.config import read_yaml
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.errors import InputError
 from handeye_ros.output import csv_text, rendered, write_atomically
 from handeye_ros.tables import Table
 from handeye_ros.trend import AXES
@@ -90,7 +90,7 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
     Return the jobs of bags, folders of bags, and CSV lists; base: the common command.
 
     Raises InputError for a list that cannot be read and for labels that are no folders of their
-    own, DataError without a recording.
+    own, and without a recording.
     """
     jobs: list[Job] = []
     for source in map(Path, sources):
@@ -102,8 +102,8 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
             jobs += [replace(base, bag=str(bag.absolute()), label=label)
                      for bag, label in _bags_in(source, several=len(sources) > 1)]
     if not jobs:
-        raise DataError(f'no recording in {" ".join(sources)}: give bags, folders of bags, or a '
-                        'CSV list of them')
+        raise InputError(f'no recording in {" ".join(sources)}: give bags, folders of bags, or a '
+                         'CSV list of them')
     labels = [Path(job.label) for job in jobs]
     taken = Counter(folder for label in labels for folder in (label, *label.parents))
     for label in labels:  # results replace the folder of their label

@@ -23,7 +23,7 @@ from handeye_ros.batch import (
     unchanged,
     write_table,
 )
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.errors import InputError
 from handeye_ros.results.calibration_file import write_calibration
 import numpy as np
 import pytest
@@ -109,7 +109,7 @@ def test_lists_name_their_recordings_relative_to_them(tmp_path):
         with pytest.raises(InputError, match=sentence):
             jobs_of([str(tmp_path / 'jobs.csv')], SOLVE)
     (tmp_path / 'empty').mkdir()
-    with pytest.raises(DataError, match='no recording'):
+    with pytest.raises(InputError, match='no recording'):
         jobs_of([str(tmp_path / 'empty')], SOLVE)
     with pytest.raises(InputError, match='is not there'):
         jobs_of([str(tmp_path / 'missing.csv')], SOLVE)

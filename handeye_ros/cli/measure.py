@@ -127,7 +127,7 @@ def _warn_of_own(bag: Path, stamps: 'Sequence[int]', calibration: 'Calibration')
 def check(
     bags: Annotated[list[Path], typer.Argument(
         metavar='BAG...', help='Short recordings of the same target, the oldest first.')],
-    against: Annotated[Path, File(help='The calibration.yaml that is to be checked.')],
+    against: Annotated[Path, File(help='The calibration.yaml to be checked, or its folder.')],
     config: MeasureConfig = None,
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
@@ -171,8 +171,9 @@ def trend(
     """Show the trend of the calibrations below a folder."""
     from handeye_ros import trend as trends
     from handeye_ros.output import write_atomically
-    from handeye_ros.results.calibration_file import read_calibration
-    entries, warnings = trends.trend(folder, read_calibration(against) if against else None)
+    from handeye_ros.results.calibration_file import file_of, read_calibration
+    entries, warnings = trends.trend(
+        folder, read_calibration(file_of(against)) if against else None)
     warn(*warnings)
     show(trends.table(entries))
     typer.echo(trends.since_when(entries))
