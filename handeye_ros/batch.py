@@ -137,8 +137,12 @@ def words_of(args: str, config: Path | str | None, settings: Iterable[str],
              folder: Path = Path()) -> tuple[str, ...]:
     """Return the words of a command with absolute paths of its files, for workers."""
     files = ['--config', str((folder / config).absolute())] if config else []
+    try:
+        words = shlex.split(args)
+    except ValueError as error:
+        raise InputError(f'args: {args!r} has a quotation mark that is not closed') from error
     return (*(str((folder / word).absolute()) if (folder / word).is_file() else word
-              for word in shlex.split(args)), *files, *(f'--set={text}' for text in settings))
+              for word in words), *files, *(f'--set={text}' for text in settings))
 
 
 def _listed(path: Path, base: Job) -> Iterator[Job]:
