@@ -20,7 +20,7 @@ from typing import Any, TypeAlias
 from handeye_ros import __version__
 from handeye_ros.bags.reader import SUFFIXES
 from handeye_ros.config import read_yaml
-from handeye_ros.errors import DataError, InputError, without_numbers
+from handeye_ros.errors import InputError, without_numbers
 from handeye_ros.output import csv_text, rendered, write_atomically
 from handeye_ros.tables import Table
 from handeye_ros.trend import AXES
@@ -89,7 +89,7 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
     Return the jobs of bags, folders of bags, and CSV lists; base: the common command.
 
     Raises InputError for a list that cannot be read and for labels that are no folders of their
-    own, DataError without a recording.
+    own, and without a recording.
     """
     jobs: list[Job] = []
     for source in map(Path, sources):
@@ -101,8 +101,8 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
             jobs += [replace(base, bag=str(bag.absolute()), label=label)
                      for bag, label in _bags_in(source, several=len(sources) > 1)]
     if not jobs:
-        raise DataError(f'no recording in {" ".join(sources)}: give bags, folders of bags, or a '
-                        'CSV list of them')
+        raise InputError(f'no recording in {" ".join(sources)}: give bags, folders of bags, or a '
+                         'CSV list of them')
     labels = [Path(job.label) for job in jobs]
     taken = Counter(folder for label in labels for folder in (label, *label.parents))
     for label in labels:  # results replace the folder of their label
@@ -136,8 +136,12 @@ def words_of(args: str, config: Path | str | None, settings: Iterable[str],
              folder: Path = Path()) -> tuple[str, ...]:
     """Return the words of a command with absolute paths of its files, for workers."""
     files = ['--config', str((folder / config).absolute())] if config else []
+    try:
+        words = shlex.split(args)
+    except ValueError as error:
+        raise InputError(f'args: {args!r} has a quotation mark that is not closed') from error
     return (*(str((folder / word).absolute()) if (folder / word).is_file() else word
-              for word in shlex.split(args)), *files, *(f'--set={text}' for text in settings))
+              for word in words), *files, *(f'--set={text}' for text in settings))
 
 
 def _listed(path: Path, base: Job) -> Iterator[Job]:

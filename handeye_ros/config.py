@@ -32,7 +32,7 @@ from handeye_ros.errors import (
 import yaml
 
 METRES = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3, 'um': 1e-6, 'in': 0.0254}
-RADIANS = {'rad': 1.0, 'deg': math.pi / 180, 'degrees': math.pi / 180}
+RADIANS = {'rad': 1.0, 'mrad': 1e-3, 'deg': math.pi / 180, 'degrees': math.pi / 180}
 SECONDS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6}
 WITH_UNIT = re.compile(r'(?<![\w.])([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) *([a-z]+)(?![\w.])')
 NOT_SET = math.nan  # default of a number that changes an answer by its full size: it has none
@@ -583,6 +583,8 @@ def _values(content: Any, names: tuple[str, ...] = ()) -> Iterator[tuple[tuple[s
 def in_si(text: str, unit: str) -> str:
     """Return a text with its numbers that have a unit, as 20mm, in m, rad or s; others as is."""
     factors = {'m': METRES, 'rad': RADIANS, 's': SECONDS}.get(unit, {})
+    if factors:
+        text = re.sub('[\u00b5\u03bc]', 'u', text)  # µm, in the two ways that a micro is written
     return WITH_UNIT.sub(lambda found: repr(float(found[1]) * factors[found[2]])
                          if found[2] in factors else found[0], text)
 

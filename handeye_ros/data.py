@@ -143,9 +143,10 @@ class TimedPose:
         _require_stamp('pose', self.stamp)
         for name, size in (('translation', 3), ('quaternion', 4)):
             values = getattr(self, name)
-            if not isinstance(values, np.ndarray) or values.shape != (size,):
+            if not isinstance(values, np.ndarray) or values.shape != (size,) or (
+                    values.dtype.kind not in 'fiu'):
                 raise InputError(f'{name} of a pose is {form_of(values)}, expected an array '
-                                 f'({size},)')
+                                 f'({size},) of numbers')
 
     def require_values(self) -> None:
         """Raise InputError for numbers that are no pose; those of messages are checked there."""

@@ -46,7 +46,7 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], 
     Return the calibrations below a folder by time, and a warning for each file left out.
 
     first: the reference, the oldest if not given; only those between its frames are compared.
-    Raises DataError for too few, InputError for a folder that is not there.
+    Raises DataError for a single one, InputError for a folder without any.
     """
     if not folder.is_dir():
         raise InputError(f'there is no folder {folder}: name one that holds calibrations')
@@ -62,8 +62,9 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], 
         calibrations.append((output.time_of(stamp) or created, path, calibration))
     calibrations.sort(key=lambda item: item[:2])
     if len(calibrations) < 2 - (first is not None):
-        raise DataError(f'{folder} holds {len(calibrations)} readable calibration.yaml: a trend '
-                        'needs two, or one with --against')
+        raise (DataError if calibrations else InputError)(
+            f'{folder} holds {len(calibrations)} readable calibration.yaml: a trend needs two, '
+            'or one with --against')
     reference = before = first or calibrations[0][2]
     entries = []
     for recorded, path, calibration in calibrations:

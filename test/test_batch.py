@@ -23,7 +23,7 @@ from handeye_ros.batch import (
     unchanged,
     write_table,
 )
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.errors import InputError
 from handeye_ros.results.calibration_file import write_calibration
 import numpy as np
 import pytest
@@ -103,13 +103,14 @@ def test_lists_name_their_recordings_relative_to_them(tmp_path):
     for text, sentence in (
             ('bag,lable\na,first\n', 'it has the columns bag, lable; expected'),
             ('bag,settings\na,verify.lengths=[0.1,0.2] name=x\n', 'row 1 has 3 values'),
+            ("bag,args\na,it's\n", 'quotation mark that is not closed'),
             ('label,bag\na,b\nc\n', 'row 2 has 1 values'),
             ('label,bag\na,b\nc,\n', 'a value in each row'), ('label\na\n', 'no column bag')):
         (tmp_path / 'jobs.csv').write_text(text)
         with pytest.raises(InputError, match=sentence):
             jobs_of([str(tmp_path / 'jobs.csv')], SOLVE)
     (tmp_path / 'empty').mkdir()
-    with pytest.raises(DataError, match='no recording'):
+    with pytest.raises(InputError, match='no recording'):
         jobs_of([str(tmp_path / 'empty')], SOLVE)
     with pytest.raises(InputError, match='is not there'):
         jobs_of([str(tmp_path / 'missing.csv')], SOLVE)

@@ -105,3 +105,11 @@ def test_the_example_of_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     written = yaml.safe_load((tmp_path / 'out' / 'calibration.yaml').read_text(encoding='utf-8'))
     assert written['format'] in names(section('Files'))
     assert set(fields) <= written.keys()
+
+
+def test_every_source_file_states_copyright_and_licence() -> None:
+    for folder in ('handeye_ros', 'launch', 'bench', 'tools', 'test'):
+        for file in (ROOT / folder).rglob('*'):
+            if file.suffix in ('.py', '.sh', '.js', '.css', '.html', '.jinja'):
+                head = file.read_text(encoding='utf-8')[:300]
+                assert 'Copyright 2026' in head and 'SPDX-License-Identifier' in head, file

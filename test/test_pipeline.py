@@ -249,6 +249,7 @@ ORIGIN, NO_TURN = np.zeros(3), np.array([0.0, 0, 0, 1])
     (lambda: TimedPose(2e-9, ORIGIN, NO_TURN), 'stamp of a pose is 2e-09'),
     (lambda: TimedPose(1, np.zeros(2), NO_TURN), r'translation of a pose is an array \(2,\)'),
     (lambda: TimedPose(1, [0, 0, 0], NO_TURN), 'translation of a pose is a list'),
+    (lambda: TimedPose(1, np.array(['a'] * 3), NO_TURN), 'translation of a pose is an array'),
     (lambda: gather([], [TimedPose(1, ORIGIN * np.nan, NO_TURN)], Config()),
      'translation of a pose'),
     (lambda: gather([], [TimedPose(1, ORIGIN, 0 * NO_TURN)], Config()), 'quaternion of a pose'),

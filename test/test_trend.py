@@ -63,3 +63,7 @@ def test_the_verb(tmp_path):
     assert 'no calibration differs' in run.stdout and 'x [mm]' in run.stdout
     assert (tmp_path / 't.csv').read_text().startswith('recorded,path,x,')
     assert_refused(handeye('trend', 'steady/day_0', cwd=tmp_path), 3, 'steady')
+    (tmp_path / 'empty').mkdir()
+    assert_refused(handeye('trend', 'empty', cwd=tmp_path), 2, 'empty holds 0 readable')
+    run = handeye('trend', 'steady/day_0', '--against', 'steady/day_1', cwd=tmp_path)
+    assert run.returncode == 0, run.stderr

@@ -89,7 +89,7 @@ case ",$extras," in *,ros,*) want_ros=yes ;; esac
 find_python
 [ $mode = wheels ] || extras=$(echo ",$extras," | sed 's/,ros,/,/; s/^,//; s/,$//')
 
-key=$(cat setup.py setup.cfg tools/environment.sh ${constraints:+"$constraints"} | cksum)
+key=$(cat package.xml setup.py setup.cfg tools/environment.sh ${constraints:+"$constraints"} | cksum)
 [ "$(cat "$venv/.made-for" 2>/dev/null)" = "$python $mode $PWD" ] || create
 [ ! -e "$venv/.interrupted" ] || create
 ! up_to_date || exit 0

@@ -47,7 +47,7 @@ Angles = Annotated[str, typer.Option(
     metavar='NOTATION', help='How a table of poses writes orientations: kuka-abc, fanuc-wpr, '
     'abb-quaternion, ur-rotation-vector, staubli-rxryrz or yaskawa-rxryrz.')]
 CalibrationFile = Annotated[Path, File(
-    '--calibration', help='The calibration.yaml of this sensor.')]
+    '--calibration', help='The calibration.yaml of this sensor, or its folder.')]
 MeasureConfig = Annotated[NoPath, typer.Option(
     help='A ROS parameter file; without it, the settings that the calibration was made with.')]
 OutFile = Annotated[NoPath, File(help='Write the result as YAML too.')]
@@ -123,8 +123,8 @@ def open_calibration(file: Path, config: Path | None, assignments: list[str],
                      kinematics: Path | None = None) -> 'tuple[Calibration, Config]':
     """Return a calibration, and the settings to measure with it."""
     from handeye_ros.config import load
-    from handeye_ros.results.calibration_file import read_calibration, use_config
-    calibration = read_calibration(file)
+    from handeye_ros.results.calibration_file import file_of, read_calibration, use_config
+    calibration = read_calibration(file_of(file))
     settings = use_config(calibration, load(config) if config else None)
     return calibration, configuration(None, assignments, settings, kinematics=kinematics)
 

@@ -43,6 +43,15 @@ NOT_AS_WANTED = 1  # exit code: measured, and not passed, or changed
 LARGEST_PLAIN = 10.0  # m: a larger plain number is taken for mm, and refused
 THINNING_SIZE = 2e-4  # m: edge of the cubes, each with one point
 PATH_LINES = ('auto', 'centre', 'root', 'first', 'second')  # that the path of a tool may follow
+
+
+def _finite(value: float) -> float:
+    """Return the value of an option, an angle."""
+    if not math.isfinite(value):
+        raise typer.BadParameter(f'{value} is no angle')
+    return value
+
+
 Bags = Annotated[list[Path], typer.Argument(
     metavar='BAG...', help='Recordings with stops, one of each face or ball, in their order.')]
 
@@ -127,7 +136,7 @@ def _warn_of_own(bag: Path, stamps: 'Sequence[int]', calibration: 'Calibration')
 def check(
     bags: Annotated[list[Path], typer.Argument(
         metavar='BAG...', help='Short recordings of the same target, the oldest first.')],
-    against: Annotated[Path, File(help='The calibration.yaml that is to be checked.')],
+    against: Annotated[Path, File(help='The calibration.yaml to be checked, or its folder.')],
     config: MeasureConfig = None,
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
@@ -171,8 +180,9 @@ def trend(
     """Show the trend of the calibrations below a folder."""
     from handeye_ros import trend as trends
     from handeye_ros.output import write_atomically
-    from handeye_ros.results.calibration_file import read_calibration
-    entries, warnings = trends.trend(folder, read_calibration(against) if against else None)
+    from handeye_ros.results.calibration_file import file_of, read_calibration
+    entries, warnings = trends.trend(
+        folder, read_calibration(file_of(against)) if against else None)
     warn(*warnings)
     show(trends.table(entries))
     typer.echo(trends.since_when(entries))
@@ -195,8 +205,8 @@ def scan(
         '--range', metavar='NEAR FAR', help='Keep points in this range of the sensor.')
     ] = ('-inf', 'inf'),
     incidence: Annotated[float, typer.Option(
-        min=0.0, max=90.0, help='Keep points that the laser meets at no larger angle to the '
-        'surface normal, as far as a profile shows it (degrees).')] = 90.0,
+        min=0.0, max=90.0, callback=_finite, help='Keep points that the laser meets at no '
+        'larger angle to the surface normal, as far as a profile shows it (degrees).')] = 90.0,
     std: Annotated[bool, typer.Option(
         '--std', help='Add the 1 sigma of each point (m): calibration, sensor, robot.')] = False,
 ) -> None:
@@ -239,8 +249,10 @@ def seam(
     towards: Annotated[tuple[float, float, float], typer.Option(
         metavar='X Y Z', help='The tool approaches the part this way rather than the other.')
     ] = (0.0, 0.0, -1.0),
-    travel: Annotated[float, typer.Option(help='The tool leans along the seam (degrees).')] = 0.0,
-    work: Annotated[float, typer.Option(help='The tool leans across the seam (degrees).')] = 0.0,
+    travel: Annotated[float, typer.Option(
+        callback=_finite, help='The tool leans along the seam (degrees).')] = 0.0,
+    work: Annotated[float, typer.Option(
+        callback=_finite, help='The tool leans across the seam (degrees).')] = 0.0,
     line: Annotated[str, typer.Option(callback=one_of(*PATH_LINES), help=(
         'What the path follows: auto (the root of V and fillet, the centre of butt and lap), '
         'centre, root, first or second edge.'))] = 'auto',

@@ -140,7 +140,7 @@ def report(
     from handeye_ros.output import html_file, write_atomically
     from handeye_ros.results import exports
     from handeye_ros.results.calibration_file import file_of, read_calibration
-    from handeye_ros.results.report import html
+    from handeye_ros.results.report import contradiction, html
     from handeye_ros.results.verification_file import protocol_of
     from handeye_ros.review import solved_recording
     if out:
@@ -153,6 +153,7 @@ def report(
         page, calibration = file.parent / exports.REPORT_FILE, read_calibration(file)
         with progress_bar('finding the stops'):
             shown = solved_recording(calibration, bag, file.parent)
+        warn(contradiction(calibration, shown))
         with progress_bar('writing the report'):
             text = html(calibration, shown)
     page = (out or page).expanduser().absolute()

@@ -67,7 +67,7 @@ def html(calibration: Calibration, recording: SolvedRecording) -> str:
 def verdict(calibration: Calibration, recording: SolvedRecording, visible: Array
             ) -> tuple[bool, str]:
     """Return whether nothing is wrong, and a sentence; visible: points (k, 3) of the sensor."""
-    if wrong := _wrong(calibration, recording):
+    if wrong := contradiction(calibration, recording):
         return False, f'Do not rely on this calibration: {wrong}'
     points, region = (visible, 'the points that were seen') if len(visible) else (
         field_points(), FIELD_TEXT)
@@ -76,7 +76,7 @@ def verdict(calibration: Calibration, recording: SolvedRecording, visible: Array
             f'space, over {region}).')
 
 
-def _wrong(calibration: Calibration, recording: SolvedRecording) -> str:
+def contradiction(calibration: Calibration, recording: SolvedRecording) -> str:
     """Return why the recording contradicts the calibration, '' if it does not."""
     if recording.refusal:
         return f'the recording is refused now: {recording.refusal}'

@@ -102,7 +102,8 @@ def protocol_of(path: Path) -> str | None:
     from jinja2 import TemplateError
     try:
         return protocol(content)  # which uses all of it
-    except (TemplateError, LookupError, TypeError, ValueError, AttributeError) as error:
+    except (TemplateError, LookupError, TypeError, ValueError, AttributeError,
+            ArithmeticError) as error:
         raise unusable_file(
             path, 'it is not the whole result of a verification: verify again') from error
 

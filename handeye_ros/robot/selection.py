@@ -219,7 +219,7 @@ def _contradiction(arm: Arm, q: Array, limit: float, residual_with: Callable[[Ar
     """Return the refusal of stops that no arm explains, with the likely cause; see solve."""
     stated = residual_with(np.eye(len(arm.joints)))
     cause = ('check that the URDF is of this robot, --base and --flange, the sign of each '
-             'joint, all units, calibration_type, and that the target did not move')
+             'joint, all units, calibration_type, and that the target is the stated one and fixed')
     best = CURED_SHARE * stated
     for words, joints in _changes(arm, q):
         with suppress(DataError, np.linalg.LinAlgError):

@@ -17,7 +17,7 @@ from handeye_ros.arm import Arm, PRISMATIC
 from handeye_ros.bags.bag import Recording
 from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.clocks import require_same_clock
-from handeye_ros.checks.refusals import require_certain
+from handeye_ros.checks.refusals import require_certain, require_samples
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError, InputError, mm
@@ -46,6 +46,7 @@ from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import problem_of_known_poses, with_estimated_clocks
 from handeye_ros.tables import ANGLE, LENGTH, Table, UNITS
+from handeye_ros.targets import target_for
 from handeye_ros.targets.profile_target import xyz
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +85,7 @@ def source_of(session: Session, read: Recording, arm: Arm, config: Config,
     """
     config = replace(config, kinematics='', pose_source='topic', robot_base_frame=arm.base,
                      robot_effector_frame=arm.flange)
+    require_samples(session.samples, session.rejects, target_for(config))
     require_enough(len(session.samples))
     assert read.joints is not None
     # as pipeline.answer_samples prepares them, none dropped

@@ -84,6 +84,15 @@ def test_what_others_write_is_read(little_endian: bool, frame_id: str) -> None:
     assert posed.parent_frame == frame_id.lstrip('/') and found[0][1].parent_frame == 'base'
 
 
+def test_zeros_behind_a_message_are_padding_and_other_bytes_are_damage() -> None:
+    for little_endian in (True, False):
+        whole = serialised(pose(), POSE, little_endian)
+        for padding in (bytes(3), bytes(4), bytes(1000)):
+            assert pose_from_cdr(whole + padding).stamp == STAMP
+        with pytest.raises(UnusableMessageError, match='damaged message'):
+            pose_from_cdr(whole + bytes(8) + b'x')
+
+
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize(('position', 'quaternion', 'reason'), [
     ((0.0, 0.0, 0.0), (0.0, 0.0, 0.5, 1.0), 'quaternion of length 1.118, expected 1'),

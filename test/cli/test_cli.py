@@ -105,7 +105,8 @@ def test_version_and_help(tmp_path):
 
 @pytest.mark.parametrize('arguments', [
     ['solv', 'x'], ['solve'], ['solve', 'x', '--rate', '2'],
-    ['simulate', 'plate', 'x', '--seed', '-1'], ['batch', 'x', '--out', 'y', '--verb', 'seam']])
+    ['simulate', 'plate', 'x', '--seed', '-1'], ['seam', 'x.ply', '--travel', 'nan'],
+    ['batch', 'x', '--out', 'y', '--verb', 'seam']])
 def test_wrong_usage_is_2(arguments, tmp_path):
     run = handeye(*arguments, cwd=tmp_path)
     assert run.returncode == 2
@@ -158,7 +159,9 @@ def test_a_terminal_is_told_what_is_done_and_lacking_letters_loses_no_answer(tmp
     ('verify.radius=2.cm', 0.02), ('verify.radius=2E4um', 0.02),
     ('verify.angle_tolerance=0.5deg', math.pi / 360), ('verify.near=[-300mm, 0, 1e2 mm, 0.2m]',
                                                        (-0.3, 0.0, 0.1, 0.2)),
-    ('target.radius=20000um', 0.02), ('profile.exposure=20ms', 0.02),
+    ('target.radius=20000um', 0.02), ('noise.sensor=30\u00b5m', 3e-5),
+    ('noise.flatness=5 \u03bcm', 5e-6), ('noise.robot_rotation=0.07mrad', 7e-5),
+    ('profile.exposure=20ms', 0.02),
     ('time_offset_std=5ms', 0.005), ('rotation_lag_std=1ms', 0.001),
     ('verify.reference=[500mm, 0, 2cm]', (0.5, 0.0, 0.02)),
     ('record.note=20mm', '20mm'), ('name=3mm', '3mm')])

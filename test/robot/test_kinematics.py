@@ -7,7 +7,7 @@ from dataclasses import replace
 import re
 
 from cells import squared_error
-from command import bench_of, handeye, ROOT
+from command import assert_refused, bench_of, handeye, ROOT
 from handeye_ros import pipeline, se3
 from handeye_ros.arm import arm_of, corrected_urdf, GEOMETRY, read_arm, read_urdf
 from handeye_ros.bags.bag import read
@@ -280,6 +280,15 @@ def test_stops_without_joint_values_are_counted(recorded):
     recording = replace(recording, poses=recording.poses[:most], joints=recording.joints[:most])
     with pytest.raises(HandeyeError, match='11 of 30 samples have no joint values'):
         sources.source_of(session, recording, arm, config)
+
+
+@pytest.mark.parametrize(('setting', 'words'), [
+    ('target.radius=30mm', 'radius of 40.0 mm, which does not fit the sphere of 30 mm'),
+    ('target.type=plate', 'do not agree on where the edge is')])
+def test_stops_that_do_not_show_the_stated_target_are_told(tmp_path, setting, words):
+    run = handeye('kinematics', ROOT / 'bags/arm', '--urdf', ROOT / 'bags/arm/robot.urdf', '--set',
+                  'target.type=sphere', '--set', setting, cwd=tmp_path)
+    assert_refused(run, 3, '27 stops gave none' if 'plate' in setting else '30 stops', words)
 
 
 def test_a_urdf_of_another_robot_is_refused(recorded):

@@ -91,6 +91,9 @@ def reported(folder, result):
             {name: value for name, value in result.items() if name != key}))
         with pytest.raises(InputError, match='not the whole result of a verification'):
             verification_file.protocol_of(folder / 'part.yaml')
+    (folder / 'part.yaml').write_text(yaml.safe_dump(result | {'smallest_error': 10**400}))
+    with pytest.raises(InputError, match='not the whole result of a verification'):
+        verification_file.protocol_of(folder / 'part.yaml')
 
 
 @pytest.mark.parametrize(('text', 'words'), [
