@@ -146,7 +146,7 @@ def test_lengths_that_differ_are_named(target: str, scale: float) -> None:
 
 @pytest.mark.parametrize('seed', [7, 12])
 def test_lengths_that_differ_little_are_named(seed: int) -> None:
-    with pytest.raises(DataError, match='differ by 0.4') as refusal:
+    with pytest.raises(DataError, match=r'differ by 0\.[34]') as refusal:
         solved(SCENARIOS['wedge'], seed, 1.004)
     assert refusal.value.reason == 'scale'
 
