@@ -54,9 +54,10 @@ class NotOfTargetError(DataError):
 
 def require_seen_edges(session: Session, config: Config) -> None:
     """Raise NotOfTargetError where ends of faces lie at columns that return nothing anywhere."""
-    stops = np.array([s for s in session.stops if s.sample and not session.excludes(s)])
+    stops = [stop for stop in session.stops if not session.excludes(stop)]
     read = [decoded(thinned(stop, config).profiles, config) for stop in stops]
-    if len({len(profile.points) for profiles in read for profile in profiles}) != 1:
+    if (sum(map(bool, read)) < target_for(config).min_samples  # of few, a column may see nothing
+            or len({len(profile.points) for profiles in read for profile in profiles}) != 1):
         return
     finite = np.isfinite([profile.points for profiles in read for profile in profiles])
     live = np.flatnonzero(finite.all(axis=2).any(axis=0))
@@ -67,9 +68,9 @@ def require_seen_edges(session: Session, config: Config) -> None:
         column = np.nan_to_num(np.abs(line - x), nan=np.inf).argmin()
         return bool(np.any(np.abs(brinks - column) <= GAP_COLUMNS))
 
-    ending = [stop for stop, (first, *_) in zip(stops, read, strict=True)
-              if any(at_a_brink(edge.point[0], first.points[:, 0])
-                     for edge in stop.sample.features if isinstance(edge, EdgePoint))]
+    ending = [stop for stop, profiles in zip(stops, read, strict=True) if stop.sample and profiles
+              and any(at_a_brink(edge.point[0], profiles[0].points[:, 0])
+                      for edge in stop.sample.features if isinstance(edge, EdgePoint))]
     if ending:
         raise NotOfTargetError(
             ending, 'the end of a face where the sensor returns nothing at any stop, as through '
