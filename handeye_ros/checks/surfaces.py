@@ -67,8 +67,9 @@ def require_seen_edges(session: Session, config: Config) -> None:
         column = np.nan_to_num(np.abs(line - x), nan=np.inf).argmin()
         return bool(np.any(np.abs(brinks - column) <= GAP_COLUMNS))
 
-    ending = [stop for stop, (first, *_) in zip(stops, read, strict=True)
-              if any(at_a_brink(edge.point[0], first.points[:, 0])
+    # of those that are read here, some stops may have no usable profile
+    ending = [stop for stop, profiles in zip(stops, read, strict=True)
+              if any(at_a_brink(edge.point[0], first.points[:, 0]) for first in profiles[:1]
                      for edge in stop.sample.features if isinstance(edge, EdgePoint))]
     if ending:
         raise NotOfTargetError(
