@@ -60,6 +60,9 @@ class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[mi
 for kind in (np.generic, np.ndarray):
     _Dumper.add_multi_representer(kind, lambda dumper, value: dumper.represent_data(
         value.tolist()))
+# bytes of a path that are no UTF-8 are no Unicode, and become question marks
+_Dumper.add_representer(str, lambda dumper, value: dumper.represent_str(
+    value.encode(errors='replace').decode()))
 
 
 def yaml_text(content: Mapping[str, Any]) -> str:

@@ -80,6 +80,7 @@ def verify(
     """
     from handeye_ros.output import html_file, write_atomically, yaml_text
     from handeye_ros.results import verification_file
+    from handeye_ros.results.calibration_file import file_of
     from handeye_ros.verification import verify as verification
     from handeye_ros.verification.routines import routine_of, settings_for
     from handeye_ros.verification.stations import stations_of, stations_of_passes
@@ -94,7 +95,7 @@ def verify(
         samples, rejects = zip(*(_stops(bag, opened, settings) for bag in bags), strict=True)
         measured = stations_of(routine, samples, opened, settings)
     result = verification.verify(routine, measured, opened, list(chain(*rejects)))
-    content = verification.plain_values(result, bags, calibration)
+    content = verification.plain_values(result, bags, file_of(calibration))
     show(verification_file.table(content))
     if out:
         write_atomically(out, yaml_text(content))
@@ -269,7 +270,7 @@ def seam(
     low, high = np.reshape(limits, (3, 2)).T
     gap = parse_length(widest, '--widest', 0.1, 1e-4)
     spacing = parse_length(pitch, '--pitch', 0.1, 1e-5)
-    begin = [parse_length(text, '--start', LARGEST_PLAIN, -1e3) for text in start if text]
+    begin = [parse_length(text, '--start', LARGEST_PLAIN, -1e3) for text in start if any(start)]
     points, frame = _cloud(path, calibration, config, assignments)
     points = points[((points >= low) & (points <= high)).all(axis=1)]
     with progress_bar('looking for the seam'):

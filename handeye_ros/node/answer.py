@@ -193,7 +193,7 @@ class LiveAnswer:
         if answer.refusal and is_newest:
             self._refuse(answer.refusal)
         calibration = answer.require_calibration()
-        if not is_newest:  # one that was asked for later was ready before
+        if not is_newest:  # the answer is the one that was asked for later
             return summary(calibration)
         inputs = [{'topic': live.config.profile_topic}, {'topic': live.config.pose_origin[0]},
                   {'session': live.path}]

@@ -43,7 +43,7 @@ from handeye_ros.estimation.problem import (
 )
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import mount_frame, name_direction
-from handeye_ros.targets.target import grazing
+from handeye_ros.targets.profile_target import grazing
 import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg

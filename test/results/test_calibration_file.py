@@ -43,6 +43,12 @@ def test_what_other_readers_take_from_it(path):
     assert 'p_flange = T @ p_laser' in path.read_text()
 
 
+def test_a_path_whose_bytes_are_no_text_is_written_with_question_marks(path):
+    inputs = [{'bag': b'/data/pl\xffate'.decode('utf-8', 'surrogateescape')}]
+    content = content_of(replace(CALIBRATION, provenance={'inputs': inputs}), path)
+    assert content['provenance']['inputs'] == [{'bag': '/data/pl?ate'}]
+
+
 finite = st.floats(-1e6, 1e6)
 words = st.text(st.characters(codec='utf-8', exclude_categories=('Cs', 'Cc')), max_size=20)
 

@@ -385,7 +385,8 @@ def test_the_verb_writes_what_others_read(tmp_path):
     for words, code, sentence in (
             (('c.pcd', '--widest', '0.5mm'), 3, 'no seam'), (('bag',), 2, '--calibration'),
             (('c.pcd', '--pitch', '5'), 2, '5mm, or 5m if'),
-            (('c.pcd', '--widest', '0mm'), 2, 'at least 0.1 mm')):
+            (('c.pcd', '--widest', '0mm'), 2, 'at least 0.1 mm'),
+            (('c.pcd', '--start', '0', '', '0'), 2, '--start is')):
         assert_refused(handeye('seam', *words, cwd=tmp_path), code, sentence)
     assert not (tmp_path / 'out').exists()
 

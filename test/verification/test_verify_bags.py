@@ -66,7 +66,7 @@ def test_on_bags(tmp_path, name):
     for T, exit_code in ((X, 0), (se3.perturb(X, WRONG), 1)):
         write_calibration(stated(T, provenance={'config': flatten(Config(noise=bench.NOISE))}),
                           tmp_path / 'calibration.yaml')
-        text = said('verify', name, *bags, '--calibration', tmp_path / 'calibration.yaml', '--out',
+        text = said('verify', name, *bags, '--calibration', tmp_path, '--out',  # or its file
                     tmp_path / 'told.yaml', *options(name, made),
                     exit_code=exit_code)
         results.append(yaml.safe_load((tmp_path / 'told.yaml').read_text()))
