@@ -45,7 +45,7 @@ setup(
             'handeye = handeye_ros.cli:main',
             'calibrate = handeye_ros.node.main:main',
             'corrected_pose = handeye_ros.node.corrected_pose:main',
-            'publish = handeye_ros.node.publish_saved:main',
+            'publish = handeye_ros.node.publish:main',
             'replay = handeye_ros.node.replay:main',
             'scan = handeye_ros.node.scan:main',
         ],

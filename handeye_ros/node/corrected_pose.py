@@ -21,7 +21,7 @@ from handeye_ros.arm import read_arm, read_urdf
 from handeye_ros.bags.poses import pose_from_joints
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.node.main import exit_code, own_arguments, spin
-from handeye_ros.node.publishers import pose_stamped, time_message, transform_stamped
+from handeye_ros.node.outputs import pose_stamped, time_message, transform_stamped
 from handeye_ros.node.streams import BEST_EFFORT_QOS, TFMessage, WARNING_PERIOD
 from rclpy.node import Node
 from rclpy.qos import QoSProfile

@@ -7,7 +7,7 @@ The way of a message: the drain thread (streams.py) calls add_profile or add_pos
 into the session. A stop that is over, or long enough, waits in `to_evaluate` for the worker, which
 has it evaluated in another process, stores it on the disk and puts it into the session; so does a
 stored one when settings change. After each such piece of work the worker calls `changed`, which
-publishes ~/samples (publishers.py). What is used is stored, and what is stored is used. What
+publishes ~/samples (outputs.py). What is used is stored, and what is stored is used. What
 follows from the samples is in answer.py and verification.py.
 
 When ~/take_sample has taken a stop, that is on the disk as a file of its own, synced
@@ -18,7 +18,7 @@ Threads: the drain thread, which calls add_...; one worker, which changes all el
 ROS (node.py) and of the page, which `ask` the worker and wait for it. Stops are evaluated, and
 reviews, solves and verifications computed, in two processes (pool.py); the worker waits for the
 stops alone. Locks: `lock` for what messages change, held for one message or a copy; one in
-publishers.py, so that nothing is published after the end.
+outputs.py, so that nothing is published after the end.
 """
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def main() -> int:
     from handeye_ros.node.node import HandeyeNode
     # it publishes nothing more while it ends, and what computes ends with it
     code = exit_code(lambda: spin(HandeyeNode, EXECUTOR_THREADS,
-                                  lambda node: node.publishers.close()))
+                                  lambda node: node.outputs.close()))
     sys.stderr.flush()
     # Python waits for all threads, of which one may wait for a solve; what was acknowledged is on
     # the disk

@@ -21,8 +21,8 @@ from handeye_ros.bags.session_files import (
 from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD_NAMES, RECORD_PREFIX
 from handeye_ros.errors import InputError, sentence_and_log, without_numbers
 from handeye_ros.node.live import LiveSession
+from handeye_ros.node.outputs import Outputs
 from handeye_ros.node.pool import Pool
-from handeye_ros.node.publishers import Publishers
 from handeye_ros.node.state import State, state_of, troubles_of, with_trouble
 from handeye_ros.node.streams import Streams
 from handeye_ros.output import folder_name
@@ -58,7 +58,7 @@ class HandeyeNode(Node):
     Takes samples of stops, and computes, publishes and saves calibrations on request.
 
     live: the session
-    publishers: what is published of it
+    outputs: what is published of it
     streams: the subscriptions of now; others follow when topics change
     """
 
@@ -73,7 +73,7 @@ class HandeyeNode(Node):
             live.take_sample, live.remove_last_sample, live.clear_samples,
             answer.compute_calibration, answer.save_calibration,
             verification.verify_start, verification.verify_result)}
-        self.publishers = Publishers(self, live)
+        self.outputs = Outputs(self, live)
         self._warned: set[str] = set()  # warnings in the log
         self.add_on_set_parameters_callback(self._on_set)
         if stored:
@@ -82,7 +82,7 @@ class HandeyeNode(Node):
             self.get_logger().warning(f'there is no session in {folders.parent(config)}: a new '
                                       'one begins')
         self.streams = Streams(self, live, live.add_joints)
-        self.publishers.show()
+        self.outputs.show()
         live.start()
         self._serve()
         self.get_logger().info(f'waiting for profiles on {config.profile_topic}, poses on '
@@ -103,13 +103,13 @@ class HandeyeNode(Node):
                                  callback_group=quick)
         # steady time: the state is published even while a simulated clock is paused
         for period, work in ((1.0, self._diagnose),
-                             (CURRENT_PERIOD, self.publishers.show_current)):
+                             (CURRENT_PERIOD, self.outputs.show_current)):
             self.create_timer(period, work, MutuallyExclusiveCallbackGroup(),
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _show_changes(self) -> None:
         """Publish what the worker has changed, parameters that follow from others too."""
-        self.publishers.show()
+        self.outputs.show()
         values = configuration.flatten(self.live.config)
         told = _values(self.get_parameters(FOLLOWING_KEYS))
         if changed := {key: values[key] for key in FOLLOWING_KEYS if told[key] != values[key]}:
@@ -123,7 +123,7 @@ class HandeyeNode(Node):
     def _diagnose(self) -> None:
         """Publish the state, and log the warnings that are new but for their numbers."""
         state = self.state
-        self.publishers.diagnose(state)
+        self.outputs.diagnose(state)
         warnings = {without_numbers(sentence): sentence
                     for sentence in (*troubles_of(state), *state['session']['notes'])}
         for kind in warnings.keys() - self._warned:

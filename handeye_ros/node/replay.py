@@ -14,7 +14,7 @@ import time
 from handeye_ros.bags.reader import Raw, Reader
 from handeye_ros.errors import InputError
 from handeye_ros.node.main import exit_code, own_arguments, ros
-from handeye_ros.node.publishers import time_message
+from handeye_ros.node.outputs import time_message
 from handeye_ros.node.streams import LATCHED_TREE
 from rclpy.duration import Duration
 from rclpy.node import Node

@@ -28,7 +28,7 @@ from handeye_ros.data import Profile, RawProfile, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.frames import wrong_sensor
 from handeye_ros.node.main import exit_code, own_arguments, spin
-from handeye_ros.node.publishers import cloud
+from handeye_ros.node.outputs import cloud
 from handeye_ros.node.state import MessageCount
 from handeye_ros.node.streams import Streams, WARNING_PERIOD
 from handeye_ros.results.calibration_file import file_of, read_calibration, use_config

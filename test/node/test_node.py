@@ -21,7 +21,7 @@ from command import handeye, PATIENCE  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped, TransformStamped  # noqa: E402
 from handeye_ros.bags.session_files import OutputFolders  # noqa: E402
 from handeye_ros.node.node import declare  # noqa: E402
-from handeye_ros.node.publishers import current_markers, session_markers  # noqa: E402
+from handeye_ros.node.outputs import current_markers, session_markers  # noqa: E402
 from live_sessions import computed, feed, new  # noqa: E402
 from live_sessions import SPHERE as CELL  # noqa: E402
 import rclpy  # noqa: E402

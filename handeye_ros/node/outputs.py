@@ -91,7 +91,7 @@ class _Latched:
                 self._publisher.publish(self._message(content))
 
 
-class Publishers:
+class Outputs:
     """The publishers; unchanged content is not published again."""
 
     def __init__(self, node: Node, live: LiveSession) -> None:

@@ -11,7 +11,7 @@ import sys
 from handeye_ros.data import Calibration
 from handeye_ros.errors import InputError, NoRosError
 from handeye_ros.node.main import exit_code, own_arguments, spin
-from handeye_ros.node.publishers import LATCHED_QOS, transform_of
+from handeye_ros.node.outputs import LATCHED_QOS, transform_of
 from handeye_ros.node.streams import TFMessage
 from handeye_ros.results.calibration_file import file_of, read_calibration
 from rclpy.node import Node
