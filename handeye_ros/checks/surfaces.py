@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from handeye_ros.checks.hypotheses import explanation_of_samples
-from handeye_ros.checks.settings import thinned, with_settings
+from handeye_ros.checks.settings import PROFILES_READ, thinned, with_settings
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Reject, Sample
 from handeye_ros.errors import DataError
@@ -59,10 +59,14 @@ def require_seen_edges(session: Session, config: Config) -> None:
     if (sum(map(bool, read)) < target_for(config).min_samples  # of few, a column may see nothing
             or len({len(profile.points) for profiles in read for profile in profiles}) != 1):
         return
-    finite = np.isfinite([profile.points for profiles in read for profile in profiles])
-    live = np.flatnonzero(finite.all(axis=2).any(axis=0))
+    returned = np.isfinite([profile.points for profiles in read for profile in profiles]
+                           ).all(axis=2)
+    live = np.flatnonzero(returned.any(axis=0))
     gaps = np.flatnonzero(np.diff(live) > GAP_COLUMNS)
-    brinks = live[np.append(gaps, gaps + 1)]
+    sides = live[[gaps, gaps + 1]]
+    # some stops see across it: else nothing was there, as between plates in the air
+    across = returned[:, sides].all(axis=1).sum(axis=0) >= FEWEST_STOPS * PROFILES_READ
+    brinks = sides[:, across]
 
     def at_a_brink(x: float, line: Array) -> bool:
         column = np.nan_to_num(np.abs(line - x), nan=np.inf).argmin()

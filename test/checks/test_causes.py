@@ -355,6 +355,15 @@ def test_faces_that_end_where_the_sensor_is_blind_are_named_and_left_out() -> No
     assert squared_error(found, made.truth) < 16.8
 
 
+def test_columns_between_plates_in_the_air_are_not_blind() -> None:
+    scenario = SCENARIOS['plate_in_air']
+    made = simulate(scenario, np.random.default_rng(101))
+    config = with_values(Config(), settings(scenario) | {'limits.translation': 5e-5})
+    with pytest.raises(DataError) as caught:
+        pipeline.calibrate(made.profiles, made.poses, config)
+    assert caught.value.reason == 'uncertain'
+
+
 @pytest.mark.thorough
 def test_heights_of_edges_are_named_where_too_few_stops_show_the_target(
         monkeypatch: pytest.MonkeyPatch) -> None:
