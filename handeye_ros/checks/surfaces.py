@@ -54,13 +54,14 @@ class NotOfTargetError(DataError):
 
 def require_seen_edges(session: Session, config: Config) -> None:
     """Raise NotOfTargetError where ends of faces lie at columns that return nothing anywhere."""
-    stops = [stop for stop in session.stops if not session.excludes(stop)]
+    stops = [stop for stop in session.stops if not stop.final_reason
+             and not session.excludes(stop)]
     read = [decoded(thinned(stop, config).profiles, config) for stop in stops]
     if (sum(map(bool, read)) < target_for(config).min_samples  # of few, a column may see nothing
             or len({len(profile.points) for profiles in read for profile in profiles}) != 1):
         return
-    returned = np.isfinite([profile.points for profiles in read for profile in profiles]
-                           ).all(axis=2)
+    points = np.array([profile.points for profiles in read for profile in profiles])
+    returned = np.isfinite(points).all(axis=2)
     live = np.flatnonzero(returned.any(axis=0))
     gaps = np.flatnonzero(np.diff(live) > GAP_COLUMNS)
     sides = live[[gaps, gaps + 1]]
