@@ -17,6 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, UTC
 from functools import partial
+import json
 from pathlib import Path
 import re
 import shutil
@@ -25,7 +26,7 @@ from handeye_ros import se3
 from handeye_ros.config import SAVE_FORMATS
 from handeye_ros.data import Calibration
 from handeye_ros.errors import UnknownNameError
-from handeye_ros.output import rendered, write_atomically, write_errors_for
+from handeye_ros.output import rendered, write_atomically, write_errors_for, yaml_text
 from handeye_ros.results import calibration_file
 from handeye_ros.results.calibration_file import config_of, one_line, preamble
 from handeye_ros.tables import notation_of
@@ -35,6 +36,7 @@ from scipy.spatial.transform import Rotation
 YAML = 'yaml'
 REPORT_FILE = 'report.html'
 HISTORY_FOLDER = 'history'  # the folder of previous results, each in a folder named after the time
+TARGET_FRAME = 'handeye_target'  # our target has no frame in the robot's tree
 DIGITS_OF_UNIT = {'mm': 4, 'm': 7, 'deg': 5, 'rad': 8, '': 9}
 # By vendor: file, start of a comment, and what is typed at the pendant or put into a program.
 PENDANTS = {
@@ -45,6 +47,16 @@ PENDANTS = {
     'staubli': ('tool_staubli.txt', '// ', '{{{x}, {y}, {z}, {rx}, {ry}, {rz}}}'),
     'yaskawa': ('tool_yaskawa.txt', '; ', '{xyz},{angles}'),
 }
+
+
+def as_json(calibration: Calibration) -> str:
+    """Return the calibration as JSON, with the preamble under "comment"."""
+    content = calibration_file.content_of(calibration)
+    names = ('name', 'parent_frame', 'child_frame', 'transform', 'rpy')
+    values = {
+        'comment': preamble(calibration), **{name: content[name] for name in names},
+        'matrix': calibration.T_flange_sensor, 'covariance': calibration.covariance}
+    return json.dumps(values, indent=2, default=np.ndarray.tolist) + '\n'
 
 
 def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> str:
@@ -76,14 +88,28 @@ def by_template(calibration: Calibration, template: str) -> str:
     pose = zip(('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw'),
                (*T[:3, 3].tolist(), *se3.quaternion(T).tolist()), strict=True)
     return rendered(template, c=calibration, comment=preamble(calibration), node=node,
-                    matrix=T.tolist(), pose=dict(pose), rpy=se3.rpy(T).tolist(),
-                    transform=se3.transform_values(T), config=config_of(calibration),
-                    stem=_stem(calibration))
+                    matrix=T.tolist(), pose=dict(pose), rpy=se3.rpy(T).tolist())
 
 
-def _stem(calibration: Calibration) -> str:
-    """Return the name of a calibration as a part of the name of a file."""
-    return one_line(calibration.name).replace('/', '_')
+def easy_handeye2(calibration: Calibration) -> str:
+    """Return the content of the file for easy_handeye2."""
+    config, file = config_of(calibration), FORMATS['easy_handeye2'].file_name(calibration)
+    parent = 'robot_effector_frame' if config.in_hand else 'robot_base_frame'
+    content = {
+        'parameters': {
+            'name': file.removesuffix('.calib'),
+            'calibration_type': config.calibration_type,
+            'robot_base_frame': config.base_frame,
+            'robot_effector_frame': config.robot_effector_frame,
+            parent: calibration.parent_frame,
+            'tracking_base_frame': calibration.child_frame,
+            'tracking_marker_frame': TARGET_FRAME,
+            'freehand_robot_movement': True,
+        },
+        'transform': se3.transform_values(calibration.T_flange_sensor)}
+    header = (*preamble(calibration), 'For easy_handeye2: its place is '
+              f'~/.ros2/easy_handeye2/calibrations/{file}')
+    return ''.join(f'# {line}\n' for line in header) + yaml_text(content)
 
 
 @dataclass(frozen=True)
@@ -100,16 +126,16 @@ class Format:
 
     def file_name(self, calibration: Calibration) -> str:
         """Return the name of the file in the folder of the result."""
-        return self.file.format(name=_stem(calibration))
+        return self.file.format(name=one_line(calibration.name).replace('/', '_'))
 
 
 FORMATS = {
     YAML: Format(calibration_file.NAME, calibration_file.text),
     **{name: Format(file, partial(by_template, template=f'{file}.jinja')) for name, file in (
         ('urdf', 'sensor.urdf.xacro'), ('launch', 'static_transform.launch.py'),
-        ('matrix', 'matrix.txt'), ('json', 'calibration.json'))},
-    'easy_handeye2': Format('{name}.calib', partial(
-        by_template, template='easy_handeye2.calib.jinja')),
+        ('matrix', 'matrix.txt'))},
+    'easy_handeye2': Format('{name}.calib', easy_handeye2),
+    'json': Format('calibration.json', as_json),
     **{vendor: Format(file, partial(tool_frame, vendor=vendor, mark=mark, line=line))
        for vendor, (file, mark, line) in PENDANTS.items()},
 }
