@@ -66,12 +66,6 @@ def message_of(kind: str, data: bytes) -> Any:
     try:
         return typestore().deserialize_cdr(data, kind)
     except SerdeError as error:
-        if 'size mismatch' in str(error):  # whole, and longer than its content: zeros are padding
-            definition = typestore().get_msgdef(kind)
-            read = definition.deserialize_cdr_le if data[1] else definition.deserialize_cdr_be
-            message, end = read(data[4:], 0, definition.cls, typestore())
-            if not any(data[4 + end:]):
-                return message
         name = kind.rpartition('/')[2]
         raise UnusableMessageError(f'{name} message not used: damaged message: {error}') from error
 

@@ -84,13 +84,12 @@ def test_what_others_write_is_read(little_endian: bool, frame_id: str) -> None:
     assert posed.parent_frame == frame_id.lstrip('/') and found[0][1].parent_frame == 'base'
 
 
-def test_zeros_behind_a_message_are_padding_and_other_bytes_are_damage() -> None:
+def test_a_message_padded_to_a_word_is_read_and_one_with_more_behind_it_is_damaged() -> None:
     for little_endian in (True, False):
         whole = serialised(pose(), POSE, little_endian)
-        for padding in (bytes(3), bytes(4), bytes(1000)):
-            assert pose_from_cdr(whole + padding).stamp == STAMP
+        assert pose_from_cdr(whole + bytes(3)).stamp == STAMP
         with pytest.raises(UnusableMessageError, match='damaged message'):
-            pose_from_cdr(whole + bytes(8) + b'x')
+            pose_from_cdr(whole + bytes(8))
 
 
 @pytest.mark.filterwarnings('error')
