@@ -41,7 +41,6 @@ CONTRADICTION_SIGMAS, NOTED_SIGMAS = 4.0, 3.0  # sigmas: to refuse an answer, to
 PLATE_LENGTHS = 'size_p', 'size_q'  # of a plate
 SMALLEST_BEND = 3e-5  # m, told
 LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
-PARTED_P = 0.01  # largest probability that random stations are the first, or the last, ones
 
 
 def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solution: Solution,
@@ -330,24 +329,6 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
             yield (f'the {name.replace("_", " ")} of the target is {value * scale:.3f} +- '
                    f'{std * scale:.3f} {unit}, not the configured {stated * scale:.3f}: the '
                    'answer uses the estimate')
-
-
-def outliers_at_one_end(solution: Solution) -> str:
-    """
-    Return in words that all stations that were dropped are the first, or the last, ones.
-
-    '' if they are not, or if wrong stations in a random order are so too with PARTED_P.
-    """
-    n, used = len(solution.full_problem.poses), solution.used
-    k = n - len(used)
-    if solution.problem.pose_model is not None or math.comb(n, k) < 2 / PARTED_P:
-        return ''
-    which, side = {0: ('last', 'before'), k: ('first', 'after')}.get(int(used[0]), ('', ''))
-    if not which or np.ptp(used) >= n - k:
-        return ''
-    return (f'the {which} {k} of {n} samples contradict the {n - k} {side} them: the target or '
-            'the sensor seems to have moved in between, or the tool or base of the robot was '
-            'switched: check that both are fixed firmly, and take all samples again')
 
 
 def lost_edges(solution: Solution) -> str:

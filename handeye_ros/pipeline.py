@@ -18,7 +18,7 @@ from handeye_ros.arm import with_arm_errors
 from handeye_ros.calibration import calibration_of
 from handeye_ros.checks.causes import require_agreement, with_known_cause
 from handeye_ros.checks.clocks import require_steady_clocks
-from handeye_ros.checks.hypotheses import Explanation
+from handeye_ros.checks.hypotheses import Fit
 from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.checks.refusals import (
     missing_motion,
@@ -165,7 +165,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
     ordered: Sequence[Sample] = sorted(samples, key=lambda sample: sample.stamp)
     target, rng = targets.target_for(config), np.random.default_rng(SEED)
     solution, calibration, refusal, agree = None, None, None, False
-    stated = Explanation(())
+    stated = Fit(())
     try:
         # 1. Move each edge to where face and wall meet, by the shape common to all stops.
         ordered = with_common_shape(ordered)
@@ -183,7 +183,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         solution = with_free_shape_if_needed(problem, solution, rng, synced.estimate)
         # 6. Refuse samples that do not agree, or agree far better under another assumption, and
         # name the assumption that is wrong, if it is certain.
-        stated = Explanation.of_solutions([sample.stamp for sample in ordered], solution)
+        stated = Fit.of_solutions([sample.stamp for sample in ordered], solution)
         require_agreement(ordered, solution, stated)
         # 7. Estimate all systematic errors with their scales, and the noise; outliers again; the
         # lengths of the target where they are stated wrongly. Refuse clocks that jumped, and

@@ -17,10 +17,10 @@ import math
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.conventions import convention_hypotheses, orientations_scatter
 from handeye_ros.checks.hypotheses import (
-    Explanation,
+    Fit,
     Hypothesis,
     MANY_TRIED,
-    refuse_better,
+    refuse_by_best,
 )
 from handeye_ros.checks.moved import move_hypotheses
 from handeye_ros.checks.refusals import (
@@ -45,7 +45,7 @@ FEW_TURNS = 0.12  # rad RMS about the second axis: less may look like a move
 SIGN_TRIED, CONVENTION_TRIED = 0.6, 9.0
 
 
-def require_agreement(samples: Sequence[Sample], solution: Solution, stated: Explanation) -> None:
+def require_agreement(samples: Sequence[Sample], solution: Solution, stated: Fit) -> None:
     """
     Raise DataError for a solution that the samples contradict, or explain better otherwise.
 
@@ -60,7 +60,7 @@ def require_agreement(samples: Sequence[Sample], solution: Solution, stated: Exp
         asked.append(sign_hypothesis(samples, config, stated, clocks=refusal is not None))
     if doubt >= CONVENTION_TRIED:
         asked += convention_hypotheses(samples, problem, stated)
-    refuse_better(stated, asked, tried)
+    refuse_by_best(stated, asked, tried)
     if refusal and orientations_scatter(poses):
         raise DataError(f'samples and poses contradict each other by {mm(solution.residual_rms)} '
                         'RMS, and the orientations of the poses are scattered in all directions, '
@@ -70,12 +70,12 @@ def require_agreement(samples: Sequence[Sample], solution: Solution, stated: Exp
         require_certain(solution.transform_covariance, config, missing_motion(solution, config))
     moves = move_hypotheses(problem, stated.stamps) if refusal else ()
     if refusal or not config.sampling.moving:  # a sweep that fits: both are weighed later
-        refuse_better(stated, [*scale_hypothesis(solution, stated.stamps), *moves], tried)
+        refuse_by_best(stated, [*scale_hypothesis(solution, stated.stamps), *moves], tried)
     if refusal:
         raise refusal
 
 
-def with_known_cause(refusal: DataError, stated: Explanation, session: Session, config: Config
+def with_known_cause(refusal: DataError, stated: Fit, session: Session, config: Config
                      ) -> DataError:
     """
     Return a refusal, or the one of the setting, surface or clocks that explain the stops better.
@@ -89,7 +89,7 @@ def with_known_cause(refusal: DataError, stated: Explanation, session: Session, 
     unexplained = isinstance(refusal, UnexplainedError)
     try:
         if unexplained or refusal.reason == 'moved':
-            refuse_better(stated, setting_hypotheses(session, config, stated))
+            refuse_by_best(stated, setting_hypotheses(session, config, stated))
         if unexplained or refusal.reason in ('moved', 'uncertain'):
             require_seen_edges(session, config)
         if unexplained or refusal.reason == 'moved':

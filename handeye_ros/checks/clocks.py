@@ -1,21 +1,26 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Whether the clocks of sensor and robot differ.
+Hypotheses about the clocks of sensor and robot: the same stops with the poses of another time.
 
-They do if, at stop after stop, the profiles come to rest or leave it later than the poses, and
-the samples fit the poses of that other time; in a sweep, if the offset between them changes by
-more than clocks drift apart.
+The clocks differ if, at stop after stop, the profiles come to rest or leave it later than the
+poses, and the samples fit the poses of that other time; in a sweep, if the offset between them
+changes by more than clocks drift apart.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from handeye_ros import se3
 from handeye_ros.calibration import clock_estimate
-from handeye_ros.checks.hypotheses import explanation_of_samples, Hypothesis, refuse_better
+from handeye_ros.checks.hypotheses import (
+    fit_of_samples,
+    Hypothesis,
+    refuse_by_best,
+    stops_to_explain,
+)
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, CLOCK_DRIFT, NS, Profile, Sample
 from handeye_ros.errors import BadValueError, DataError, FeatureError
@@ -47,43 +52,90 @@ def require_steady_clocks(solution: Solution) -> None:
 
 def require_same_clock(session: Session, config: Config) -> None:
     """Raise DataError (clocks_differ) where the samples of stops fit poses of another time."""
-    seen = [(stop, profiles, _changes(profiles)) for stop in session.stops
-            if not stop.final_reason and not session.excludes(stop)
-            if len(profiles := _compared_profiles(stop, config)) > 1]
-    if not seen:
-        return
-    limit = max(SMALLEST_CHANGE, LARGEST_REST_RATIO * float(np.quantile(
-        np.concatenate([changes for *_, changes in seen]), STILL_SHARE)))
-    rests = [_rest(stop.load(config), profiles, changes > limit, config)
-             for stop, profiles, changes in seen]
-    # compared are the stops in which the profiles come to rest, whatever they show as it is set
-    stamps, hypotheses = [rest.sample.stamp for rest in rests if rest.sample], []
-    for earlier in (0, 1, -1):  # stops earlier: the poses to which the profiles may belong
-        pairs = list(zip(rests[max(earlier, 0):], rests[max(-earlier, 0):], strict=False))
-        late = _delay(pairs)
-        if abs(late) > SMALLEST_OFFSET:
-            samples = [replace(rest.sample, T_base_flange=other.pose) for rest, other in pairs
-                       if rest.sample]
-            fit = explanation_of_samples(with_common_shape(samples), config, stamps)
-            offset, setting = config.time_offset - late, ''
-            with suppress(BadValueError):  # it may be out of the range of the key
-                with_values(config, {'time_offset': offset})
-                setting = f'set time_offset to {offset:.1f} (it is {config.time_offset:g}), or '
-            hypotheses.append(Hypothesis(fit, DataError(
-                'the samples do not fit the poses of their time, but as if the profiles were '
-                f'{abs(late):.1f} s {"late" if late > 0 else "early"}: the clocks of sensor and '
-                f'robot differ; {setting}give both the same clock', reason='clocks_differ')))
-    samples = with_common_shape(session.samples)
-    refuse_better(explanation_of_samples(samples, config, [s.stamp for s in samples]), hypotheses)
+    rests = _rests(session, config)
+    if rests:
+        samples = with_common_shape(session.samples)
+        baseline = fit_of_samples(samples, config, [sample.stamp for sample in samples])
+        refuse_by_best(baseline, _delay_hypotheses(rests, config))
+
+
+@dataclass(frozen=True, eq=False)
+class _Rest:
+    """
+    The longest time of a stop in which the profiles do not change.
+
+    sample: of these profiles, with the stamp of that of the stop; None without one
+    T_base_flange: (4, 4) mean pose of the stop
+    robot: (2,) first and last stamp of the poses of the stop (s)
+    profiles: (2,) first and last stamp of the profiles of this time (s), NaN where they do not
+        change before or after it in the stop
+    """
+
+    sample: Sample | None
+    T_base_flange: Array
+    robot: Array
+    profiles: Array
+
+
+def _delay_hypotheses(rests: Sequence[_Rest], config: Config) -> Iterator[Hypothesis]:
+    """
+    Yield the hypotheses that profiles belong to the poses of this, the previous or the next stop.
+
+    All samples of profiles at rest are to be explained, whatever they show as configured.
+    """
+    stamps = [rest.sample.stamp for rest in rests if rest.sample]
+    for stops_late in (0, 1, -1):
+        pairs = list(zip(rests[max(stops_late, 0):], rests[max(-stops_late, 0):], strict=False))
+        delay = _delay(pairs)
+        if abs(delay) <= SMALLEST_OFFSET:
+            continue
+        samples = [replace(seen.sample, T_base_flange=posed.T_base_flange)
+                   for seen, posed in pairs if seen.sample]
+        offset, setting = config.time_offset - delay, ''
+        with suppress(BadValueError):  # it may be out of the range of the key
+            with_values(config, {'time_offset': offset})
+            setting = f'set time_offset to {offset:.1f} (it is {config.time_offset:g}), or '
+        yield Hypothesis(fit_of_samples(with_common_shape(samples), config, stamps), DataError(
+            'the samples do not fit the poses of their time, but as if the profiles were '
+            f'{abs(delay):.1f} s {"late" if delay > 0 else "early"}: the clocks of sensor and '
+            f'robot differ; {setting}give both the same clock', reason='clocks_differ'))
+
+
+def _delay(pairs: Sequence[tuple[_Rest, _Rest]]) -> float:
+    """
+    Return the delay (s) of the profiles of the first rests to the robot at the second ones.
+
+    Where the clocks differ, most stops show it, and profiles come to rest and leave it to the same
+    side of the robot; a few stops without rest prove nothing.
+    """
+    delays = np.array([seen.profiles - posed.robot for seen, posed in pairs])
+    delays = delays[np.isfinite(delays)]
+    between_stops = [seen.robot[0] - posed.robot[0] for seen, posed in pairs]
+    if len(delays) and np.quantile(delays, 0.25) < 0 < np.quantile(delays, 0.75):
+        return 0.0  # profiles that scatter seem to rest for shorter than the robot
+    return float(np.median(delays if 2 * len(delays) > len(pairs) else between_stops))
+
+
+def _rests(session: Session, config: Config) -> list[_Rest]:
+    """Return the rest of the profiles at each stop that has several, in the order of time."""
+    stops = [(stop, profiles, _changes(profiles)) for stop in stops_to_explain(session)
+             if len(profiles := _compared_profiles(stop, config)) > 1]
+    if not stops:
+        return []
+    all_changes = np.concatenate([changes for _, _, changes in stops])
+    largest_at_rest = max(
+        SMALLEST_CHANGE, LARGEST_REST_RATIO * float(np.quantile(all_changes, STILL_SHARE)))
+    return [_rest(stop.load(config), profiles, changes > largest_at_rest, config)
+            for stop, profiles, changes in stops]
 
 
 def _compared_profiles(stop: Stop, config: Config) -> list[Profile]:
     """Return the profiles of a stop that are compared, each with the one before."""
-    profiles = list[Profile]()
+    compared = list[Profile]()
     for profile in decoded(stop.load(config).profiles, config):
-        if not profiles or profile.stamp - profiles[-1].stamp >= COMPARED_LAG:
-            profiles.append(profile)
-    return profiles
+        if not compared or profile.stamp - compared[-1].stamp >= COMPARED_LAG:
+            compared.append(profile)
+    return compared
 
 
 def _changes(profiles: Sequence[Profile]) -> Array:
@@ -97,60 +149,29 @@ def _changes(profiles: Sequence[Profile]) -> Array:
         if min(len(a), len(b)) < 2:
             return 0.0 if len(a) == len(b) else np.inf
         x = np.linspace(max(a[:, 0].min(), b[:, 0].min()), min(a[:, 0].max(), b[:, 0].max()), 60)
-        za, zb = (np.interp(x, *points[np.argsort(points[:, 0])].T) for points in (a, b))
-        return float(np.quantile(np.abs(za - zb), 0.8))
+        range_a, range_b = (np.interp(x, *points[np.argsort(points[:, 0])].T)
+                            for points in (a, b))
+        return float(np.quantile(np.abs(range_a - range_b), 0.8))
 
     shown = [profile.points[np.isfinite(profile.points).all(axis=1)] for profile in profiles]
     return np.array([change(a, b) for a, b in zip(shown[:-1], shown[1:], strict=True)])
 
 
-@dataclass(frozen=True, eq=False)
-class _Rest:
-    """
-    The longest time of a stop in which the profiles do not change.
-
-    sample: of these profiles, with the stamp of that of the stop; None without one
-    pose: (4, 4) T_base_flange of the stop
-    span: (2,) first and last stamp of the poses of the stop (s)
-    rest: (2,) of this time (s), NaN where the profiles do not change before or after it in the
-        stop
-    """
-
-    sample: Sample | None
-    pose: Array
-    span: Array
-    rest: Array
-
-
-def _rest(stop: Stop, profiles: Sequence[Profile], moving: NDArray[np.bool_], config: Config
+def _rest(stop: Stop, profiles: Sequence[Profile], changed: NDArray[np.bool_], config: Config
           ) -> _Rest:
-    """Return the rest of a stop; moving: (n - 1,) whether a profile differs from that before."""
-    ends = np.flatnonzero(np.append(moving, True))
+    """Return the rest of a stop; changed: (n - 1,) whether a profile differs from that before."""
+    ends = np.flatnonzero(np.append(changed, True))
     begins = np.append(0, ends[:-1] + 1)
-    k = int(np.argmax(ends - begins))
-    first, last = int(begins[k]), int(ends[k])
-    opened, closed = first > 0, last < len(profiles) - 1
-    used, sample = profiles[first + opened:last + 1 - closed], None
-    pose = se3.mean_pose(interpolate(stop.poses, [pose.stamp for pose in stop.poses]))
-    if len(used) > 2:
+    longest = int(np.argmax(ends - begins))
+    first, last = int(begins[longest]), int(ends[longest])
+    # the profiles at both ends may be of a robot that was moving for a part of the exposure
+    change_before, change_after = first > 0, last < len(profiles) - 1
+    at_rest, sample = profiles[first + change_before:last + 1 - change_after], None
+    T_base_flange = se3.mean_pose(interpolate(stop.poses, [pose.stamp for pose in stop.poses]))
+    if len(at_rest) > 2:
         with suppress(FeatureError):
-            shown, features = combined_features(used, config)
-            sample = Sample(stop.result.stamp, pose, features, len(shown))
-    rest = np.array([profiles[first].stamp, profiles[last].stamp]) / NS
-    return _Rest(sample, pose, np.array([stop.start, stop.end]) / NS,
-                 np.where([opened, closed], rest, np.nan))
-
-
-def _delay(pairs: Sequence[tuple[_Rest, _Rest]]) -> float:
-    """
-    Return the delay of profiles (s) that belong to the poses of others of the stops.
-
-    Where the clocks differ, most stops show it, and rests begin and end to the same side of the
-    stops; a few stops without rest prove nothing.
-    """
-    delays = np.array([rest.rest - other.span for rest, other in pairs])
-    delays = delays[np.isfinite(delays)]
-    about = [rest.span[0] - other.span[0] for rest, other in pairs]
-    if len(delays) and np.quantile(delays, 0.25) < 0 < np.quantile(delays, 0.75):
-        return 0.0  # profiles that scatter seem to rest for shorter than the robot
-    return float(np.median(delays if 2 * len(delays) > len(about) else about))
+            used, features = combined_features(at_rest, config)
+            sample = Sample(stop.result.stamp, T_base_flange, features, len(used))
+    span = np.array([profiles[first].stamp, profiles[last].stamp]) / NS
+    return _Rest(sample, T_base_flange, np.array([stop.start, stop.end]) / NS,
+                 np.where([change_before, change_after], span, np.nan))

@@ -1,10 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Common errors of conventions in the poses, as hypotheses where an answer does not fit.
+Hypotheses about the poses: the same stops, with a known error of conventions undone.
 
-Each error can be undone: a function of the published poses T (n, 4, 4) gives the poses without it,
-of some errors in one of two ways. The one with which the samples agree names the mistake.
+A function of the published poses T (n, 4, 4) gives the poses without the error; of an error that
+can be undone in two ways, both. The one with which the samples agree names the mistake.
 """
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from functools import partial
 
 from handeye_ros import se3
 from handeye_ros.checks.hypotheses import (
-    Explanation,
-    explanation_of_problem,
-    explanation_of_samples,
+    Fit,
+    fit_of_problem,
+    fit_of_samples,
     Hypothesis,
 )
 from handeye_ros.data import Array, Sample
@@ -29,7 +29,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 
-def convention_hypotheses(samples: Sequence[Sample], problem: Problem, stated: Explanation
+def convention_hypotheses(samples: Sequence[Sample], problem: Problem, baseline: Fit
                           ) -> Iterator[Hypothesis]:
     """
     Yield the hypotheses that the poses have a known error.
@@ -38,26 +38,26 @@ def convention_hypotheses(samples: Sequence[Sample], problem: Problem, stated: E
     are searched anew, as those that were found are of the wrong poses; some stations are enough.
     """
     config, poses = problem.config, problem.robot_poses
-    other = 'eye_on_base' if config.in_hand else 'eye_in_hand'
+    other_mounting = 'eye_on_base' if config.in_hand else 'eye_in_hand'
     trajectory = next((sample.trajectory for sample in samples if sample.moving), None)
     if trajectory:
         samples = evenly(samples, SEARCH_SAMPLES)
         poses = se3.from_quaternion(trajectory.values[:, :3], trajectory.values[:, 3:])
     stamps = [sample.stamp for sample in samples]
-    for name, undo, advice in CONVENTION_ERRORS:
-        for T in undo(poses):
-            if trajectory:
-                moved = replace(trajectory,
-                                values=np.column_stack([T[:, :3, 3], se3.quaternion(T)]))
-                fit = explanation_of_samples([replace(s, trajectory=moved) for s in samples],
-                                             config, stamps, clocks=True)
-            else:
-                fit = explanation_of_problem(replace(problem, poses=mount_poses(T, config)),
-                                             stamps)
-            beside = fit.in_words_beside(stated, f'{name} undone'.format(other=other))
+
+    def fit_with(T: Array) -> Fit:
+        if not trajectory:
+            return fit_of_problem(replace(problem, poses=mount_poses(T, config)), stamps)
+        corrected = replace(trajectory, values=np.column_stack([T[:, :3, 3], se3.quaternion(T)]))
+        return fit_of_samples([replace(sample, trajectory=corrected) for sample in samples],
+                              config, stamps, clocks=True)
+
+    for name, undone, advice in CONVENTION_ERRORS:
+        for fit in map(fit_with, undone(poses)):
+            beside = fit.in_words_beside(baseline, f'{name} undone'.format(other=other_mounting))
             yield Hypothesis(fit, DataError(
-                f'the poses contradict the samples: {beside}; {advice.format(other=other)}',
-                reason='convention'))
+                f'the poses contradict the samples: {beside}; '
+                f'{advice.format(other=other_mounting)}', reason='convention'))
 
 
 def orientations_scatter(poses: Array) -> bool:
@@ -89,13 +89,14 @@ def _rotation_vectors(T: Array) -> list[Array]:
     Two triples of angles give the same rotation. Of those that may be such a vector, each is the
     one whose rotation is nearest to that of the first pose, for which either is tried.
     """
-    one = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
-    both = np.stack([one, (one * [1, -1, 1] + 2 * np.pi) % (2 * np.pi) - np.pi])
-    possible = np.linalg.norm(both, axis=2) <= np.pi
-    R = Rotation.from_rotvec(both.reshape(-1, 3)).as_matrix().reshape(2, -1, 3, 3)
+    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
+    same_rotation = (angles * [1, -1, 1] + 2 * np.pi) % (2 * np.pi) - np.pi
+    vectors = np.stack([angles, same_rotation])
+    possible = np.linalg.norm(vectors, axis=2) <= np.pi
+    R = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(2, -1, 3, 3)
     nearest = [np.where(possible, np.einsum('cnij,ij->cn', R, first), -np.inf).argmax(axis=0)
                for first in R[:, 0]]
-    return [se3.transform(R[each, np.arange(len(T))], T[:, :3, 3]) for each in nearest]
+    return [se3.transform(R[choice, np.arange(len(T))], T[:, :3, 3]) for choice in nearest]
 
 
 # Name, function that undoes it, and what to do.

@@ -3,24 +3,25 @@
 """
 Whether sensor or target moved in the middle of a recording.
 
-If the samples fit no answer, two parts of the recording are fitted separately. If they do, a move
-after station i is two more blocks of nuisance parameters, linearised at the answer, (14) of
-estimator.md. Two tests must agree. The Bayes factor: noise and scales are estimated again with and
-without the move, since they absorb part of it otherwise. A permutation test: random orders of the
-stations must seldom show as clear a move, since robot errors that are not in the model look like
-moves in any order.
+If the samples fit no answer, each hypothesis is two parts of the recording, fitted separately. If
+they do, a move after station i is two more blocks of nuisance parameters, linearised at the
+answer, (14) of estimator.md. Two tests must agree. The Bayes factor: noise and scales are
+estimated again with and without the move, since they absorb part of it otherwise. A permutation
+test: random orders of the stations must seldom show as clear a move, since robot errors that are
+not in the model look like moves in any order.
 """
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
+import math
 
 from handeye_ros import se3
-from handeye_ros.calibration import outliers_at_one_end
 from handeye_ros.checks.hypotheses import (
     DECISIVE_EVIDENCE,
-    Explanation,
     FALSE_CAUSE_PROBABILITY,
+    Fit,
     Hypothesis,
 )
 from handeye_ros.data import Array, rms
@@ -52,6 +53,10 @@ WARNING_EVIDENCE = 5.0
 LEAST_MOVE_SIGMAS = 3.0  # smallest move over the robot's smooth error
 RANDOM_ORDERS, PARTS_EXCHANGED = 200, 40  # of the permutation test
 WARNING_P, REFUSAL_P = 0.1, 0.01  # largest p-value of the permutation test: to warn, to refuse
+PARTED_P = 0.01  # largest probability that random stations are the first, or the last, ones
+
+
+# -- two parts of a recording, where no answer fits all of it
 
 
 def move_hypotheses(problem: Problem, stamps: Sequence[int]) -> Iterator[Hypothesis]:
@@ -62,18 +67,18 @@ def move_hypotheses(problem: Problem, stamps: Sequence[int]) -> Iterator[Hypothe
     """
     n, fewest = len(problem.poses), problem.target.min_samples
     moments = np.linspace(fewest, n - fewest, 15 if n >= 2 * fewest else 0)
-    for k in np.unique(moments.round().astype(int)).tolist():
+    for station in np.unique(moments.round().astype(int)).tolist():
         first, second = (quick_solution(problem.subset(part))
-                         for part in np.split(np.arange(n), [k]))
+                         for part in np.split(np.arange(n), [station]))
         if first and second and (_same_transform(first, second) or _same_target(first, second)):
-            yield Hypothesis(Explanation.of_solutions(stamps, first, second),
+            yield Hypothesis(Fit.of_solutions(stamps, first, second),
                              _moved_between(first, second))
 
 
 def _moved_between(first: Solution, second: Solution) -> DataError:
     """Return the refusal of a recording in which something moved between two parts."""
-    config, k, rest = first.full_problem.config, *(
-        len(part.full_problem.poses) for part in (first, second))
+    config = first.full_problem.config
+    count, others = (len(part.full_problem.poses) for part in (first, second))
     if _same_transform(first, second):
         frame, advice = target_frame(config), 'fix the target, and take'
         what = f'target moved in {frame}'
@@ -83,9 +88,9 @@ def _moved_between(first: Solution, second: Solution) -> DataError:
         what = (f'sensor moved in {frame} by {mm(float(np.linalg.norm(move[:3, 3])))} and '
                 f'{degrees(float(se3.angle(move[:3, :3])))}')
     return DataError(
-        f'the first {k} samples agree among themselves, and so do the other {rest}, but not with '
-        f'each other: in between, the {what}, or {frame} became another frame (tool or base of '
-        f'the robot switched); {advice} all samples with the same', reason='moved')
+        f'the first {count} samples agree among themselves, and so do the other {others}, but not '
+        f'with each other: in between, the {what}, or {frame} became another frame (tool or base '
+        f'of the robot switched); {advice} all samples with the same', reason='moved')
 
 
 def _same_transform(first: Solution, second: Solution) -> bool:
@@ -105,116 +110,185 @@ def _same_target(first: Solution, second: Solution) -> bool:
     """
     if not (first.is_determined and second.is_determined):
         return True
-    near = Estimate(second.estimate.X, first.estimate.state)
-    after = solution_at(reassigned(second.problem, near), near, BLOCKS_AS_NOISE)
-    # both parts in one fit: two transforms, and the target in common
-    own, other = first.jacobian, after.jacobian
-    J = np.vstack([np.insert(own, [6] * 6, 0.0, axis=1), np.insert(other, [0] * 6, 0.0, axis=1)])
+    estimate = Estimate(second.estimate.X, first.estimate.state)
+    second_at = solution_at(reassigned(second.problem, estimate), estimate, BLOCKS_AS_NOISE)
+    # both parts in one fit: two transforms (6 columns each), and the target in common
+    J = np.vstack([np.insert(first.jacobian, [6] * 6, 0.0, axis=1),
+                   np.insert(second_at.jacobian, [0] * 6, 0.0, axis=1)])
     J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-    r = np.concatenate([first.prefit_residuals, after.prefit_residuals])
-    rest = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
-    more = rest @ rest - first.sum_of_squares - second.sum_of_squares
+    r = np.concatenate([first.prefit_residuals, second_at.prefit_residuals])
+    joint = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
+    increase = joint @ joint - first.sum_of_squares - second.sum_of_squares
     factor = max(first.variance_factor, second.variance_factor, 1.0)
-    return bool(more < factor * chi2_isf(FALSE_CAUSE_PROBABILITY, first.unknowns - 6))
+    return bool(increase < factor * chi2_isf(FALSE_CAUSE_PROBABILITY, first.unknowns - 6))
 
 
-def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
+# -- a small move, though one answer fits all samples
+
+
+def with_possible_move(solution: Solution) -> tuple[Solution, str]:
     """
-    Return a solution, and a warning on a move and its time, '' if there is none.
+    Return a refined solution, and a warning on a move and its time, '' if there is none.
 
-    The likeliest move of either and the noise with it are estimated in turn, until it stays. With
-    a warning, the covariance covers the transform with that move as well. Stations dropped at one
-    end of the recording alone are such a warning, without further tests. Raises DataError (moved)
-    where the evidence is decisive.
+    With a warning, the covariance covers the transform with that move as well. Raises DataError
+    (moved) where the evidence is decisive.
     """
-    if parted := outliers_at_one_end(agreed):
-        return agreed, parted
-    n, conservative, config = len(agreed.used), agreed.conservative, agreed.full_problem.config
-    if n < agreed.problem.target.min_samples + 4:  # too few to tell a move from an outlier
-        return agreed, ''
-    sweep = agreed.problem.pose_model is not None
-    margin = max(2, n // PARTS_EXCHANGED) if sweep else 2
-    few, many = (np.unique(np.linspace(margin, n - margin, count).round().astype(int))
-                 for count in (PARTS_EXCHANGED, MOMENTS_TRIED))
-    found_without = [conservative]
-    if not sweep:  # of a few stations, estimated noise absorbs a move; configured may be too large
-        found_without.append(solution_at(agreed.problem, agreed.estimate, Noise()))
-    first = np.max([_gains(solution, many)[0] for solution in found_without], axis=0)
-    if first.max() < -WARNING_EVIDENCE:  # evidence against a move
-        return agreed, ''
-    # the likeliest move against none, and against wrong times; a moment a few profiles off leaves
-    # an error that only a much worse robot would explain
-    starts = many[np.argsort(-first, axis=0)[:max(STATIONS_TRIED // n, 1)]]
-    body, k, moved = _likeliest(agreed, starts, np.arange(margin, n - margin + 1))
-    unmoved = with_noise_reestimated(conservative)
-    others = [with_noise_reestimated(conservative, (block,)) for block in
-              _wrong_times(conservative, k + margin * np.arange(-2, 3))]
-    evidence = min(other.deviance for other in (unmoved, *others)) - moved.deviance
-    shift, turn, size = _size(moved, body)
-    # a smaller move may be part of the robot's smooth error, which a move can only explain
-    smooth = min(max((b.std * one.prior_scale(b) for b in one.blocks if b.name == 'robot_smooth'),
-                     default=0.0) for one in (moved, unmoved))
-    # that error of a sweep is smooth in time, as a move is
-    least = max(LEAST_MOVE_SIGMAS * smooth, config.noise.robot_smooth if sweep else 0.0)
-    if evidence < WARNING_EVIDENCE or size < least:
-        return agreed, ''
-    # errors of the robot look like a move in any order of the samples
-    in_time, *random = _gains(solution_at(agreed.problem, agreed.estimate, moved.noise), few,
-                              RANDOM_ORDERS).max(axis=(1, 2))
-    p_value = float(np.mean(random >= in_time))
+    if warning := outliers_at_one_end(solution):
+        return solution, warning
+    move = _likeliest_move(solution)
+    if not move or move.evidence < WARNING_EVIDENCE or move.may_be_robot_error:
+        return solution, ''
+    p_value = move.permutation_p_value()
     if p_value >= WARNING_P:
-        return agreed, ''
-    what, frame = (('sensor', mount_frame(config)) if body == SENSOR
-                   else ('target', target_frame(config)))
-    sentence = (
-        f'after the first {agreed.used[k]} of {len(agreed.full_problem.poses)} samples '
-        f'the {what} seems to have moved in {frame} by about {mm(shift)} and {degrees(turn)}, or '
-        'the tool or base of the robot was switched, or robot or sensor drift: check that it is '
-        'fixed firmly, and take all samples again')
-    if evidence > DECISIVE_EVIDENCE and p_value < REFUSAL_P:
-        raise DataError(sentence, reason='moved')
-    # with the warning: the covariance that covers the transform with the move, too
-    away = se3.difference(moved.estimate.X, unmoved.estimate.X)
-    with_move = moved.covariance[:6, :6] + np.outer(away, away)
-    more = cover(agreed.transform_covariance, with_move) - agreed.transform_covariance
-    added = {**agreed.added_covariances, POSSIBLE_MOVE: more}
-    return replace(agreed, added_covariances=added), sentence
+        return solution, ''
+    if move.evidence > DECISIVE_EVIDENCE and p_value < REFUSAL_P:
+        raise DataError(move.in_words(), reason='moved')
+    away = se3.difference(move.moved.estimate.X, move.unmoved.estimate.X)
+    with_move = move.moved.covariance[:6, :6] + np.outer(away, away)
+    covariance = solution.transform_covariance
+    return replace(solution, added_covariances={
+        **solution.added_covariances,
+        POSSIBLE_MOVE: cover(covariance, with_move) - covariance}), move.in_words()
 
 
-def _likeliest(agreed: Solution, starts: NDArray[np.intp], moments: NDArray[np.intp]
-               ) -> tuple[int, int, Solution]:
+def outliers_at_one_end(solution: Solution) -> str:
     """
-    Return the body that moved, before which station, and the solution with that move.
+    Return in words that all stations that were dropped are the first, or the last, ones.
 
-    starts: (s, 2) stations from which each body's is sought, among all moments.
+    '' if they are not, or if wrong stations in a random order are so too with PARTED_P.
     """
-    conservative, tried = agreed.conservative, dict[tuple[int, int], Solution]()
-    for (_, body), station in np.ndenumerate(starts):
-        move = body, int(station)
-        while move not in tried:
-            further = _blocks_of_move(conservative, *move)
-            tried[move] = with_noise_reestimated(conservative, further)
+    n, used = len(solution.full_problem.poses), solution.used
+    dropped = n - len(used)
+    if solution.problem.pose_model is not None or math.comb(n, dropped) < 2 / PARTED_P:
+        return ''
+    which, side = {0: ('last', 'before'), dropped: ('first', 'after')}.get(
+        int(used[0]), ('', ''))
+    if not which or np.ptp(used) >= n - dropped:
+        return ''
+    return (f'the {which} {dropped} of {n} samples contradict the {n - dropped} {side} them: the '
+            'target or the sensor seems to have moved in between, or the tool or base of the '
+            'robot was switched: check that both are fixed firmly, and take all samples again')
+
+
+@dataclass(frozen=True, eq=False)
+class _Move:
+    """
+    A move of sensor or target before one of the stations that a solution uses.
+
+    solution: that is tested
+    body: SENSOR, in the mount, or TARGET, in the base
+    station: the first one after the move, of those used
+    moved: the solution with the move as two more blocks, noise and scales estimated again
+    unmoved: the same without the move
+    """
+
+    solution: Solution
+    body: int
+    station: int
+    moved: Solution
+    unmoved: Solution
+
+    @cached_property
+    def evidence(self) -> float:
+        """Return twice the log Bayes factor against no move and, of a sweep, wrong times."""
+        alternatives = [self.unmoved]
+        if _is_sweep(self.solution):
+            # a moment a few profiles off leaves an error that only a much worse robot explains
+            near = self.station + _margin(self.solution) * np.arange(-2, 3)
+            conservative = self.solution.conservative
+            alternatives.append(
+                with_noise_reestimated(conservative, (_wrong_times(conservative, near),)))
+        return min(other.deviance for other in alternatives) - self.moved.deviance
+
+    @cached_property
+    def step(self) -> Array:
+        """Return the translation (m) and rotation vector (rad) of the move, (6,)."""
+        return self.moved.nuisance[:6] * np.repeat(
+            [block.std for block in self.moved.blocks[:2]], 3)
+
+    @property
+    def may_be_robot_error(self) -> bool:
+        """Return whether the points seen move no more than the robot's smooth error may be."""
+        shifts = self.step[:3] + np.cross(self.step[3:], _levers(self.moved)[self.body])
+        # the smaller estimate of that error, which a move can only explain
+        smooth = min(max((block.std * each.prior_scale(block) for block in each.blocks
+                          if block.name == 'robot_smooth'), default=0.0)
+                     for each in (self.moved, self.unmoved))
+        stated = self.solution.full_problem.config.noise.robot_smooth
+        # of a sweep it is smooth in time, as a move is
+        least = max(LEAST_MOVE_SIGMAS * smooth, stated if _is_sweep(self.solution) else 0.0)
+        return rms(np.linalg.norm(shifts, axis=1)) < least
+
+    def permutation_p_value(self) -> float:
+        """Return the share of random orders of the stations that show as clear a move."""
+        solution = self.solution
+        in_time, *in_random_orders = _bayes_factors(
+            solution_at(solution.problem, solution.estimate, self.moved.noise),
+            _moments(solution, PARTS_EXCHANGED), RANDOM_ORDERS).max(axis=(1, 2))
+        return float(np.mean(in_random_orders >= in_time))
+
+    def in_words(self) -> str:
+        """Return what moved, when, by how much, and what to do."""
+        config, poses = self.solution.full_problem.config, self.solution.full_problem.poses
+        what, frame = (('sensor', mount_frame(config)) if self.body == SENSOR
+                       else ('target', target_frame(config)))
+        shift, turn = np.linalg.norm(self.step.reshape(2, 3), axis=1).tolist()
+        return (f'after the first {self.solution.used[self.station]} of {len(poses)} samples the '
+                f'{what} seems to have moved in {frame} by about {mm(shift)} and {degrees(turn)}, '
+                'or the tool or base of the robot was switched, or robot or sensor drift: check '
+                'that it is fixed firmly, and take all samples again')
+
+
+def _likeliest_move(solution: Solution) -> _Move | None:
+    """
+    Return the likeliest move, None where there is evidence against any or stations are few.
+
+    The move and the noise with it are estimated in turn, until the same move is the likeliest.
+    """
+    problem, conservative, n = solution.problem, solution.conservative, len(solution.used)
+    if n < problem.target.min_samples + 4:  # too few to tell a move from an outlier
+        return None
+    noises = [conservative]
+    if not _is_sweep(solution):
+        # of a few stations, estimated noise absorbs a move; configured may be too large
+        noises.append(solution_at(problem, solution.estimate, Noise()))
+    moments = _moments(solution, MOMENTS_TRIED)
+    factors = np.max([_bayes_factors(each, moments)[0] for each in noises], axis=0)
+    if factors.max() < -WARNING_EVIDENCE:
+        return None
+    first_tried = moments[np.argsort(-factors, axis=0)[:max(STATIONS_TRIED // n, 1)]]
+    all_moments = np.arange(_margin(solution), n - _margin(solution) + 1)
+    tried = dict[tuple[int, int], Solution]()
+    for (_, body), first in np.ndenumerate(first_tried):
+        station = int(first)
+        while (body, station) not in tried:
+            moved = with_noise_reestimated(
+                conservative, _blocks_of_move(conservative, body, station))
+            tried[body, station] = moved
             # noise and scales estimated with the move do not absorb it: its time is clearer
-            again = solution_at(agreed.problem, agreed.estimate, tried[move].noise)
-            move = body, int(moments[np.argmax(_gains(again, moments)[0, :, body])])
-    (body, k), moved = min(tried.items(), key=lambda move: move[1].deviance)
-    return body, k, moved
+            again = solution_at(problem, solution.estimate, moved.noise)
+            station = int(all_moments[np.argmax(_bayes_factors(again, all_moments)[0, :, body])])
+    (body, station), moved = min(tried.items(), key=lambda item: item[1].deviance)
+    return _Move(solution, body, station, moved, with_noise_reestimated(conservative))
 
 
-def _size(moved: Solution, body: int) -> tuple[float, float, float]:
-    """Return shift (m), turn (rad) of the move in a solution, and that of the points seen (m)."""
-    step = moved.nuisance[:6] * np.repeat([block.std for block in moved.blocks[:2]], 3)
-    seen = step[:3] + np.cross(step[3:], _levers(moved)[body])
-    return (float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:])),
-            rms(np.linalg.norm(seen, axis=1)))
+def _is_sweep(solution: Solution) -> bool:
+    return solution.problem.pose_model is not None
+
+
+def _margin(solution: Solution) -> int:
+    """Return the fewest stations before and after a move."""
+    return max(2, len(solution.used) // PARTS_EXCHANGED) if _is_sweep(solution) else 2
+
+
+def _moments(solution: Solution, count: int) -> NDArray[np.intp]:
+    """Return at most a number of stations, evenly spaced, before which something may move."""
+    margin = _margin(solution)
+    return np.unique(np.linspace(margin, len(solution.used) - margin, count).round().astype(int))
 
 
 def _blocks_of_move(solution: Solution, body: int, station: int) -> tuple[ParameterBlock, ...]:
-    """
-    Return two blocks of nuisance parameters: translation (m) and rotation vector of a move.
-
-    body: SENSOR, in the mount, or TARGET, in the base; station: the first after the move.
-    """
+    """Return two blocks of nuisance parameters: translation (m) and rotation vector of a move."""
     columns = _wrt_moves(solution)[body]
     columns[solution.problem.observations.station < station] = 0.0
     return tuple(ParameterBlock(name, columns[:, axes], float(MOVE_STD[axes][0]),
@@ -222,28 +296,26 @@ def _blocks_of_move(solution: Solution, body: int, station: int) -> tuple[Parame
                  for name, axes in (('translation', slice(0, 3)), ('rotation', slice(3, 6))))
 
 
-def _wrong_times(solution: Solution, stations: NDArray[np.intp]) -> tuple[ParameterBlock, ...]:
+def _wrong_times(solution: Solution, stations: NDArray[np.intp]) -> ParameterBlock:
     """
-    Return the errors of the times of a sweep that may look like a move; none of stops.
+    Return the errors of the times of a sweep that may look like a move.
 
     A clock that jumps before one or more of some stations, near which a move is likeliest, and
     profiles whose points are taken one after the other.
     """
-    problem, rows = solution.problem, solution.problem.observations
-    if problem.pose_model is None:
-        return ()
-    by_time = solution.linear.wrt_twists(problem.pose_twists[:, :, :1])
-    jump, along = rows.station[:, None] >= stations, rows.points[:, :1]
-    return (ParameterBlock('times', np.hstack([by_time * jump, by_time * along / rms(along)])
-                           * TIME_STD, TIME_STD, largest_variance=1.0),)
+    problem, observations = solution.problem, solution.problem.observations
+    wrt_time = solution.linear.wrt_twists(problem.pose_twists[:, :, :1])
+    after, along = observations.station[:, None] >= stations, observations.points[:, :1]
+    columns = np.hstack([wrt_time * after, wrt_time * along / rms(along)])
+    return ParameterBlock('times', columns * TIME_STD, TIME_STD, largest_variance=1.0)
 
 
 def _wrt_moves(solution: Solution) -> Array:
     """Return the derivatives (2, m, 6) by moves of sensor and target, in prior sigmas."""
     linear = solution.linear
-    about = np.cross(_levers(solution)[TARGET], linear.wrt_base)
-    steps = np.stack([linear.jacobian[:, :6], np.hstack([linear.wrt_base, about])])
-    return np.asarray(steps * MOVE_STD)
+    wrt_turn = np.cross(_levers(solution)[TARGET], linear.wrt_base)
+    wrt_move = np.stack([linear.jacobian[:, :6], np.hstack([linear.wrt_base, wrt_turn])])
+    return np.asarray(wrt_move * MOVE_STD)
 
 
 def _levers(solution: Solution) -> tuple[Array, Array]:
@@ -252,33 +324,37 @@ def _levers(solution: Solution) -> tuple[Array, Array]:
     return solution.linear.lever, p - p.mean(axis=0)
 
 
-def _gains(solution: Solution, moments: NDArray[np.intp], random_orders: int = 0) -> Array:
+def _bayes_factors(solution: Solution, moments: NDArray[np.intp], random_orders: int = 0
+                   ) -> Array:
     """
     Return 2 log Bayes factors (1 + orders, k, 2) of moves of sensor and target, (14).
 
     Before each of the k moments: in the order of time, and in random orders of the parts between.
     """
-    whiten, J = whitening(solution.linear, solution.noise), solution.jacobian
+    whiten, A, e = (whitening(solution.linear, solution.noise), solution.jacobian,
+                    solution.postfit_residuals)
     D = np.array([whiten(columns) for columns in _wrt_moves(solution)])
     scale = np.sqrt(np.diag(solution.covariance))  # m, rad and sigmas differ by 1e5
     values, axes = np.linalg.eigh(solution.covariance / scale / scale[:, None])
-    root = (axes * np.sqrt(np.maximum(values, 0.0)) * scale[:, None]).T
-    parts = np.split(np.arange(len(J)), np.searchsorted(
+    root = (axes * np.sqrt(np.maximum(values, 0.0)) * scale[:, None]).T  # of C
+    parts = np.split(np.arange(len(A)), np.searchsorted(
         solution.problem.observations.station, moments))
     # sums over each part: D'D, C^(1/2) A'D, D'e
     sums = (np.array([np.swapaxes(D[:, rows], 1, 2) @ D[:, rows] for rows in parts]),
-            np.array([root @ (J[rows].T @ D[:, rows]) for rows in parts]),
-            np.array([solution.postfit_residuals[rows] @ D[:, rows] for rows in parts]))
+            np.array([root @ (A[rows].T @ D[:, rows]) for rows in parts]),
+            np.array([e[rows] @ D[:, rows] for rows in parts]))
     rng, n = np.random.default_rng(0), len(parts)
-    gains = []
+    factors = []
     for order in (np.arange(n), *(rng.permutation(n) for _ in range(random_orders))):
         # over all parts after each moment
-        own, cross, y = (np.cumsum(one[order[::-1]], axis=0)[-2::-1] for one in sums)
-        information = own - np.swapaxes(cross, 2, 3) @ cross  # that the other parameters leave
-        evidence = []
+        D_D, root_A_D, y = (np.cumsum(parts_sum[order[::-1]], axis=0)[-2::-1]
+                            for parts_sum in sums)
+        # that the other parameters leave
+        information = D_D - np.swapaxes(root_A_D, 2, 3) @ root_A_D
+        of_sizes = []
         for size in SIZE_FACTORS:
             M = np.eye(6) + size ** 2 * information
-            step = size ** 2 * np.linalg.solve(M, y[..., None])[..., 0]
-            evidence.append((y * step).sum(axis=2) - np.linalg.slogdet(M)[1])
-        gains.append(np.max(evidence, axis=0) - 2 * np.log(len(SIZE_FACTORS)))
-    return np.array(gains)
+            M_y = size ** 2 * np.linalg.solve(M, y[..., None])[..., 0]
+            of_sizes.append((y * M_y).sum(axis=2) - np.linalg.slogdet(M)[1])
+        factors.append(np.max(of_sizes, axis=0) - 2 * np.log(len(SIZE_FACTORS)))
+    return np.array(factors)

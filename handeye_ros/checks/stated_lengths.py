@@ -1,13 +1,17 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Whether stated measures are wrong: those of the target, and the scales of robot and sensor."""
+"""
+Whether stated lengths are wrong: those of the target, and the scales of robot and sensor.
+
+A stated measure of the target that is wrong is estimated instead; scales that differ are refused.
+"""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from handeye_ros.calibration import block_estimates, NOTED_SIGMAS, PLATE_LENGTHS
-from handeye_ros.checks.hypotheses import Explanation, explanation_of_problem, Hypothesis
+from handeye_ros.checks.hypotheses import Fit, fit_of_problem, Hypothesis
 from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import scale_twists
@@ -28,86 +32,86 @@ FREED_FROM_SIGMAS = 2.5  # an estimated length is used; it costs little where th
 SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
 
 
-def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random.Generator,
+def with_free_shape_if_needed(problem: Problem, solution: Solution, rng: np.random.Generator,
                               start: Estimate | None = None) -> Solution:
     """
-    Return the consensus, with free target measures if only these make the stations agree.
+    Return the solution with a stated shape free, if only that makes the stations agree.
 
-    start: the only one to use, if given.
+    solution: with the shape as stated; it is returned where that is good enough. start: the only
+    one to use, if given.
     """
-    target, stated_config = problem.target, problem.config
-    config = replace(stated_config, target=replace(stated_config.target, **target.free_shape))
-    poor = (agreed.dropped_squares or len(agreed.stations_without_edges)
-            or agreed.variance_factor > CONVINCING_SQUARE)
-    if config == stated_config or not poor:
-        return agreed
-    other = robust_solution(replace(problem, config=config), rng, start=start)
-    stated, _ = target.stated_values(stated_config)[target.parameter_names[-1]]
-    if abs(other.estimate.state[-1] - stated) > 0.5 * stated:
-        return agreed  # another target
+    target, config = problem.target, problem.config
+    free_config = replace(config, target=replace(config.target, **target.free_shape))
+    fits = not (solution.dropped_squares or len(solution.stations_without_edges)
+                or solution.variance_factor > CONVINCING_SQUARE)
+    if fits or free_config == config:
+        return solution
+    free = robust_solution(replace(problem, config=free_config), rng, start=start)
+    stated, _ = target.stated_values(config)[target.parameter_names[-1]]
+    if abs(free.estimate.state[-1] - stated) > 0.5 * stated:
+        return solution  # another target
+    n = len(problem.poses)
+    free_fit, stated_fit = (Fit.of_solutions(range(n), each) for each in (free, solution))
     # if a free shape explains more stations, the refinement can decide about the shape
-    free, as_stated = (Explanation.of_solutions(range(len(problem.poses)), one)
-                       for one in (other, agreed))
-    complete = free.believable and other.fully_used - agreed.fully_used > 0.1 * len(problem.poses)
-    return other if complete or free.evidence_over(as_stated) > VERY_STRONG_EVIDENCE else agreed
+    explains_more = free_fit.believable and free.fully_used - solution.fully_used > 0.1 * n
+    better = explains_more or free_fit.evidence_over(stated_fit) > VERY_STRONG_EVIDENCE
+    return free if better else solution
 
 
-def with_free_size_if_needed(agreed: Solution) -> Solution:
+def with_free_size_if_needed(solution: Solution) -> Solution:
     """
-    Return the refined consensus with the lengths of a plate estimated, if the stated are wrong.
+    Return a refined solution with the lengths of a plate estimated, if the stated are wrong.
 
     Otherwise the scale of the robot, which is stated less exactly, stands for a wrong length: they
     are estimated too where such a scale is seen with the stated lengths alone.
     """
-    config, problem = agreed.full_problem.config, agreed.problem
-    stated = config.target.size_std
-    if not config.target.size or stated >= FREED_SIZE_STD:
-        return agreed
-    free = replace(config, target=replace(config.target, size_std=FREED_SIZE_STD))
+    config, stated_std = solution.full_problem.config, solution.full_problem.config.target.size_std
+    if not config.target.size or stated_std >= FREED_SIZE_STD:
+        return solution
+    free_config = replace(config, target=replace(config.target, size_std=FREED_SIZE_STD))
     # solved anew from the observations and the estimate; what is linearised here is not used
-    other = with_systematic_errors(replace(
-        agreed, full_problem=replace(agreed.full_problem, config=free),
-        linear=replace(agreed.linear, problem=replace(problem, config=free))))
-    freed, before = (block_estimates(one.conservative) for one in (other, agreed))
-    lengths = [freed[name] for name in PLATE_LENGTHS if name in freed]
-    wrong = any(abs(one.value) > max(FREED_FROM_SIGMAS * one.std, 2 * stated) for one in lengths)
-    scales = [each['scale'] for each in (before, freed) if 'scale' in each]
-    seen = [abs(one.value) > FREED_FROM_SIGMAS * one.std for one in scales]
-    return other if wrong or seen == [True, False] else agreed
+    free = with_systematic_errors(replace(
+        solution, full_problem=replace(solution.full_problem, config=free_config),
+        linear=replace(solution.linear, problem=replace(solution.problem, config=free_config))))
+    with_stated, with_free = (block_estimates(each.conservative) for each in (solution, free))
+    wrong = any(abs(length.value) > max(FREED_FROM_SIGMAS * length.std, 2 * stated_std)
+                for name, length in with_free.items() if name in PLATE_LENGTHS)
+    shows_scale = [abs(estimates['scale'].value) > FREED_FROM_SIGMAS * estimates['scale'].std
+                   for estimates in (with_stated, with_free) if 'scale' in estimates]
+    return free if wrong or shows_scale == [True, False] else solution
 
 
-def scale_hypothesis(agreed: Solution, stamps: Sequence[int]) -> Iterator[Hypothesis]:
+def scale_hypothesis(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypothesis]:
     """
     Yield the hypothesis that robot and sensor differ in scale, if they may.
 
-    The scale is solved for to first order, with the stated measures of the target, so that a wrong
-    measure is not taken for a scale. stamps: of the stations.
+    The scale is solved for to first order, together with the stated measures of the target, so
+    that a wrong measure is not taken for a scale. stamps: of the stations.
     """
-    problem, linear = agreed.full_problem, agreed.linear
-    measures = linear.jacobian[:, 6:][:, problem.tolerances > 0]
-    by_scale = -linear.wrt_twists(scale_twists(agreed.problem))
-    J = np.hstack([agreed.whitening(np.hstack([by_scale, measures])), agreed.jacobian])
+    problem, linear = solution.full_problem, solution.linear
+    wrt_measures = linear.jacobian[:, 6:][:, problem.tolerances > 0]
+    wrt_scale = -linear.wrt_twists(scale_twists(solution.problem))
+    J = np.hstack([solution.whitening(np.hstack([wrt_scale, wrt_measures])), solution.jacobian])
     covariance = covariance_of(J)
-    scale = float(covariance[0] @ (J.T @ agreed.postfit_residuals))
+    scale = float(covariance[0] @ (J.T @ solution.postfit_residuals))
     if SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
         T = problem.robot_poses.copy()
         T[:, :3, 3] /= 1 + scale
-        fit = explanation_of_problem(
-            replace(problem, poses=mount_poses(T, problem.config)), stamps)
+        fit = fit_of_problem(replace(problem, poses=mount_poses(T, problem.config)), stamps)
         std = float(covariance[0, 0] * fit.variance_factor) ** 0.5
         yield Hypothesis(fit, _scales_differ(abs(scale), std))
 
 
-def require_one_scale(agreed: Solution) -> None:
+def require_one_scale(solution: Solution) -> None:
     """
-    Raise for a solution in which robot and sensor differ too much in scale.
+    Raise for a refined solution in which robot and sensor differ too much in scale.
 
     Raises DataError: scale, or moved where the evidence for a move is decisive.
     """
-    scale = block_estimates(agreed.conservative).get('scale')
+    scale = block_estimates(solution.conservative).get('scale')
     if scale and abs(scale.contradiction) > NOTED_SIGMAS and abs(scale.value) > max(
             SMALLEST_SCALE_ERROR, NOTED_SIGMAS * scale.std):
-        with_possible_move(agreed)  # raises where something surely moved
+        with_possible_move(solution)  # raises where something surely moved
         raise _scales_differ(abs(scale.value), scale.std)
 
 

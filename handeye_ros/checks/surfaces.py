@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from handeye_ros.checks.hypotheses import explanation_of_samples
-from handeye_ros.checks.settings import PROFILES_READ, thinned, with_settings
+from handeye_ros.checks.hypotheses import fit_of_samples
+from handeye_ros.checks.settings import MOST_PROFILES, thinned, with_settings
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Reject, Sample
 from handeye_ros.errors import DataError
@@ -66,7 +66,7 @@ def require_seen_edges(session: Session, config: Config) -> None:
     gaps = np.flatnonzero(np.diff(live) > GAP_COLUMNS)
     sides = live[[gaps, gaps + 1]]
     # some stops see across it: else nothing was there, as between plates in the air
-    across = returned[:, sides].all(axis=1).sum(axis=0) >= FEWEST_STOPS * PROFILES_READ
+    across = returned[:, sides].all(axis=1).sum(axis=0) >= FEWEST_STOPS * MOST_PROFILES
     brinks = sides[:, across]
 
     def at_a_brink(x: float, line: Array) -> bool:
@@ -128,7 +128,7 @@ def _heights_over_plane(stops: NDArray[np.object_], config: Config
     """
     as_plane = with_settings(config, {'target.type': 'plane'})
     planes = [result_of(thinned(stop, config), as_plane) for stop in stops]
-    fit = explanation_of_samples([plane for plane in planes if isinstance(plane, Sample)],
+    fit = fit_of_samples([plane for plane in planes if isinstance(plane, Sample)],
                                  as_plane, [plane.stamp for plane in planes], all_starts=True)
     if not fit.believable or not fit.within_noise:
         return np.full(len(stops), np.nan), [], 0
@@ -138,13 +138,13 @@ def _heights_over_plane(stops: NDArray[np.object_], config: Config
     height = np.array([_heights(stop.sample, T)[0]
                        for stop, T in zip(stops, T_plane_sensor, strict=True)])
     seen = [_heights(plane, T) for plane, T in zip(planes, T_plane_sensor, strict=True)]
-    return height, seen, len(fit.squares)
+    return height, seen, len(fit.left_out_squares)
 
 
 def _agree_on_target(stops: NDArray[np.object_], config: Config) -> bool:
     """Return whether stops, however few, agree on the target as it is set."""
     samples = with_common_shape([stop.sample for stop in stops])
-    return explanation_of_samples(samples, config, [sample.stamp for sample in samples],
+    return fit_of_samples(samples, config, [sample.stamp for sample in samples],
                                   all_starts=True).agrees
 
 

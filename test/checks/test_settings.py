@@ -18,9 +18,9 @@ from handeye_ros.bags.messages import view
 from handeye_ros.bags.reader import CLOUD_TYPE, Raw
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.hypotheses import (
-    Explanation,
-    explanation_of_samples,
-    refuse_better,
+    Fit,
+    fit_of_samples,
+    refuse_by_best,
     stops_deviance,
 )
 from handeye_ros.checks.settings import setting_hypotheses, thinned
@@ -126,8 +126,8 @@ def test_right_settings_are_not_blamed() -> None:
     cell = made('baseline')
     session = pipeline.gather(cell.profiles, cell.poses, cell.config)
     stamps = [sample.stamp for sample in session.samples]
-    stated = explanation_of_samples(session.samples, cell.config, stamps)
-    refuse_better(stated, setting_hypotheses(session, cell.config, stated))
+    stated = fit_of_samples(session.samples, cell.config, stamps)
+    refuse_by_best(stated, setting_hypotheses(session, cell.config, stated))
 
 
 @lru_cache(maxsize=2)
@@ -222,11 +222,11 @@ def test_edges_that_are_less_certain_do_not_explain_more() -> None:
     """Waves of a face end it by chance with the wrong sign, at points of which little is known."""
     made, rng = cell('plate'), np.random.default_rng(0)
 
-    def read(error: float, stated: float) -> Explanation:
+    def read(error: float, stated: float) -> Fit:
         samples = [replace(s, features=tuple(
             replace(f, point=f.point + rng.normal(0, error) * f.direction, std=stated)
             if isinstance(f, EdgePoint) else f for f in s.features)) for s in made.samples]
-        return explanation_of_samples(samples, made.config, [s.stamp for s in samples])
+        return fit_of_samples(samples, made.config, [s.stamp for s in samples])
 
     waved, stray = read(6e-5, 2e-5), read(2e-4, 3e-4)
     assert stray.variance_factor < waved.variance_factor
