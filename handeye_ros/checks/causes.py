@@ -1,13 +1,12 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-What explains samples that do not fit: the assumptions that are tried, and when.
+The order in which causes are tried for samples that do not fit: each function, from top to bottom.
 
-First, of the samples as they are, the opposite sign of the range and the known errors in the
-conventions of poses; then the scale of the robot, and a sensor or target that moved. Where none of
-these is certain the messages of the stops are read anew: other settings, another surface, other
-times. The one that explains the same stops best, and decisively better than what is set, is named
-(hypotheses).
+`require_agreement` asks about the samples as they are; `with_known_cause`, where no cause was
+certain, reads the messages of the stops anew. Of the hypotheses that are tried together the one
+that explains the same stops best is named, if it does so decisively better than what is configured
+(hypotheses.py).
 """
 from __future__ import annotations
 
@@ -32,7 +31,7 @@ from handeye_ros.checks.refusals import (
 )
 from handeye_ros.checks.settings import setting_hypotheses, sign_hypothesis
 from handeye_ros.checks.stated_lengths import scale_hypothesis
-from handeye_ros.checks.surfaces import require_one_surface, require_seen_edges
+from handeye_ros.checks.surfaces import require_no_blind_columns, require_one_surface
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
 from handeye_ros.errors import DataError, mm
@@ -45,22 +44,25 @@ FEW_TURNS = 0.12  # rad RMS about the second axis: less may look like a move
 SIGN_TRIED, CONVENTION_TRIED = 0.6, 9.0
 
 
-def require_agreement(samples: Sequence[Sample], solution: Solution, stated: Fit) -> None:
+def require_agreement(samples: Sequence[Sample], solution: Solution, baseline: Fit) -> None:
     """
     Raise DataError for a solution that the samples contradict, or explain better otherwise.
 
-    samples: of the stations of the problem, in order; stated: what the solution explains.
-    Scattered orientations, or too little rotation, can look like a move.
+    samples: of the stations of the problem, in order; baseline: the fit of the solution.
     """
-    problem, refusal = solution.full_problem, contradiction(solution)
-    config, poses, asked = problem.config, problem.poses, list[Hypothesis]()
+    problem, config, poses = (solution.full_problem, solution.full_problem.config,
+                              solution.full_problem.poses)
+    refusal = contradiction(solution)
     doubt = math.inf if refusal else solution.variance_factor
-    tried = MANY_TRIED if doubt >= CONVENTION_TRIED else 1
+    # the opposite sign of the range, and known errors in the conventions of the poses
+    hypotheses = list[Hypothesis]()
     if doubt > SIGN_TRIED or solution.fully_used < len(poses):
-        asked.append(sign_hypothesis(samples, config, stated, clocks=refusal is not None))
+        hypotheses.append(sign_hypothesis(samples, config, baseline, clocks=refusal is not None))
     if doubt >= CONVENTION_TRIED:
-        asked += convention_hypotheses(samples, problem, stated)
-    refuse_by_best(stated, asked, tried)
+        hypotheses += convention_hypotheses(samples, problem, baseline)
+    tried = MANY_TRIED if doubt >= CONVENTION_TRIED else 1
+    refuse_by_best(baseline, hypotheses, tried)
+    # orientations or a lack of rotation that would look like a move
     if refusal and orientations_scatter(poses):
         raise DataError(f'samples and poses contradict each other by {mm(solution.residual_rms)} '
                         'RMS, and the orientations of the poses are scattered in all directions, '
@@ -68,14 +70,16 @@ def require_agreement(samples: Sequence[Sample], solution: Solution, stated: Fit
                         'poses', reason='convention')
     if refusal and rms_turns_and_axes(poses)[0][1] < FEW_TURNS:
         require_certain(solution.transform_covariance, config, missing_motion(solution, config))
-    moves = move_hypotheses(problem, stated.stamps) if refusal else ()
-    if refusal or not config.sampling.moving:  # a sweep that fits: both are weighed later
-        refuse_by_best(stated, [*scale_hypothesis(solution, stated.stamps), *moves], tried)
+    # the scale of the robot, and a sensor or target that moved
     if refusal:
+        refuse_by_best(baseline, [*scale_hypothesis(solution, baseline.stamps),
+                                  *move_hypotheses(problem, baseline.stamps)], tried)
         raise refusal
+    if not config.sampling.moving:  # of a sweep that fits both are weighed later
+        refuse_by_best(baseline, scale_hypothesis(solution, baseline.stamps), tried)
 
 
-def with_known_cause(refusal: DataError, stated: Fit, session: Session, config: Config
+def with_known_cause(refusal: DataError, baseline: Fit, session: Session, config: Config
                      ) -> DataError:
     """
     Return a refusal, or the one of the setting, surface or clocks that explain the stops better.
@@ -87,14 +91,15 @@ def with_known_cause(refusal: DataError, stated: Fit, session: Session, config: 
     if config.sampling.moving:
         return refusal
     unexplained = isinstance(refusal, UnexplainedError)
+    moved, uncertain = refusal.reason == 'moved', refusal.reason == 'uncertain'
     try:
-        if unexplained or refusal.reason == 'moved':
-            refuse_by_best(stated, setting_hypotheses(session, config, stated))
-        if unexplained or refusal.reason in ('moved', 'uncertain'):
-            require_seen_edges(session, config)
-        if unexplained or refusal.reason == 'moved':
+        if unexplained or moved:
+            refuse_by_best(baseline, setting_hypotheses(session, config, baseline))
+        if unexplained or moved or uncertain:
+            require_no_blind_columns(session, config)
+        if unexplained or moved:
             require_one_surface(session, config, refusal)
-        if unexplained or refusal.reason == 'uncertain':
+        if unexplained or uncertain:
             require_same_clock(session, config)
     except DataError as named:
         return named

@@ -1,19 +1,24 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Whether some stops took the face of a clamp, a second plate or the table for that of the plate.
+Whether some stops show something else than an edge of the target: their number and what they show.
 
-Such ends agree among themselves, so that no consensus of edges stands out. But read for straight
-pieces only, the stops agree on one plane, which tells where the sensor is, and so at which heights
-their faces lie. The plane may be that of the table: the target is at the height whose stops agree
-on it as it is set. The others are named, and left out where these carry an answer (pipeline.py).
-So are faces that end where the sensor is blind, as behind dirt on its window.
+Two questions with one answer, NotOfTargetError, by which the pipeline leaves these stops out where
+the others carry an answer (pipeline.py).
+
+Where the sensor is blind, as behind dirt on its window, faces seem to end: at columns that return
+nothing at any stop.
+
+A clamp, a second plate or the table have edges too, which agree among themselves, so that no
+consensus of edges stands out. But read for straight pieces only, the stops agree on one plane,
+which tells where the sensor is, and so at which heights their faces lie. The plane may be that of
+the table: the target is at the height whose stops agree on it as configured.
 """
 from __future__ import annotations
 
 from collections.abc import Iterable
 
-from handeye_ros.checks.hypotheses import fit_of_samples
+from handeye_ros.checks.hypotheses import fit_of_samples, stops_to_explain
 from handeye_ros.checks.settings import MOST_PROFILES, thinned, with_settings
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Reject, Sample
@@ -40,42 +45,42 @@ class NotOfTargetError(DataError):
     """
     Some stops show the edge of another surface, or only the end of what the sensor sees.
 
-    stamps: of their samples; why: what they show, in words.
+    stamps: of their samples; why: what they show, in words; warning: where they are left out.
     """
 
     def __init__(self, stops: Iterable[Stop], why: str, advice: str = ADVICE) -> None:
         """Build the sentence from stops, what they show and what to do, in words."""
         stops = list(stops)
         self.stamps, self.why = {stop.result.stamp for stop in stops}, why
-        shown = f'the {_numbers(stops)} show {why}'
-        self.warning = f'{shown}: they are left out'
-        super().__init__(f'{shown}: {advice}', reason='surface')
+        they_show = f'the {_numbers(stops)} show {why}'
+        self.warning = f'{they_show}: they are left out'
+        super().__init__(f'{they_show}: {advice}', reason='surface')
 
 
-def require_seen_edges(session: Session, config: Config) -> None:
-    """Raise NotOfTargetError where ends of faces lie at columns that return nothing anywhere."""
-    stops = [stop for stop in session.stops if not stop.final_reason
-             and not session.excludes(stop)]
-    read = [decoded(thinned(stop, config).profiles, config) for stop in stops]
-    if (sum(map(bool, read)) < target_for(config).min_samples  # of few, a column may see nothing
-            or len({len(profile.points) for profiles in read for profile in profiles}) != 1):
+def require_no_blind_columns(session: Session, config: Config) -> None:
+    """Raise NotOfTargetError where faces end at columns that return nothing at any stop."""
+    stops = stops_to_explain(session)
+    profiles_of = [decoded(thinned(stop, config).profiles, config) for stop in stops]
+    points = [profile.points for profiles in profiles_of for profile in profiles]
+    if (sum(map(bool, profiles_of)) < target_for(config).min_samples  # too few to tell
+            or len(set(map(len, points))) != 1):
         return
-    points = np.array([profile.points for profiles in read for profile in profiles])
-    returned = np.isfinite(points).all(axis=2)
-    live = np.flatnonzero(returned.any(axis=0))
-    gaps = np.flatnonzero(np.diff(live) > GAP_COLUMNS)
-    sides = live[[gaps, gaps + 1]]
+    returned = np.isfinite(points).all(axis=2)  # (profiles, columns)
+    seeing = np.flatnonzero(returned.any(axis=0))
+    gaps = np.flatnonzero(np.diff(seeing) > GAP_COLUMNS)
+    beside_gap = seeing[[gaps, gaps + 1]]
     # some stops see across it: else nothing was there, as between plates in the air
-    across = returned[:, sides].all(axis=1).sum(axis=0) >= FEWEST_STOPS * MOST_PROFILES
-    brinks = sides[:, across]
+    is_blind = returned[:, beside_gap].all(axis=1).sum(axis=0) >= FEWEST_STOPS * MOST_PROFILES
+    beside_blind = beside_gap[:, is_blind]
 
-    def at_a_brink(x: float, line: Array) -> bool:
-        column = np.nan_to_num(np.abs(line - x), nan=np.inf).argmin()
-        return bool(np.any(np.abs(brinks - column) <= GAP_COLUMNS))
+    def is_beside_blind(edge: EdgePoint, x: Array) -> bool:
+        column = np.nan_to_num(np.abs(x - edge.point[0]), nan=np.inf).argmin()
+        return bool(np.any(np.abs(beside_blind - column) <= GAP_COLUMNS))
 
-    ending = [stop for stop, profiles in zip(stops, read, strict=True) if stop.sample and profiles
-              and any(at_a_brink(edge.point[0], profiles[0].points[:, 0])
-                      for edge in stop.sample.features if isinstance(edge, EdgePoint))]
+    ending = [stop for stop, profiles in zip(stops, profiles_of, strict=True)
+              if stop.sample and profiles
+              and any(is_beside_blind(feature, profiles[0].points[:, 0])
+                      for feature in stop.sample.features if isinstance(feature, EdgePoint))]
     if ending:
         raise NotOfTargetError(
             ending, 'the end of a face where the sensor returns nothing at any stop, as through '
@@ -91,22 +96,24 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
     """
     if not target_for(config).essential:
         return
-    stops = np.array([s for s in session.stops if s.sample and not session.excludes(s)])
-    height, seen, agreeing = _heights_over_plane(stops, config)
-    levels, several = _levels(height), False
-    for level, at_level in levels:
-        shows_level = np.array([bool(np.any(_is_near(faces, level))) for faces in seen])
-        if (shows_level & ~at_level).sum() < FEWEST_STOPS:
+    stops = np.array([stop for stop in session.stops
+                      if stop.sample and not session.excludes(stop)])
+    at_edge, shown, agreeing = _heights_over_plane(stops, config)
+    levels, several = _levels(at_edge), False
+    for level, is_at_level in levels:
+        shows_level = np.array([bool(np.any(_is_near(heights, level))) for heights in shown])
+        if (shows_level & ~is_at_level).sum() < FEWEST_STOPS:
             continue  # only those that show both tell that there are two
-        several |= bool(at_level.sum() >= FEWEST_STOPS)
-        above = height[~at_level] - level
+        several |= bool(is_at_level.sum() >= FEWEST_STOPS)
+        above = at_edge[~is_at_level] - level
         # only wrong axes or a wrong sign make the ground beneath a face
-        if np.nanmedian(above) > 0 and _agree_on_target(stops[at_level], config):
-            raise NotOfTargetError(stops[~at_level], _told(above))
+        if np.nanmedian(above) > 0 and _agree_on_target(stops[is_at_level], config):
+            raise NotOfTargetError(stops[~is_at_level], _surface_in_words(above))
     if several and refusal.reason in ('misfit', 'edges'):
-        told = '; '.join(f'{(level - np.nanmin(height)) * 1e3:.1f} mm: {_numbers(stops[at_level])}'
-                         for level, at_level in levels)
-        why = f'they show edges at several heights ({told}), as of a clamp or a second plate'
+        listed = '; '.join(
+            f'{(level - np.nanmin(at_edge)) * 1e3:.1f} mm: {_numbers(stops[is_at_level])}'
+            for level, is_at_level in levels)
+        why = f'they show edges at several heights ({listed}), as of a clamp or a second plate'
     elif agreeing and refusal.reason == 'misfit':
         why = ('the ends of their faces lie on another object, such as a clamp or a second plate, '
                'the target moved in its plane or is not as target.type and target.size state, '
@@ -127,43 +134,36 @@ def _heights_over_plane(stops: NDArray[np.object_], config: Config
     number of stops that agree. Without such a plane there are no heights, and none agrees.
     """
     as_plane = with_settings(config, {'target.type': 'plane'})
-    planes = [result_of(thinned(stop, config), as_plane) for stop in stops]
-    fit = fit_of_samples([plane for plane in planes if isinstance(plane, Sample)],
-                                 as_plane, [plane.stamp for plane in planes], all_starts=True)
+    results = [result_of(thinned(stop, config), as_plane) for stop in stops]
+    fit = fit_of_samples([result for result in results if isinstance(result, Sample)], as_plane,
+                         [result.stamp for result in results], all_starts=True)
     if not fit.believable or not fit.within_noise:
         return np.full(len(stops), np.nan), [], 0
-    estimate = fit.parts[0].estimate
+    estimate = fit.solutions[0].estimate
     poses = mount_poses(np.array([stop.sample.T_base_flange for stop in stops]), config)
     T_plane_sensor = inverse(estimate.state.reshape(4, 4)) @ poses @ estimate.X
-    height = np.array([_heights(stop.sample, T)[0]
-                       for stop, T in zip(stops, T_plane_sensor, strict=True)])
-    seen = [_heights(plane, T) for plane, T in zip(planes, T_plane_sensor, strict=True)]
-    return height, seen, len(fit.left_out_squares)
+    at_edge = np.array([_face_heights(stop.sample, T)[0]
+                        for stop, T in zip(stops, T_plane_sensor, strict=True)])
+    shown = [_face_heights(result, T) for result, T in zip(results, T_plane_sensor, strict=True)]
+    return at_edge, shown, len(fit.left_out_squares)
 
 
-def _agree_on_target(stops: NDArray[np.object_], config: Config) -> bool:
-    """Return whether stops, however few, agree on the target as it is set."""
-    samples = with_common_shape([stop.sample for stop in stops])
-    return fit_of_samples(samples, config, [sample.stamp for sample in samples],
-                                  all_starts=True).agrees
+def _face_heights(result: Sample | Reject, T_plane_sensor: Array) -> Array:
+    """Return the heights (m) of faces over a plane, towards the sensor; NaN if not parallel."""
+    by_x, _, by_z, offset = T_plane_sensor[2] * np.sign(T_plane_sensor[2, 3])
+    return np.array([
+        by_x * face.centre[0] + by_z * face.centre[1] + offset
+        if abs(by_x * face.direction[0] + by_z * face.direction[1]) < LARGEST_INCLINATION
+        else np.nan for face in getattr(result, 'features', ()) if isinstance(face, FaceLine)])
 
 
-def _told(heights: Array) -> str:
-    """Return in words what has edges at heights (m) over the target, NaN if not parallel."""
-    lowest_highest = np.nanquantile(heights * 1e3, (0, 1))
-    told = ' to '.join(dict.fromkeys(f'{height:.1f}' for height in lowest_highest))
-    inclined = ' or inclined' if np.isnan(heights).any() else ''
-    return (f'the edge of another surface, {told} mm above that of the others{inclined}, such as '
-            'a clamp or a second plate')
-
-
-def _levels(height: Array) -> list[tuple[float, NDArray[np.bool_]]]:
-    """Return heights (m) that differ, and which of `height` (n,) are near each; most first."""
-    near = _is_near(height[:, None], height)
+def _levels(heights: Array) -> list[tuple[float, NDArray[np.bool_]]]:
+    """Return levels (m) that differ, and which of the heights (n,) are at each; most first."""
+    near = _is_near(heights[:, None], heights)
     levels: list[tuple[float, NDArray[np.bool_]]] = []
     for k in np.argsort(-near.sum(axis=1), kind='stable'):
-        if near[k].any() and not any(at_level[k] for _, at_level in levels):
-            levels.append((height[k], near[k]))
+        if near[k].any() and not any(is_at_level[k] for _, is_at_level in levels):
+            levels.append((heights[k], near[k]))
     return levels
 
 
@@ -171,14 +171,21 @@ def _is_near(heights: Array, level: Array | float) -> NDArray[np.bool_]:
     return np.asarray(np.abs(heights - level) < SMALLEST_DISTANCE)
 
 
+def _agree_on_target(stops: NDArray[np.object_], config: Config) -> bool:
+    """Return whether stops, however few, agree on the target as configured."""
+    samples = with_common_shape([stop.sample for stop in stops])
+    return fit_of_samples(samples, config, [sample.stamp for sample in samples],
+                          all_starts=True).agrees
+
+
+def _surface_in_words(heights: Array) -> str:
+    """Return in words what has edges at heights (m) over the target, NaN if not parallel."""
+    lowest_highest = np.nanquantile(heights * 1e3, (0, 1))
+    span = ' to '.join(dict.fromkeys(f'{height:.1f}' for height in lowest_highest))
+    inclined = ' or inclined' if np.isnan(heights).any() else ''
+    return (f'the edge of another surface, {span} mm above that of the others{inclined}, such as '
+            'a clamp or a second plate')
+
+
 def _numbers(stops: Iterable[Stop]) -> str:
     return 'stops ' + ', '.join(str(stop.number) for stop in stops)
-
-
-def _heights(result: Sample | Reject, T_plane_sensor: Array) -> Array:
-    """Return the heights (m) of faces over a plane, towards the sensor; NaN if not parallel."""
-    by_x, _, by_z, offset = T_plane_sensor[2] * np.sign(T_plane_sensor[2, 3])
-    return np.array([
-        by_x * face.centre[0] + by_z * face.centre[1] + offset
-        if abs(by_x * face.direction[0] + by_z * face.direction[1]) < LARGEST_INCLINATION
-        else np.nan for face in getattr(result, 'features', ()) if isinstance(face, FaceLine)])
