@@ -3,7 +3,8 @@
 """
 From a solution to its Calibration: transform, target, quality, residual of each sample, remarks.
 
-First the figures, then the nuisance parameters and what is said of them in words.
+First the figures (`calibration_of`), then the nuisance parameters (`block_estimates`) and the
+remarks on them in words (`notes_of`).
 """
 from __future__ import annotations
 
@@ -33,8 +34,8 @@ from handeye_ros.frames import mount_frame, name_direction, T_sensor_plane
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_POINTS = 200_000
-MOST_FOLDS = 20  # of the left-out check
+MOST_POINTS = 200_000  # measured points of which residuals are computed
+MOST_FOLDS = 20  # of the cross-validation
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
              'crosses the edge at too small an angle')
 CONTRADICTION_SIGMAS, NOTED_SIGMAS = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
@@ -55,19 +56,20 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
     if offset:  # to add to received stamps
         offset = replace(offset, value=problem.config.time_offset + offset.value)
     used = [samples[i] for i in solution.used]
-    measured, residuals, predicted = residuals_and_left_out(used, solution)
-    own = rms_by(measured.station, residuals, len(used)).tolist()
-    reports = [SampleReport(sample.stamp, True, edges, residual,
+    measured, residuals, left_out = residuals_and_left_out(used, solution)
+    rms_of_samples = rms_by(measured.station, residuals, len(used)).tolist()
+    reports = [SampleReport(sample.stamp, True, edges, rms_of_sample,
                             ONLY_FACE if problem.target.essential and not edges else '')
-               for sample, edges, residual in zip(used, edges_used(problem), own, strict=True)]
+               for sample, edges, rms_of_sample in zip(
+                   used, edges_used(problem), rms_of_samples, strict=True)]
     reports += [SampleReport(samples[i].stamp, False, reason='contradicts the other samples: its '
                              f'residual is {square ** 0.5:.1f} times what its noise explains')
                 for i, square in solution.dropped_squares.items()]
-    reports += [SampleReport(r.stamp, False, reason=r.reason) for r in rejects]
+    reports += [SampleReport(reject.stamp, False, reason=reject.reason) for reject in rejects]
     return assemble_calibration(
         config, problem.target.name, frame_id or 'laser',
         solution.estimate.X @ se3.inverse(T_sensor_plane(config)), solution.transform_covariance,
-        rms(residuals), rms(predicted), _described_target(solution, config),
+        rms(residuals), rms(left_out), _described_target(solution, config),
         sorted(reports, key=lambda report: report.stamp),
         {'warnings': list(warnings)} if warnings else {}, offset)
 
@@ -78,7 +80,7 @@ def assemble_calibration(config: Config, method: str, sensor_frame: str, T_flang
                          provenance: Mapping[str, Any], time_offset: ClockEstimate | None = None
                          ) -> Calibration:
     """
-    Return a calibration with its quality, by its statistics and the reports of all samples.
+    Return a calibration with its quality, from its parts and the reports of all samples.
 
     residual_rms, holdout_rms: of the residuals, and of those left out (m); provenance: beside
     version and config.
@@ -116,20 +118,21 @@ def _joint(solution: Solution) -> dict[str, Any]:
     as the data show them, so that errors in common cancel.
     """
     problem = solution.problem
-    size = 6 + len(problem.target.parameter_names)
-    C, rows = np.zeros((size, size)), problem.free_columns
-    C[np.ix_(rows, rows)] = solution.covariance[:solution.unknowns, :solution.unknowns]
-    return {'state': solution.estimate.state.tolist(), 'covariance': C.ravel().tolist(),
+    size, free = 6 + len(problem.target.parameter_names), problem.free_columns
+    covariance = np.zeros((size, size))
+    covariance[np.ix_(free, free)] = solution.covariance[:solution.unknowns, :solution.unknowns]
+    return {'state': solution.estimate.state.tolist(), 'covariance': covariance.ravel().tolist(),
             'variance_factor': solution.variance_factor}
 
 
 def edges_used(problem: Problem) -> list[str]:
     """Return for each station the edges of the target that it shows, in words."""
-    obs, target = problem.observations, problem.target
-    of_stations = np.split(obs.kind, np.searchsorted(obs.station, range(1, len(problem.poses))))
+    observations, target = problem.observations, problem.target
+    kinds_of_stations = np.split(
+        observations.kind, np.searchsorted(observations.station, range(1, len(problem.poses))))
     return [', '.join(dict.fromkeys(  # each once, in the order of the points
         target.kinds[kind] for kind in kinds if target.kinds[kind] in target.essential))
-        for kinds in of_stations]
+        for kinds in kinds_of_stations]
 
 
 def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
@@ -138,8 +141,8 @@ def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
     """
     Return the measured points of used samples, their residuals (k,) and those left out (k,).
 
-    The latter are against what the other folds of stations predict. fold: (n,) of each station,
-    counted from 0; by default each station is one, of many stations some share one.
+    A left-out residual is against what the other folds of stations predict. fold: (n,) of each
+    station, from 0; by default each station is a fold, of many stations some share one.
     """
     problem, n = solution.problem, len(used)
     measured = measured_points(used, problem)
@@ -147,11 +150,11 @@ def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
         fold = np.arange(n) % min(n, MOST_FOLDS)
     estimates, poses = solution.predictions(fold)
     p = measured.mapped(poses @ np.array([estimate.X for estimate in estimates])[fold])
-    of_point, left_out = fold[measured.station], np.empty(len(p))
+    fold_of_point, left_out = fold[measured.station], np.empty(len(p))
     for k, estimate in enumerate(estimates):
-        own = np.flatnonzero(of_point == k)
-        left_out[own] = problem.target.conditions(
-            p[own], measured.kind[own], estimate.state, problem.config).g
+        in_fold = np.flatnonzero(fold_of_point == k)
+        left_out[in_fold] = problem.target.conditions(
+            p[in_fold], measured.kind[in_fold], estimate.state, problem.config).g
     return measured, measured.residuals(
         problem, solution.estimate, solution.corrected_poses()), left_out
 
@@ -215,8 +218,8 @@ class BlockEstimate:
     """
     The first parameter of a block of nuisance parameters: its value and 1 sigma.
 
-    contradiction: of the value from the data alone with the stated one, in sigmas of both;
-    significance: of the value from the data alone, in its sigmas.
+    contradiction: of the value from the data alone, without the prior, with the stated one, in
+    sigmas of both; significance: of the value from the data alone, in its sigmas.
     """
 
     value: float
@@ -230,12 +233,13 @@ def block_estimates(solution: Solution) -> dict[str, BlockEstimate]:
     estimates = dict[str, BlockEstimate]()
     variances = np.diag(solution.covariance)[solution.unknowns:]
     for block, columns in with_columns(solution.blocks):
-        n, variance = float(solution.nuisance[columns][0]), float(variances[columns][0])
-        rest = max(1 - variance / solution.prior_scale(block) ** 2, 1e-9)  # without the prior
-        alone, of_alone = n / rest, variance / rest
-        estimates[block.name] = BlockEstimate(n * block.std, variance ** 0.5 * block.std,
-                                              alone / math.sqrt(1 + of_alone),
-                                              alone / math.sqrt(max(of_alone, 1e-300)))
+        value, variance = float(solution.nuisance[columns][0]), float(variances[columns][0])
+        # share of the information that is not the prior's
+        data_share = max(1 - variance / solution.prior_scale(block) ** 2, 1e-9)
+        data_value, data_variance = value / data_share, variance / data_share
+        estimates[block.name] = BlockEstimate(value * block.std, variance ** 0.5 * block.std,
+                                              data_value / math.sqrt(1 + data_variance),
+                                              data_value / math.sqrt(max(data_variance, 1e-300)))
     return estimates
 
 
@@ -245,8 +249,9 @@ def reported_parameters(solution: Solution) -> dict[str, Any]:
     estimates = block_estimates(conservative)
     for block in sorted(conservative.blocks, key=lambda block: block.count > 1):
         if block.report and block.count == 1:
-            one = estimates[block.name]
-            report |= {block.report: block.origin + one.value, f'{block.report}_std': one.std}
+            estimate = estimates[block.name]
+            report |= {block.report: block.origin + estimate.value,
+                       f'{block.report}_std': estimate.std}
         elif block.report:
             report[block.report] = math.hypot(report.get(block.report, 0.0),
                                               block.std * conservative.prior_scale(block))
@@ -255,11 +260,12 @@ def reported_parameters(solution: Solution) -> dict[str, Any]:
 
 def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
     """Return value and 1 sigma of a parameter of the clocks, None without it."""
-    best = block_estimates(solution).get(name)
-    if best is None:
+    estimate = block_estimates(solution).get(name)
+    if estimate is None:
         return None
-    conservative = block_estimates(solution.conservative)[name]
-    return ClockEstimate(best.value, math.hypot(conservative.std, conservative.value - best.value))
+    reported = block_estimates(solution.conservative)[name]
+    return ClockEstimate(estimate.value,
+                         math.hypot(reported.std, reported.value - estimate.value))
 
 
 def notes_of(solution: Solution, config: Config) -> Iterator[str]:
@@ -271,18 +277,18 @@ def notes_of(solution: Solution, config: Config) -> Iterator[str]:
                f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '
                'the transform is that of the plane which fits it best')
     yield from _measure_notes(solution, config)
-    if lost := lost_edges(solution):
-        yield lost
-    problem = solution.problem
-    target = problem.target
+    if unused_edges := lost_edges(solution):
+        yield unused_edges
+    problem, target = solution.problem, solution.problem.target
+    # the far edge of a plate, as p_far, shows its direction as the near one does
     seen = {target.kinds[k].partition('_')[0] for k in set(problem.observations.kind)}
     for edge in sorted({name.partition('_')[0] for name in target.essential} - seen):
         yield (f'no sample shows edge {edge} of the target: cross it too, or set target.type to '
                'line if the target has one edge only')
     shown = solution.full_problem.subset(solution.used).observations
-    other = ~np.isin(shown.error_source, problem.observations.error_source)
-    if not target.essential and other.any():
-        yield (f'{len(np.unique(shown.station[other]))} of {len(solution.used)} samples show '
+    unused = ~np.isin(shown.error_source, problem.observations.error_source)
+    if not target.essential and unused.any():
+        yield (f'{len(np.unique(shown.station[unused]))} of {len(solution.used)} samples show '
                f'other surfaces too than the {target.name} that was used in all of them')
 
 
@@ -305,25 +311,25 @@ def offset_notes(solution: Solution) -> Iterator[str]:
 
 def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the notes on measures of the target that contradict the configuration."""
-    target, state = solution.problem.target, solution.estimate.state
-    with_prior = target.stated_values(solution.problem.config)
-    best, estimates = block_estimates(solution), block_estimates(solution.conservative)
-    n = len(target.parameter_names)
-    values = dict(zip(target.parameter_names, state[-n:].tolist(), strict=True))
-    stds = dict(zip(target.parameter_names, solution.target_std[-n:].tolist(), strict=True))
+    target = solution.problem.target
+    stated_to_solver = target.stated_values(solution.problem.config)
+    estimates, reported = block_estimates(solution), block_estimates(solution.conservative)
+    names = target.parameter_names
+    values = dict(zip(names, solution.estimate.state[-len(names):].tolist(), strict=True))
+    stds = dict(zip(names, solution.target_std[-len(names):].tolist(), strict=True))
     # edge p may be either of the two stated lengths
     lengths = min((config.target.size, config.target.size[::-1]), key=lambda sizes: sum(
         abs(size - values[name]) for name, size in zip(PLATE_LENGTHS, sizes, strict=False)))
     for name, (stated, tolerance) in target.stated_values(config).items():
         value, std = values[name], stds[name]
-        if name in estimates:
-            stated, std = value - best[name].value, estimates[name].std
-            contradicts = abs(estimates[name].contradiction) > NOTED_SIGMAS
-            if with_prior[name][1] > tolerance:  # both lengths were freed, one may be right
-                stated = lengths[PLATE_LENGTHS.index(name)]
-                contradicts = abs(value - stated) > std
-        else:  # it was given up, to make the stations agree
+        if name not in reported:  # it was freed, to make the stations agree
             contradicts = abs(value - stated) > NOTED_SIGMAS * math.hypot(std, tolerance)
+        elif stated_to_solver[name][1] > tolerance:  # both lengths were freed, one may be right
+            stated, std = lengths[PLATE_LENGTHS.index(name)], reported[name].std
+            contradicts = abs(value - stated) > std
+        else:
+            stated, std = value - estimates[name].value, reported[name].std
+            contradicts = abs(reported[name].contradiction) > NOTED_SIGMAS
         if contradicts:
             unit, scale = ('degrees', math.degrees(1)) if 'angle' in name else ('mm', 1e3)
             yield (f'the {name.replace("_", " ")} of the target is {value * scale:.3f} +- '
@@ -337,8 +343,8 @@ def lost_edges(solution: Solution) -> str:
     if not len(stations):
         return ''
     shown = int(solution.full_problem.subset(solution.used).shows_essential.sum())
-    lost = solution.full_problem.subset(stations)
-    where = lost.target.describe_strays(lost.observations, lost.points_in_base(estimate.X),
-                                        estimate.state, lost.config)
+    unused = solution.full_problem.subset(stations)
+    where = unused.target.describe_strays(unused.observations, unused.points_in_base(estimate.X),
+                                          estimate.state, unused.config)
     return (f'the edges of {len(stations)} of the {shown} samples that show one lie on none of '
             'the target' + (f': {where}' if where else ''))

@@ -1,11 +1,12 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-From profiles and poses to the hand-eye transform: the whole way.
+From profiles and poses to the hand-eye transform: the algorithm on one page.
 
-`gather` turns a recording into samples, `answer_samples` the samples into a calibration or a
-refusal. The command line, the node, the review of samples, the guidance and the report all read
-that answer.
+`gather` turns a recording into samples (what each stop of the robot shows), `answer_samples` the
+samples into an `Answer` in ten steps: a calibration, or a refusal. The command line, the node, the
+review of samples, the guidance and the report all read that answer. A function `require_...`
+raises a refusal (DataError) where what it names is missing, and else does nothing.
 """
 from __future__ import annotations
 
@@ -68,10 +69,10 @@ class Answer:
 
     samples: in the order of the stations that were solved, for a sweep with the poses at the
         estimated time offset
-    solution: of those that agree, however uncertain, None where none can be started
-    samples_agree: whether the samples agree with it
+    solution: the last one, however uncertain; None where the steps ended before the first
+    samples_agree: whether the samples agree with the solution (steps 6 and 7)
     calibration: None where it is refused
-    refusal: why, None where it is not
+    refusal: why, None where there is a calibration
     """
 
     samples: Sequence[Sample]
@@ -162,67 +163,70 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
     session: the stops they come from, in which the cause of a refusal is searched; warnings: of
     the recording, if no session is given.
     """
-    ordered: Sequence[Sample] = sorted(samples, key=lambda sample: sample.stamp)
+    samples = sorted(samples, key=lambda sample: sample.stamp)
     target, rng = targets.target_for(config), np.random.default_rng(SEED)
-    solution, calibration, refusal, agree = None, None, None, False
-    stated = Fit(())
+    solution, calibration, refusal, samples_agree = None, None, None, False
+    baseline = Fit(())  # how well the samples fit as configured: nothing is known yet
     try:
-        # 1. Move each edge to where face and wall meet, by the shape common to all stops.
-        ordered = with_common_shape(ordered)
-        # 2. Refuse what no solver can answer: the sensor's frame, too few samples, no rotation.
+        # 1. Edges: move each edge point to where face and wall meet, by the rounding or bevel that
+        # all stops have in common.
+        samples = with_common_shape(samples)
+        # 2. Preconditions: refuse a sensor with the frame of the robot, too few samples, and poses
+        # that do not turn about two axes.
         require_distinct_frame(frame_id, config)
-        require_samples(ordered, rejects, target)
-        require_rotations(mount_poses_of(ordered, config), mount_frame(config), target.one_axis)
-        # 3. Of a sweep, find the offset between the clocks: it gives each profile its pose.
-        synced = with_estimated_clocks(ordered, config)
-        ordered, rejects = synced.samples, [*rejects, *synced.rejects]
-        # 4. Linear starts, graduated non-convexity, and outliers dropped one by one.
-        problem = synced.problem or problem_of_known_poses(ordered, config)
+        require_samples(samples, rejects, target)
+        require_rotations(mount_poses_of(samples, config), mount_frame(config), target.one_axis)
+        # 3. Synchronisation of a sweep: the time offset gives each profile its pose.
+        synced = with_estimated_clocks(samples, config)
+        samples, rejects = synced.samples, [*rejects, *synced.rejects]
+        # 4. Robust estimate: linear starts, graduated non-convexity, outlier rejection.
+        problem = synced.problem or problem_of_known_poses(samples, config)
         solution = robust_solution(problem, rng, subsets=True, start=synced.estimate)
-        # 5. Estimate a stated shape of the target where only this makes the samples agree.
+        # 5. Shape of the target: estimate it where only this makes the samples agree.
         solution = with_free_shape_if_needed(problem, solution, rng, synced.estimate)
-        # 6. Refuse samples that do not agree, or agree far better under another assumption, and
-        # name the assumption that is wrong, if it is certain.
-        stated = Fit.of_solutions([sample.stamp for sample in ordered], solution)
-        require_agreement(ordered, solution, stated)
-        # 7. Estimate all systematic errors with their scales, and the noise; outliers again; the
-        # lengths of the target where they are stated wrongly. Refuse clocks that jumped, and
-        # scales that differ.
+        # 6. Consistency: refuse samples that contradict each other, or fit decisively better under
+        # another assumption (a hypothesis), which the refusal names.
+        baseline = Fit.of_solutions([sample.stamp for sample in samples], solution)
+        require_agreement(samples, solution, baseline)
+        # 7. Refinement: least squares with all systematic errors as nuisance parameters, their
+        # scales and the noise estimated; outlier rejection again; lengths of the target where they
+        # are stated wrongly. Refuse clocks that jumped, and lengths that differ in scale.
         solution = with_free_size_if_needed(with_systematic_errors(solution))
         require_steady_clocks(solution)
         require_one_scale(solution)
-        agree = True
-        if config.kinematics:  # a corrected arm, which has errors of its own
+        samples_agree = True
+        # 8. Uncertainty: add that of a corrected arm and of a possible move. Refuse an answer that
+        # cannot be tested, has a twin turned by half, is too uncertain or ignores the edges seen.
+        if config.kinematics:
             solution = with_arm_errors(solution, Path(config.kinematics))
-        # 8. Refuse an answer that cannot be tested, has a twin turned by half, is uncertain or
-        # ignores what was seen.
         require_tested(solution)
         require_no_half_turn_twin(solution)
-        solution, warning = with_possible_move(solution)  # a move makes the answer uncertain
+        solution, move_warning = with_possible_move(solution)
         require_certain(solution.transform_covariance, config,
-                        warning or missing_motion(solution, config), solution.linear.lever)
+                        move_warning or missing_motion(solution, config), solution.linear.lever)
         require_edges(solution)
-        # 9. Predict each sample from the others.
-        warnings = session.warnings if session else warnings
-        assembled = calibration_of(ordered, rejects, solution, config, frame_id,
-                                   [*filter(None, [warning]), *warnings])
-        require_left_out(assembled.quality.holdout_rms, assembled.quality.residual_rms,
+        # 9. Cross-validation: predict each sample from the others.
+        candidate = calibration_of(
+            samples, rejects, solution, config, frame_id,
+            [*filter(None, [move_warning]), *(session.warnings if session else warnings)])
+        require_left_out(candidate.quality.holdout_rms, candidate.quality.residual_rms,
                          config.limits.residual)
-        calibration = assembled
+        calibration = candidate
     except DataError as error:
-        # 10. Without a certain cause, ask whether other settings or clocks explain the stops;
-        # those that show another surface are left out.
-        refusal = with_known_cause(error, stated, session, config) if session else error
+        # 10. Diagnosis of a refusal without a certain cause: do other settings or clocks explain
+        # the stops? Stops that show another surface are left out, if the others carry an answer.
+        refusal = with_known_cause(error, baseline, session, config) if session else error
         if session and isinstance(refusal, NotOfTargetError):
-            others = _answer_without(refusal, session, config)
-            if others.calibration:
-                return others
-    return Answer(ordered, solution, agree, calibration, refusal)
+            answer = _answer_without_stops(refusal, session, config)
+            if answer.calibration:
+                return answer
+    return Answer(samples, solution, samples_agree, calibration, refusal)
 
 
-def _answer_without(found: NotOfTargetError, session: Session, config: Config) -> Answer:
-    """Return the answer from the stops of a session that do not show another surface."""
-    rejects = [Reject(stamp, f'shows {found.why}') for stamp in found.stamps]
-    others = [sample for sample in session.samples if sample.stamp not in found.stamps]
-    return answer_samples(others, [*session.rejects, *rejects], config, session.frame_id,
-                          warnings=[*session.warnings, found.warning])
+def _answer_without_stops(not_of_target: NotOfTargetError, session: Session, config: Config
+                          ) -> Answer:
+    """Return the answer of a session without the stops that do not show the target."""
+    rejects = [Reject(stamp, f'shows {not_of_target.why}') for stamp in not_of_target.stamps]
+    samples = [sample for sample in session.samples if sample.stamp not in not_of_target.stamps]
+    return answer_samples(samples, [*session.rejects, *rejects], config, session.frame_id,
+                          warnings=[*session.warnings, not_of_target.warning])
