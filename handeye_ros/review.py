@@ -61,17 +61,17 @@ def solved_recording(calibration: Calibration, bag: Path | None, folder: Path = 
     stops = [stop_snapshot(stop, config) for stop in session.stops]
     if answer.calibration is None:
         return SolvedRecording(tuple(stops), refusal=str(answer.refusal or ''))
-    agreement_of = agreements(session, answer, config)
+    agreement_of_stop = agreements(session, answer, config)
     reasons = {report.stamp: report.reason for report in answer.calibration.samples
                if not report.used}
 
-    def judged(stop: StopSnapshot) -> StopSnapshot:
-        agreement = agreement_of.get(stop.number)
+    def with_verdict(stop: StopSnapshot) -> StopSnapshot:
+        agreement = agreement_of_stop.get(stop.number)
         if agreement and agreement.used:
             return replace(stop, reason='', agreement=agreement)
         reason = reasons.get(stop.stamp, stop.reason)
         return replace(stop, reason=reason or 'the answer uses few of its profiles')
-    return SolvedRecording(tuple(map(judged, stops)), answer.calibration)
+    return SolvedRecording(tuple(map(with_verdict, stops)), answer.calibration)
 
 
 def recording_of(calibration: Calibration, folder: Path) -> Path:
@@ -102,9 +102,9 @@ def stop_snapshot(stop: Stop, config: Config) -> StopSnapshot:
     else:
         T = se3.of_pose(stop.poses[len(stop.poses) // 2])
     points = np.empty((0, 2))
-    profile = min(stop.profiles, key=lambda p: abs(p.stamp - stamp), default=None)
+    nearest = min(stop.profiles, key=lambda profile: abs(profile.stamp - stamp), default=None)
     with suppress(UnusableMessageError):
-        points = profile.read(config.profile).points if profile else points
+        points = nearest.read(config.profile).points if nearest else points
     return StopSnapshot(stop.number, stamp, mount_poses(T, config), points,
                         sample.features if sample else (), getattr(stop.result, 'reason', ''))
 
@@ -113,59 +113,68 @@ def agreements(session: Session, answer: Answer, config: Config) -> dict[int, Ag
     """
     Return how each sample of a session agrees with its answer, by the number of the stop.
 
-    Also of samples that are left out of the answer. Without one that shows nothing of the target;
-    none where the answer has no solution.
+    Samples that the answer does not use are compared with it too; samples of which no point lies
+    on the target are missing, and all where the answer has no solution.
     """
     solution = answer.solution
     if solution is None:
         return {}
     sample_of = {stop.number: stop.sample for stop in session.stops if stop.sample}
     samples, n = [*sample_of.values()], len(sample_of)
-    owner = {part.stamp: k for k, sample in enumerate(samples) for part in sample.station_samples}
-    stations = np.array([owner[part.stamp] for part in answer.samples])
-    of_used = stations[solution.used]
+    # index of the sample that each station of the answer, and each that it uses, comes from
+    index_of = {station.stamp: k for k, sample in enumerate(samples)
+                for station in sample.station_samples}
+    sample_of_station = np.array([index_of[station.stamp] for station in answer.samples])
+    sample_of_used = sample_of_station[solution.used]
     # a pass is used if the answer uses most of its profiles
-    by_answer = 2 * np.bincount(of_used, minlength=n) >= np.maximum(
-        np.bincount(stations, minlength=n), 1)
-    fold = np.unique(of_used, return_inverse=True)[1].reshape(-1)
-    measured, *both = residuals_and_left_out(
+    is_used = 2 * np.bincount(sample_of_used, minlength=n) >= np.maximum(
+        np.bincount(sample_of_station, minlength=n), 1)
+    # each sample is predicted from the others, of a pass with all of its profiles
+    fold = np.unique(sample_of_used, return_inverse=True)[1].reshape(-1)
+    measured, *residuals_of_points = residuals_and_left_out(
         [answer.samples[i] for i in solution.used], solution, fold)
-    residual, predicted = (rms_by(of_used[measured.station], r, n) for r in both)
-    if not fold.any():
-        predicted = residual.copy()
-    others = np.flatnonzero(~by_answer)
-    residual[others] = predicted[others] = _of_others(
-        [samples[k] for k in others], answer.samples[0].clock_values, solution, config)
-    return {number: Agreement(float(residual[k]), float(predicted[k]), bool(by_answer[k]))
+    residual, left_out = (rms_by(sample_of_used[measured.station], of_points, n)
+                          for of_points in residuals_of_points)
+    if not fold.any():  # a single one
+        left_out = residual.copy()
+    unused = np.flatnonzero(~is_used)
+    residual[unused] = left_out[unused] = _residuals_of_unused(
+        [samples[k] for k in unused], answer.samples[0].clock_values, solution, config)
+    return {number: Agreement(float(residual[k]), float(left_out[k]), bool(is_used[k]))
             for k, number in enumerate(sample_of) if not np.isnan(residual[k])}
 
 
-def _of_others(samples: Sequence[Sample], clock_values: Sequence[float], solution: Solution,
-               config: Config) -> Array:
-    """Return the RMS residual (n,) of samples that a solution does not use, NaN without points."""
-    ones = list(passes_expanded(samples))
-    number = np.repeat(np.arange(len(samples)), [len(s.station_samples) for s in samples])
-    if any(sample.moving for sample in ones):
-        instants = ClockedPoses.of(ones).at(*clock_values)
-        ones = [replace(sample, T_base_flange=T) for sample, T, inside in zip(
-            ones, instants.T_base_flange, instants.inside, strict=True) if inside]
-        number = number[instants.inside]
-    if not ones:
+def _residuals_of_unused(samples: Sequence[Sample], clock_values: Sequence[float],
+                         solution: Solution, config: Config) -> Array:
+    """
+    Return the RMS residual (n,) of samples that a solution does not use, NaN without points.
+
+    clock_values: of a moving robot, as the solution has estimated them.
+    """
+    stations = list(passes_expanded(samples))
+    sample_of_station = np.repeat(np.arange(len(samples)),
+                                  [len(sample.station_samples) for sample in samples])
+    if any(station.moving for station in stations):
+        instants = ClockedPoses.of(stations).at(*clock_values)
+        stations = [replace(station, T_base_flange=T) for station, T, inside in zip(
+            stations, instants.T_base_flange, instants.inside, strict=True) if inside]
+        sample_of_station = sample_of_station[instants.inside]
+    if not stations:
         return np.full(len(samples), np.nan)
-    problem = reassigned(problem_of_known_poses(ones, config), solution.estimate)
-    measured = measured_points(ones, problem)
-    return rms_by(number[measured.station], measured.residuals(problem, solution.estimate),
-                  len(samples))
+    problem = reassigned(problem_of_known_poses(stations, config), solution.estimate)
+    measured = measured_points(stations, problem)
+    return rms_by(sample_of_station[measured.station],
+                  measured.residuals(problem, solution.estimate), len(samples))
 
 
 def samples_table(session: Session, answer: Answer, config: Config) -> Table:
     """Return the table of the stops of a session, the worst left-out residual first."""
-    agreement_of, rows = agreements(session, answer, config), []
-    worst = {number: -agreement.left_out for number, agreement in agreement_of.items()}
-    for stop in sorted(session.stops, key=lambda stop: (worst.get(stop.number, 1.0), stop.number)):
-        agreement = agreement_of.get(stop.number)
+    agreement_of_stop, rows = agreements(session, answer, config), []
+    order = {number: -agreement.left_out for number, agreement in agreement_of_stop.items()}
+    for stop in sorted(session.stops, key=lambda stop: (order.get(stop.number, 1.0), stop.number)):
+        agreement = agreement_of_stop.get(stop.number)
         residuals = [''] * 2 if agreement is None else [
-            f'{r * 1e3:.3f} mm' for r in (agreement.residual, agreement.left_out)]
+            f'{metres * 1e3:.3f} mm' for metres in (agreement.residual, agreement.left_out)]
         state = ('no sample' if stop.sample is None else 'excluded' if session.excludes(stop) else
                  'not believed' if agreement and not agreement.used else '')
         rows.append((str(stop.number), *residuals, state, sample_summary(stop.result)))

@@ -26,8 +26,8 @@ class Entry:
     One calibration of a trend.
 
     recorded: time of its first sample, or of its solution where that is unknown
-    difference: (6,) to the first
-    std: (6,) of it, by both covariances
+    difference: (6,) of the transform to the first (x y z rx ry rz; m, rad)
+    std: (6,) its 1 sigma, by both covariances
     p_first, p_before: p-values of the difference to the first, and to the previous one
     residual: RMS (m)
     """
@@ -85,17 +85,18 @@ def _frames(calibration: Calibration) -> str:
 def _compared(a: Calibration, b: Calibration) -> tuple[Array, Array, float]:
     """Return the difference of a from b (6,), its 1 sigma (6,) and p-value."""
     difference = se3.difference(a.T_flange_sensor, b.T_flange_sensor)
-    C = a.covariance + b.covariance
-    p = float(chi2_sf(difference @ np.linalg.solve(C, difference), 6))
-    return difference, np.sqrt(np.diag(C)), p
+    covariance = a.covariance + b.covariance
+    p_value = float(chi2_sf(difference @ np.linalg.solve(covariance, difference), 6))
+    return difference, np.sqrt(np.diag(covariance)), p_value
 
 
 def table(entries: Sequence[Entry]) -> Table:
     """Return the trend as a table."""
-    rows = ((e.recorded, *(f'{v * 1e3:.3f}' for v in e.difference[:3]),
-             f'{np.degrees(np.linalg.norm(e.difference[3:])):.4f}', f'{e.p_first:.3g}',
-             f'{e.p_before:.3g}', 'CHANGED' if e.p_before < CHANGED_P else
-             'watch' if min(e.p_before, e.p_first) < WATCH_P else '') for e in entries)
+    rows = ((entry.recorded, *(f'{metres * 1e3:.3f}' for metres in entry.difference[:3]),
+             f'{np.degrees(np.linalg.norm(entry.difference[3:])):.4f}', f'{entry.p_first:.3g}',
+             f'{entry.p_before:.3g}', 'CHANGED' if entry.p_before < CHANGED_P else
+             'watch' if min(entry.p_before, entry.p_first) < WATCH_P else '')
+            for entry in entries)
     return figures_table(
         'recorded', 'x [mm]', 'y [mm]', 'z [mm]', 'rotation [degrees]', 'p to the first',
         'p to the previous', '', rows=rows, right=range(7), title='differences from the first')
@@ -103,9 +104,10 @@ def table(entries: Sequence[Entry]) -> Table:
 
 def since_when(entries: Sequence[Entry]) -> str:
     """Return a sentence on the first change between consecutive calibrations."""
-    for e in entries:
-        if e.p_before < CHANGED_P:
-            return f'the calibration changed between {e.recorded or e.path} and the previous one'
+    for entry in entries:
+        if entry.p_before < CHANGED_P:
+            return (f'the calibration changed between {entry.recorded or entry.path} and the '
+                    'previous one')
     return 'no calibration differs from the previous one by more than their uncertainties explain'
 
 
@@ -114,5 +116,5 @@ def csv_text(entries: Sequence[Entry]) -> str:
     return output.csv_text(
         ('recorded', 'path', *AXES, *(f'{axis}_std' for axis in AXES), 'p_first', 'p_before',
          'residual'),
-        ((e.recorded, e.path, *e.difference, *e.std, e.p_first, e.p_before, e.residual)
-         for e in entries))
+        ((entry.recorded, entry.path, *entry.difference, *entry.std, entry.p_first,
+          entry.p_before, entry.residual) for entry in entries))

@@ -210,14 +210,14 @@ class _Move:
     def may_be_robot_error(self) -> bool:
         """Return whether the points seen move no more than the robot's smooth error may be."""
         shifts = self.step[:3] + np.cross(self.step[3:], _levers(self.moved)[self.body])
-        # the smaller estimate of that error, which a move can only explain
+        # the smaller estimate of that error, as a move can only explain it
         smooth = min(max((block.std * each.prior_scale(block) for block in each.blocks
                           if block.name == 'robot_smooth'), default=0.0)
                      for each in (self.moved, self.unmoved))
-        stated = self.solution.full_problem.config.noise.robot_smooth
-        # of a sweep it is smooth in time, as a move is
-        least = max(LEAST_MOVE_SIGMAS * smooth, stated if _is_sweep(self.solution) else 0.0)
-        return rms(np.linalg.norm(shifts, axis=1)) < least
+        smallest = LEAST_MOVE_SIGMAS * smooth
+        if _is_sweep(self.solution):  # its error is smooth in time, as a move is
+            smallest = max(smallest, self.solution.full_problem.config.noise.robot_smooth)
+        return rms(np.linalg.norm(shifts, axis=1)) < smallest
 
     def permutation_p_value(self) -> float:
         """Return the share of random orders of the stations that show as clear a move."""
@@ -257,7 +257,7 @@ def _likeliest_move(solution: Solution) -> _Move | None:
     if factors.max() < -WARNING_EVIDENCE:
         return None
     first_tried = moments[np.argsort(-factors, axis=0)[:max(STATIONS_TRIED // n, 1)]]
-    all_moments = np.arange(_margin(solution), n - _margin(solution) + 1)
+    all_moments = _moments(solution, n)
     tried = dict[tuple[int, int], Solution]()
     for (_, body), first in np.ndenumerate(first_tried):
         station = int(first)

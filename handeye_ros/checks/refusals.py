@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-What is refused, in the order of a solve.
+What is refused without a hypothesis about its cause, in the order of a solve.
 
 Samples without an answer (frame, number, rotations); samples that no answer fits; answers that
 cannot be tested, that are too uncertain, or that leave out what the samples show.
@@ -140,33 +140,35 @@ def require_tested(solution: Solution) -> None:
     Also if a sample is probably wrong, and without it too few conditions would remain or others
     may be wrong too.
     """
-    used, dropped, left = len(solution.used), len(solution.dropped_squares), solution.redundancy
-    needed = FEWEST_REDUNDANT * (1 + dropped) + bool(dropped)
-    if left < needed:
-        lost = f' ({dropped} of them contradict the others)' if dropped else ''
+    used, dropped = len(solution.used), len(solution.dropped_squares)
+    redundancy, needed = solution.redundancy, FEWEST_REDUNDANT * (1 + dropped) + bool(dropped)
+    if redundancy < needed:
+        why = f' ({dropped} of them contradict the others)' if dropped else ''
         raise UnexplainedError(
-            f'{used + dropped} usable samples{lost} give only {left} redundant equations; at '
+            f'{used + dropped} usable samples{why} give only {redundancy} redundant equations; at '
             f'least {needed} are needed: take more samples at new poses', reason='few')
-    each = int(solution.ranks.max())
-    missing = FEWEST_REDUNDANT * (2 + dropped) + 1 - (left - each)
-    not_all_found = (solution.probability_wrong > SURELY_WRONG_P and dropped > 1
-                     and solution.full_problem.ambiguous)
-    if not_all_found or (solution.probability_wrong > LARGEST_P_WRONG and missing > 0):
+    # if one more sample were dropped
+    per_sample = int(solution.ranks.max())
+    missing = FEWEST_REDUNDANT * (2 + dropped) + 1 - (redundancy - per_sample)
+    others_wrong_too = (solution.probability_wrong > SURELY_WRONG_P and dropped > 1
+                        and solution.full_problem.ambiguous)
+    if others_wrong_too or (solution.probability_wrong > LARGEST_P_WRONG and missing > 0):
         raise UnexplainedError(
             f'these {used} samples contradict each other: either the robot is less accurate than '
             'noise.robot_smooth states, or at least one sample is wrong (a pose wrong by about a '
             'millimetre, or another surface); so few samples cannot show which: take '
-            f'{max(1, -(-missing // each))} more at new poses, or repeat them all',
+            f'{max(1, -(-missing // per_sample))} more at new poses, or repeat them all',
             reason='outlier')
 
 
 def require_no_half_turn_twin(solution: Solution) -> None:
     """Raise DataError for views so much alike that a sensor turned by half would see the same."""
-    place, off = solution.problem.target.half_turn_misfit(solution.linear)
-    allowed = solution.full_problem.config.limits.residual  # a larger one has other causes
-    if 2 * off < TWIN_RATIO * min(solution.residual_rms, allowed):
+    place, misfit = solution.problem.target.half_turn_misfit(solution.linear)
+    # a larger residual has other causes
+    residual = min(solution.residual_rms, solution.full_problem.config.limits.residual)
+    if 2 * misfit < TWIN_RATIO * residual:
         raise DataError(
-            f'all samples show the target {place} of the view (within {mm(off)}), and a sensor '
+            f'all samples show the target {place} of the view (within {mm(misfit)}), and a sensor '
             f'turned by half about it would see the same: {SHOW_ALL_OF_THE_VIEW}', reason='views')
 
 
@@ -184,25 +186,25 @@ def require_certain(covariance: Array, config: Config, advice: str, seen: Array 
     if seen is not None:
         errors.append(('place of the points that the samples show, along', 'points', mm,
                        worst_translation(mapped_covariance(seen, covariance))))
-    for what, key, shown, (std, direction) in errors:
+    for what, key, with_unit, (std, direction) in errors:
         limit = getattr(config.limits, key)
         if not std <= limit:
-            words = f'uncertain by {shown(std)} (1 sigma; ' if std < 1 else 'not determined ('
+            how = f'uncertain by {with_unit(std)} (1 sigma; ' if std < 1 else 'not determined ('
             raise DataError(
-                f'the {what} {name_direction(direction, mount_frame(config))} is {words}limits.'
-                f'{key} is {shown(limit)}): {advice}', reason='uncertain')
+                f'the {what} {name_direction(direction, mount_frame(config))} is {how}limits.'
+                f'{key} is {with_unit(limit)}): {advice}', reason='uncertain')
 
 
 def missing_motion(solution: Solution, config: Config) -> str:
     """Return in words the motion that the samples lack, or that a corrected arm limits them."""
-    reported, arm = solution.transform_covariance, solution.added_covariances.get(CORRECTED_ARM)
-    whole = worst_translation(reported)[0]
-    if arm is not None and worst_translation(reported - arm)[0] < whole / 2:
+    reported, of_arm = solution.transform_covariance, solution.added_covariances.get(CORRECTED_ARM)
+    if of_arm is not None and (worst_translation(reported - of_arm)[0]
+                               < worst_translation(reported)[0] / 2):
         return ('most of that comes from the corrected arm: correct it again with more samples '
                 '(handeye kinematics), in configurations like those of these')
     problem, frame = solution.problem, mount_frame(config)
-    known = worst_rotation(solution.reported_covariance)[0] <= config.limits.rotation
-    if known and (views_alike := problem.target.views_alike(problem, solution.estimate)):
+    rotation_known = worst_rotation(solution.reported_covariance)[0] <= config.limits.rotation
+    if rotation_known and (views_alike := problem.target.views_alike(problem, solution.estimate)):
         return views_alike
     turns, axes = rms_turns_and_axes(solution.full_problem.poses)
     if turns[1] > 0.12:  # rad RMS: tilts by 12 degrees to both sides
