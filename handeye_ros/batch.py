@@ -104,9 +104,9 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
         raise InputError(f'no recording in {" ".join(sources)}: give bags, folders of bags, or a '
                          'CSV list of them')
     labels = [Path(job.label) for job in jobs]
-    taken = Counter(folder for label in labels for folder in (label, *label.parents))
+    uses = Counter(folder for label in labels for folder in (label, *label.parents))
     for label in labels:  # results replace the folder of their label
-        if not label.parts or taken[label] > 1 or label.is_absolute() or '..' in label.parts:
+        if not label.parts or uses[label] > 1 or label.is_absolute() or '..' in label.parts:
             raise InputError(f'the label "{label}" is no folder of its own inside that of the '
                              'results: give other labels in a CSV list (bag,label)')
     return jobs
@@ -152,9 +152,9 @@ def _listed(path: Path, base: Job) -> Iterator[Job]:
                          'with a value in each row, and, if wanted, label, config, settings, args')
     for values in zip(*map(table.text, table.columns), strict=True):
         row = dict(zip(table.columns, values, strict=True))
-        own = words_of(row.get('args', ''), row.get('config'), row.get('settings', '').split(),
-                       folder)
-        yield replace(base, bag=str(folder / row['bag']), words=(*base.words, *own),
+        further = words_of(row.get('args', ''), row.get('config'), row.get('settings', '').split(),
+                           folder)
+        yield replace(base, bag=str(folder / row['bag']), words=(*base.words, *further),
                       label=row.get('label') or _label_of(Path(row['bag'])))
 
 
@@ -195,20 +195,22 @@ def results_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'loc
         if folder.exists() and not (folder / JOB_FILE).is_file():
             raise InputError(f'{folder} is there and holds no result of batch, so it is not '
                              'replaced: name another folder with --out')
-        if above := [one for one in folder.parents if (one / JOB_FILE).is_file()]:
-            raise InputError(f'{folder} would be inside the result {above[0]}, and be lost with '
+        if results := [parent for parent in folder.parents if (parent / JOB_FILE).is_file()]:
+            raise InputError(f'{folder} would be inside the result {results[0]}, and be lost with '
                              'it: name another folder with --out')
-    known = [unchanged(job, out) for job in jobs]
-    yield from filter(None, known)
-    pending = [job for job, row in zip(jobs, known, strict=True) if row is None]
+    earlier_rows = [unchanged(job, out) for job in jobs]
+    yield from filter(None, earlier_rows)
+    pending = [job for job, row in zip(jobs, earlier_rows, strict=True) if row is None]
     if not pending:
         return
     with client_of(scheduler) as workers:
         from distributed import as_completed
-        by_future = dict(zip(workers.map(partial(run, out=out, verb=verb), pending, pure=False),
-                             pending, strict=True))
-        for future, result in as_completed(by_future, with_results=True, raise_errors=False):
-            job, error = by_future.pop(future), future.exception()
+        # an entry is given up with its result, as a future that is held keeps it in memory
+        job_of_future = dict(zip(
+            workers.map(partial(run, out=out, verb=verb), pending, pure=False), pending,
+            strict=True))
+        for future, result in as_completed(job_of_future, with_results=True, raise_errors=False):
+            job, error = job_of_future.pop(future), future.exception()
             yield result if error is None else {
                 'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': CRASH_EXIT_CODE,
                 'cause': f'{type(error).__name__}: {error}', 'computed': True}

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 import math
 import time
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.calibration import measured_points
@@ -91,24 +91,36 @@ class ComparedStations:
     def residuals(self, X: Array, fitted: NDArray[np.intp], measured: NDArray[np.intp]) -> Array:
         """Return distances (m) of `measured` stations for X, the target fitted to `fitted`."""
         part = self.problem.subset(fitted)
-        given = _GivenTransform(part.target, part.poses, part.observations, part.config)
+        target_alone = _TargetProblem(part.target, part.poses, part.observations, part.config)
         estimate = least_squares_fit(
-            given, Estimate(X, self.estimate.state), self.noise).estimate
+            target_alone, Estimate(X, self.estimate.state), self.noise).estimate
         points = measured_points(self.samples, self.problem)
         return points.residuals(self.problem, estimate)[np.isin(points.station, measured)]
 
 
-class _GivenTransform(Problem):
-    """A problem with only the target unknown."""
+class _TargetProblem(Problem):
+    """A problem with only the target unknown, and the transform given."""
 
     @property
     def free_columns(self) -> NDArray[np.intp]:
         return super().free_columns[6:]
 
 
-Given: TypeAlias = ComparedStations | PairedRows
-# of the target's own method: what it believes, its transform, why that is no answer
-Own: TypeAlias = tuple[Given, Array, DataError | None]
+ComparedData: TypeAlias = ComparedStations | PairedRows
+
+
+class OwnAnswer(NamedTuple):
+    """
+    What the target's own method answers.
+
+    data: that it believes, and all estimators are given
+    X: (4, 4), from the mount to the sensor plane
+    refusal: why that is no answer, or None
+    """
+
+    data: ComparedData
+    X: Array
+    refusal: DataError | None
 
 
 @dataclass(frozen=True)
@@ -137,9 +149,11 @@ def _by_method(name: str) -> Callable[[ComparedStations], Array]:
 
 def _edges(stations: ComparedStations) -> tuple[Array, Array, Array]:
     """Return poses (n, 4, 4), points (n, 2) and edges (n,) of the points of a plate's edges."""
-    obs = stations.problem.observations
-    obs = obs.select((obs.kind == plate.P) | (obs.kind == plate.Q))
-    return stations.problem.poses[obs.station], obs.points, np.array(plate.KINDS)[obs.kind]
+    observations = stations.problem.observations
+    on_edges = observations.select(
+        (observations.kind == plate.P) | (observations.kind == plate.Q))
+    return (stations.problem.poses[on_edges.station], on_edges.points,
+            np.array(plate.KINDS)[on_edges.kind])
 
 
 def _ball(stations: ComparedStations) -> tuple[Array, Array]:
@@ -148,8 +162,8 @@ def _ball(stations: ComparedStations) -> tuple[Array, Array]:
     if radius <= 0:
         raise SingularError('the fixed point', 'it needs the radius of the sphere; set '
                             'target.radius')
-    arcs = [(i, f) for i, sample in enumerate(stations.samples) for f in sample.features
-            if isinstance(f, Arc)]
+    arcs = [(i, feature) for i, sample in enumerate(stations.samples)
+            for feature in sample.features if isinstance(feature, Arc)]
     poses = stations.problem.poses[[i for i, _ in arcs]]
     T_plane_base = se3.inverse(poses @ stations.estimate.X)
     T_base_sphere = stations.estimate.state[:16].reshape(4, 4)
@@ -160,11 +174,12 @@ def _ball(stations: ComparedStations) -> tuple[Array, Array]:
 
 
 def _zheng(stations: ComparedStations) -> Array:
-    obs = stations.problem.observations
-    edge = obs.kind == line.EDGE_Y  # each point is there twice, for y and for z
+    observations = stations.problem.observations
+    on_edge = observations.kind == line.EDGE_Y  # each point is there twice, for y and for z
     to_plane = zheng2018.T_plane_x_plane_y
     start = se3.perturb(stations.estimate.X, ZHENG_START_OFF) @ se3.inverse(to_plane)
-    T = zheng2018.solve(stations.problem.poses[obs.station[edge]], obs.points[edge], start)
+    T = zheng2018.solve(stations.problem.poses[observations.station[on_edge]],
+                        observations.points[on_edge], start)
     return np.asarray(T @ to_plane)
 
 
@@ -267,14 +282,16 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
     targets.target_for(config)
     config = replace(config, method='auto')
 
-    def own() -> Own:
+    def solve_own() -> OwnAnswer:
         answer = pipeline.answer_samples(samples, rejects, config, session=session)
         solution = answer.require_solution()
         # the others know no motion
         used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used)
-        return (ComparedStations(used, config, solution.problem, solution.estimate,
-                                 solution.noise), solution.estimate.X, answer.refusal)
-    return _compared(config.target.type, own, len(samples) + len(rejects), T_true, folds, progress)
+        stations = ComparedStations(used, config, solution.problem, solution.estimate,
+                                    solution.noise)
+        return OwnAnswer(stations, solution.estimate.X, answer.refusal)
+    return _compared(config.target.type, solve_own, len(samples) + len(rejects), T_true, folds,
+                     progress)
 
 
 def compare_files(given: TableProblem, T_true: Array | None = None, folds: int = FOLD_COUNT,
@@ -284,61 +301,61 @@ def compare_files(given: TableProblem, T_true: Array | None = None, folds: int =
         raise InputError(f'for target.type {given.name} there is one estimator alone: use '
                          '"handeye solve"')
 
-    def own() -> Own:
+    def solve_own() -> OwnAnswer:
         answer, refusal = solve(given), None
         try:
             answer.require_trusted(given)
         except DataError as error:
             refusal = error
-        return given.subset(np.flatnonzero(answer.used)), answer.X, refusal
-    return _compared(given.name, own, len(given), T_true, folds, progress)
+        return OwnAnswer(given.subset(np.flatnonzero(answer.used)), answer.X, refusal)
+    return _compared(given.name, solve_own, len(given), T_true, folds, progress)
 
 
-def _compared(target: str, own: Callable[[], Own], count: int, T_true: Array | None, folds: int,
-              progress: Progress) -> Comparison:
+def _compared(target: str, solve_own: Callable[[], OwnAnswer], count: int, T_true: Array | None,
+              folds: int, progress: Progress) -> Comparison:
     """Return the rows of the target's own method, and of the others; count: of all samples."""
-    first, *others = ESTIMATORS[target]
+    own_method, *others = ESTIMATORS[target]
     progress(target)
     start = time.perf_counter()
-    given, X_own, refusal = own()
-    seconds = time.perf_counter() - start
+    data, X_own, refusal = solve_own()
 
-    def row(estimator: Estimator) -> Row:
-        start = time.perf_counter()
-        try:
-            if estimator is first and refusal:
-                raise refusal
-            X = X_own if estimator is first else estimator.fit(given)
-        except ESTIMATOR_FAILURES as error:
-            return Row(estimator.name, time.perf_counter() - start, failure=str(error))
-        every, errors, seconds = np.arange(len(given)), {}, time.perf_counter() - start
+    def row(estimator: Estimator, X: Array, seconds: float) -> Row:
+        every, errors, left_out = np.arange(len(data)), {}, None
         if T_true is not None:
             errors = {f'error_{name}': value for name, value in asdict(
-                errors_against(X, T_true @ given.axes, given.field())).items()}
-        left_out = None
+                errors_against(X, T_true @ data.axes, data.field())).items()}
         if folds and estimator.refit:
-            left_out = _left_out(given, estimator, min(folds, len(given)), progress)
-        return Row(estimator.name, seconds, X @ se3.inverse(given.axes), '',
-                   rms(given.residuals(X, every, every)), left_out, **errors)
+            left_out = _left_out(data, estimator, min(folds, len(data)), progress)
+        return Row(estimator.name, seconds, X @ se3.inverse(data.axes), '',
+                   rms(data.residuals(X, every, every)), left_out, **errors)
 
-    rows = [replace(row(first), seconds=seconds)]
+    seconds = time.perf_counter() - start
+    rows = [Row(own_method.name, seconds, failure=str(refusal)) if refusal else
+            row(own_method, X_own, seconds)]
     for estimator in others:
         progress(estimator.name)
-        rows.append(row(estimator))
-    return Comparison(tuple(rows), len(given), count - len(given), refusal, given.over)
+        start = time.perf_counter()
+        try:
+            X = estimator.fit(data)
+        except ESTIMATOR_FAILURES as error:
+            rows.append(Row(estimator.name, time.perf_counter() - start, failure=str(error)))
+        else:
+            rows.append(row(estimator, X, time.perf_counter() - start))
+    return Comparison(tuple(rows), len(data), count - len(data), refusal, data.over)
 
 
-def _left_out(given: Given, estimator: Estimator, folds: int, progress: Progress) -> float | None:
+def _left_out(data: ComparedData, estimator: Estimator, folds: int, progress: Progress
+              ) -> float | None:
     """Return the RMS residual of samples that the estimator was not given, None if it fails."""
-    residuals, every = [], np.arange(len(given))
+    residuals, every = [], np.arange(len(data))
     for part in range(folds):
         progress(f'{estimator.name}: left out, part {part + 1} of {folds}')
-        out = every % folds == part
+        in_part = every % folds == part
         try:
-            X = estimator.fit(given.subset(every[~out]))
+            X = estimator.fit(data.subset(every[~in_part]))
         except ESTIMATOR_FAILURES:
             return None
-        residuals.append(given.residuals(X, every[~out], every[out]))
+        residuals.append(data.residuals(X, every[~in_part], every[in_part]))
     return rms(np.concatenate(residuals))
 
 
@@ -354,8 +371,8 @@ def tables(comparison: Comparison) -> RenderableType:
         'estimator', *(head for head, _, _ in shown.values()), right=range(1, 1 + len(shown)),
         rows=((row.name, *(f'{row.figures[name] * unit:.{digits}f}' if name in row.figures else '-'
                            for name, (_, unit, digits) in shown.items())) for row in rows))
-    lost = f', {comparison.rejected} rejected' if comparison.rejected else ''
-    title = (f'{comparison.used} samples{lost}. The published estimators are given what '
+    rejected = f', {comparison.rejected} rejected' if comparison.rejected else ''
+    title = (f'{comparison.used} samples{rejected}. The published estimators are given what '
              f'{rows[0].name} finds: which samples agree, and the labels, sides or start that '
              'they need.')
     legend = ('residual: RMS of what the first method minimises, with each transform, the target '
