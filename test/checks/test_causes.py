@@ -144,9 +144,9 @@ def test_what_moved_is_named(name: str, change: Callable[[Array], Array], words:
     with pytest.raises(DataError, match=words) as caught:
         pipeline.solve(later(made.samples, change), [], made.config, 'laser')
     parted = re.search(r'the first (\d+) samples .* the other (\d+),', str(caught.value))
-    first, rest = map(int, parted.groups())
+    first, others = map(int, parted.groups())
     n = len(made.samples)
-    assert first + rest == n and abs(first - n // 2) <= 2
+    assert first + others == n and abs(first - n // 2) <= 2
 
 
 @pytest.mark.parametrize('name', ['plane', 'sphere'])
@@ -170,10 +170,10 @@ def test_a_target_that_moved_is_no_other_surface() -> None:
         pipeline.calibrate(made.profiles, poses, config)
 
 
-def told(samples: list[Sample], config: Config) -> str:
+def warnings_or_refusal(samples: list[Sample], config: Config) -> str:
     """Return the warnings of an answer, or the refusal where the evidence is very strong."""
-    found = pipeline.answer_samples(samples, [], config, 'laser')
-    return str(found.refusal or ' '.join(found.calibration.provenance.get('warnings', ())))
+    answer = pipeline.answer_samples(samples, [], config, 'laser')
+    return str(answer.refusal or ' '.join(answer.calibration.provenance.get('warnings', ())))
 
 
 SLIGHT = se3.perturb(np.eye(4), np.array([4e-4, 0.0, 3e-4, 0.0, 0.0, 0.0]))
@@ -185,9 +185,9 @@ def test_a_small_move_is_reported_with_its_moment(
         change: Callable[[Array], Array], what: str) -> None:
     made = cell('plate', 5)
     samples = later(made.samples, change)
-    said = told(samples, made.config)
-    assert f'the first {len(samples) // 2} ' in said and f'the {what} ' in said
-    size = re.search('by about ([0-9.]+) mm', said)
+    sentence = warnings_or_refusal(samples, made.config)
+    assert f'the first {len(samples) // 2} ' in sentence and f'the {what} ' in sentence
+    size = re.search('by about ([0-9.]+) mm', sentence)
     assert size is None or float(size[1]) == pytest.approx(0.5, abs=0.3)
 
 
@@ -198,8 +198,8 @@ def test_a_small_move_is_reported_though_noise_and_scales_could_stand_for_it(see
     X, step = truth.T_flange_sensor, rng.normal(size=3)
     moved = se3.perturb(np.eye(4), np.append(5e-4 * step / np.linalg.norm(step), np.zeros(3)))
     seen = X @ se3.inverse(moved) @ se3.inverse(X)
-    said = told(later(samples, lambda T: T @ seen), settings_of(scenario))
-    assert re.search('the first [678] of 14 samples', said), said
+    sentence = warnings_or_refusal(later(samples, lambda T: T @ seen), settings_of(scenario))
+    assert re.search('the first [678] of 14 samples', sentence), sentence
 
 
 @pytest.mark.parametrize(('name', 'first'), [
@@ -216,15 +216,15 @@ def test_a_move_is_told_while_few_samples_lie_beyond_it(name: str, first: bool) 
                for s in mixed]
     words = ('the first 3 of 12 samples contradict the 9 after them' if first else
              'the last 3 of 12 samples contradict the 9 before them')
-    assert words in told(samples, made.config)
-    found = pipeline.answer_samples(samples, [], made.config, 'laser')
-    advice = advise(samples, made.config, found)
+    assert words in warnings_or_refusal(samples, made.config)
+    answer = pipeline.answer_samples(samples, [], made.config, 'laser')
+    advice = advise(samples, made.config, answer)
     assert words in advice.why and not advice.enough
     # a single sample may be wrong for another reason, and so may others in any place
     apart = [replace(s, T_base_flange=bumped @ s.T_base_flange) if k in (1, 5, 9) else s
              for k, s in enumerate(mixed)]
-    assert 'moved' not in told(apart, made.config)
-    assert 'moved' not in told([*mixed[:9], samples[-1]], made.config)
+    assert 'moved' not in warnings_or_refusal(apart, made.config)
+    assert 'moved' not in warnings_or_refusal([*mixed[:9], samples[-1]], made.config)
 
 
 def test_outliers_at_one_end_are_told_of_however_many_samples() -> None:
@@ -238,12 +238,12 @@ def test_outliers_at_one_end_are_told_of_however_many_samples() -> None:
 def test_an_answer_that_warns_of_a_move_is_as_uncertain_as_the_move(name: str, seed: int) -> None:
     made = cell(name, seed)
     slightly = se3.perturb(np.eye(4), np.array([8e-5, 0.0, 6e-5, 0.0, 0.0, 0.0]))
-    found = pipeline.answer_samples(later(made.samples, lambda T: T @ slightly), [],
-                                    made.config, 'laser')
-    answer = found.require_calibration()
-    assert 'moved' in answer.provenance['warnings'][0]
-    away = se3.difference(answer.T_flange_sensor, made.truth.T_flange_sensor)
-    whole, move = answer.covariance, found.solution.added_covariances['possible move']
+    answer = pipeline.answer_samples(later(made.samples, lambda T: T @ slightly), [],
+                                     made.config, 'laser')
+    calibration = answer.require_calibration()
+    assert 'moved' in calibration.provenance['warnings'][0]
+    away = se3.difference(calibration.T_flange_sensor, made.truth.T_flange_sensor)
+    whole, move = calibration.covariance, answer.solution.added_covariances['possible move']
     assert away @ np.linalg.solve(whole, away) < chi2_isf(0.05, 6)
     assert away @ np.linalg.solve(whole - move, away) > chi2_isf(0.05, 6)
 
@@ -326,18 +326,18 @@ def test_the_stops_that_show_another_surface_are_named_and_left_out(
             heights.append(height)
     answer = pipeline.answer_session(session, config)
     if answered:  # the others are enough
-        [told] = answer.calibration.provenance['warnings']
+        [sentence] = answer.calibration.provenance['warnings']
         assert {report.stamp for report in answer.calibration.samples
                 if not report.used} >= {stop.sample.stamp for stop in elsewhere}
         assert squared_error(answer.calibration, made.truth) < 16.8
     else:
-        told = str(answer.refusal)
+        sentence = str(answer.refusal)
         assert answer.refusal.reason == 'surface'
     lowest_highest = re.search(
-        r'surface, ([-\d.]+) (?:to ([-\d.]+) )?mm above that of the others', told)
+        r'surface, ([-\d.]+) (?:to ([-\d.]+) )?mm above that of the others', sentence)
     assert [float(height) for height in lowest_highest.groups(default=lowest_highest[1])
-            ] == pytest.approx([min(heights) * 1e3, max(heights) * 1e3], abs=0.2), told
-    named = re.search(r'the stops ([\d, ]+) show', told)
+            ] == pytest.approx([min(heights) * 1e3, max(heights) * 1e3], abs=0.2), sentence
+    named = re.search(r'the stops ([\d, ]+) show', sentence)
     assert [int(number) for number in named[1].split(', ')] == [
         stop.number for stop in elsewhere]
 
@@ -349,10 +349,10 @@ def test_faces_that_end_where_the_sensor_is_blind_are_named_and_left_out() -> No
     blind[793:844] = True
     profiles = [replace(p, points=np.where(blind, np.nan, p.points)) for p in made.profiles]
     config = with_values(Config(), settings(SCENARIOS['line']), 'the test')
-    found = pipeline.calibrate(profiles, made.poses, config)
-    [told] = found.provenance['warnings']
-    assert re.fullmatch('the stops [0-9, ]+ show the end of a face where the sensor .*', told)
-    assert squared_error(found, made.truth) < 16.8
+    answer = pipeline.calibrate(profiles, made.poses, config)
+    [sentence] = answer.provenance['warnings']
+    assert re.fullmatch('the stops [0-9, ]+ show the end of a face where the sensor .*', sentence)
+    assert squared_error(answer, made.truth) < 16.8
 
 
 def test_columns_between_plates_in_the_air_are_not_blind() -> None:
@@ -375,8 +375,8 @@ def test_heights_of_edges_are_named_where_too_few_stops_show_the_target(
     config = with_values(Config(), settings(scenario) | {'target.type': 'line'}, 'the test')
     with pytest.raises(DataError, match='agree on one plane, but not on the edges') as caught:
         pipeline.calibrate(made.profiles, made.poses, config)
-    told = re.findall(r'(\d+\.\d) mm: stops ([\d, ]+)', str(caught.value))
+    listed = re.findall(r'(\d+\.\d) mm: stops ([\d, ]+)', str(caught.value))
     assert caught.value.reason == 'surface'
-    heights = [float(height) for height, _ in told]  # of clamps, target and table
+    heights = [float(height) for height, _ in listed]  # of clamps, target and table
     assert heights == pytest.approx([40.0, 25.0, 0.0], abs=0.2)
-    assert [len(numbers.split(', ')) for _, numbers in told] == [7, 6, 1]
+    assert [len(numbers.split(', ')) for _, numbers in listed] == [7, 6, 1]

@@ -231,9 +231,9 @@ def test_a_target_always_at_one_place_of_the_view_is_refused(
     made, rng = cell(name, seed), np.random.default_rng(seed)
     X = made.truth.T_flange_sensor
     same = tuple(seen_at(sample, X, np.array(place)) for sample in made.samples)
-    said = refusal(replace(made, samples=same))
-    assert said.reason == 'views'
-    assert words in str(said) and 'near, far, left, right' in str(said)
+    caught = refusal(replace(made, samples=same))
+    assert caught.reason == 'views'
+    assert words in str(caught) and 'near, far, left, right' in str(caught)
     apart = [seen_at(s, X, place + rng.uniform(-5e-3, 5e-3, 2)) for s in made.samples]
-    found = pipeline.solve(apart, [], made.config, 'laser')
-    assert made.error(found.T_flange_sensor) < 1e-3
+    answer = pipeline.solve(apart, [], made.config, 'laser')
+    assert made.error(answer.T_flange_sensor) < 1e-3

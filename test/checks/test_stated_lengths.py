@@ -26,22 +26,22 @@ def solved(scenario: Scenario, seed: int, scale: float = 1.0, **changes: object
     samples = [replace(s, T_base_flange=se3.transform(
         s.T_base_flange[:3, :3], scale * s.T_base_flange[:3, 3])) for s in samples]
     config = settings_of(scenario, **({'noise__distortion': 0.0} | changes))
-    found = pipeline.solve(samples, (), config, 'laser')
-    return found, float(np.linalg.norm(
-        se3.difference(found.T_flange_sensor, truth.T_flange_sensor)[:3]))
+    answer = pipeline.solve(samples, (), config, 'laser')
+    return answer, float(np.linalg.norm(
+        se3.difference(answer.T_flange_sensor, truth.T_flange_sensor)[:3]))
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize('degrees', [87.0, 88.0, 89.0, 89.5, 91.0, 92.0, 93.0])
 def test_a_plate_that_is_not_square_is_measured_and_named(degrees: float) -> None:
     target = PlateTarget(edge_angle=np.radians(degrees))
-    found, error = solved(replace(SCENARIOS['plate'], target=target), 0)
-    assert abs(found.target['edge_angle'] - np.radians(degrees)) < 4 * (
-        found.target['edge_angle_std'])
-    assert f'{np.degrees(found.target["edge_angle"]):.3f}' in found.target['note']
-    assert 'not the configured 90.000' in found.target['note']
-    assert found.quality.samples_used == 18
-    assert {sample.edge for sample in found.samples} == {'p', 'q'}
+    answer, error = solved(replace(SCENARIOS['plate'], target=target), 0)
+    assert abs(answer.target['edge_angle'] - np.radians(degrees)) < 4 * (
+        answer.target['edge_angle_std'])
+    assert f'{np.degrees(answer.target["edge_angle"]):.3f}' in answer.target['note']
+    assert 'not the configured 90.000' in answer.target['note']
+    assert answer.quality.samples_used == 18
+    assert {sample.edge for sample in answer.samples} == {'p', 'q'}
     assert error < 1.5e-4
 
 
@@ -51,22 +51,22 @@ def test_a_plate_that_is_not_square_is_measured_and_named(degrees: float) -> Non
 def test_a_plate_of_another_size_is_reported(off: float, seed: int) -> None:
     length, width = SCENARIOS['plate'].target.size
     scenario = replace(SCENARIOS['plate'], wrong_edges=8)
-    found, error = solved(scenario, seed, target__size=[length + off, width])
+    answer, error = solved(scenario, seed, target__size=[length + off, width])
     assert error < 1.5e-4
     if (off, seed) == (1e-3, 0):  # the few samples at the far edge are left out, and nothing said
         return
-    assert f'{1e3 * (length + off):.1f}' in found.target['note']
-    assert re.search(r' (200\.0|199\.9)', found.target['note'])
+    assert f'{1e3 * (length + off):.1f}' in answer.target['note']
+    assert re.search(r' (200\.0|199\.9)', answer.target['note'])
 
 
 @pytest.mark.parametrize(('off', 'seed'), [
     *((0.3e-3, seed) for seed in (0, 1, 4, 25, 42, 52)), (1e-3, 0), (1e-3, 1), (1e-3, 4)])
 def test_lengths_that_are_both_wrong_are_not_taken_for_a_scale(off: float, seed: int) -> None:
     length, width = SCENARIOS['plate'].target.size
-    found, error = solved(replace(SCENARIOS['plate'], wrong_edges=6), seed,
-                          target__size=[length + off, width + off])
+    answer, error = solved(replace(SCENARIOS['plate'], wrong_edges=6), seed,
+                           target__size=[length + off, width + off])
     for stated in (length + off, width + off):
-        assert f'not the configured {stated * 1e3:.3f}: the answer uses' in found.target['note']
+        assert f'not the configured {stated * 1e3:.3f}: the answer uses' in answer.target['note']
     assert error < 1e-4
 
 
@@ -74,10 +74,10 @@ def test_lengths_that_are_both_wrong_are_not_taken_for_a_scale(off: float, seed:
 def test_of_two_stated_lengths_only_the_wrong_one_is_named(seed: int) -> None:
     length = SCENARIOS['plate'].target.size[0]
     square = replace(SCENARIOS['plate'].target, size=(length, length))
-    found, error = solved(replace(SCENARIOS['plate'], target=square, wrong_edges=6), seed,
-                          target__size=[length + 1e-3, length])
-    assert f'not the configured {(length + 1e-3) * 1e3:.3f}: the' in found.target['note']
-    assert found.target['note'].count('not the configured') == 1
+    answer, error = solved(replace(SCENARIOS['plate'], target=square, wrong_edges=6), seed,
+                           target__size=[length + 1e-3, length])
+    assert f'not the configured {(length + 1e-3) * 1e3:.3f}: the' in answer.target['note']
+    assert answer.target['note'].count('not the configured') == 1
     assert error < 1e-4
 
 
@@ -85,15 +85,15 @@ def test_a_size_given_the_other_way_round_is_the_same_plate() -> None:
     length, width = SCENARIOS['plate'].target.size
     for size in ([length, width], [width, length]):
         for seed in range(3):
-            found, error = solved(replace(SCENARIOS['plate'], wrong_edges=8), seed,
-                                  target__size=size)
-            assert {sample.edge for sample in found.samples} == {'p', 'q', 'p_far', 'q_far'}
-            assert 'note' not in found.target and error < 2e-4
+            answer, error = solved(replace(SCENARIOS['plate'], wrong_edges=8), seed,
+                                   target__size=size)
+            assert {sample.edge for sample in answer.samples} == {'p', 'q', 'p_far', 'q_far'}
+            assert 'note' not in answer.target and error < 2e-4
 
 
 def test_edges_that_are_none_of_the_plate_are_reported() -> None:
-    found, error = solved(replace(SCENARIOS['plate'], wrong_edges=4), 0)
-    assert 'the edges of 4 of the 18 samples' in found.target['note'] and error < 1.5e-4
+    answer, error = solved(replace(SCENARIOS['plate'], wrong_edges=4), 0)
+    assert 'the edges of 4 of the 18 samples' in answer.target['note'] and error < 1.5e-4
 
 
 @pytest.mark.thorough
@@ -113,25 +113,25 @@ def test_faces_alone_do_not_answer_for_edges_that_fit_nowhere(seed: int) -> None
 
 @pytest.mark.parametrize('seed', range(4))
 def test_a_square_plate_is_not_accused(seed: int) -> None:
-    found, _ = solved(SCENARIOS['plate'], seed)
-    assert 'note' not in found.target
-    assert abs(found.target['edge_angle'] - np.pi / 2) < 4 * found.target['edge_angle_std']
+    answer, _ = solved(SCENARIOS['plate'], seed)
+    assert 'note' not in answer.target
+    assert abs(answer.target['edge_angle'] - np.pi / 2) < 4 * answer.target['edge_angle_std']
 
 
 @pytest.mark.parametrize('radius', [0.0403, 0.05])
 def test_a_sphere_of_another_radius_is_measured_and_named(radius: float) -> None:
-    found, error = solved(SCENARIOS['sphere'], 1, target__radius=radius)
-    assert found.target['radius'] == pytest.approx(0.04, abs=1e-5)
-    assert 'mm' in found.target['note']
+    answer, error = solved(SCENARIOS['sphere'], 1, target__radius=radius)
+    assert answer.target['radius'] == pytest.approx(0.04, abs=1e-5)
+    assert 'mm' in answer.target['note']
     assert error < 3e-4
 
 
 @pytest.mark.parametrize('scale', [1.0, 1.0015, 0.999])
 @pytest.mark.parametrize('name', ['plate', 'sphere'])
 def test_the_scale_between_robot_and_sensor_is_reported(name: str, scale: float) -> None:
-    found, _ = solved(SCENARIOS[name], 2, scale)
-    assert 0 < found.target['scale_std'] < 7e-4
-    assert found.target['scale'] == pytest.approx(scale, abs=3 * found.target['scale_std'])
+    answer, _ = solved(SCENARIOS[name], 2, scale)
+    assert 0 < answer.target['scale_std'] < 7e-4
+    assert answer.target['scale'] == pytest.approx(scale, abs=3 * answer.target['scale_std'])
 
 
 @pytest.mark.parametrize('target', ['plate', 'eye_on_base', 'sphere', 'line', 'plane', 'wedge'])
