@@ -203,8 +203,8 @@ class _Move:
     @cached_property
     def step(self) -> Array:
         """Return the translation (m) and rotation vector (rad) of the move, (6,)."""
-        return self.moved.nuisance[:6] * np.repeat(
-            [block.std for block in self.moved.blocks[:2]], 3)
+        stds = np.repeat([block.std for block in self.moved.blocks[:2]], 3)
+        return np.asarray(self.moved.nuisance[:6] * stds)
 
     @property
     def may_be_robot_error(self) -> bool:
