@@ -65,7 +65,7 @@ def require_no_blind_columns(session: Session, config: Config) -> None:
     if (sum(map(bool, profiles_of)) < target_for(config).min_samples  # too few to tell
             or len(set(map(len, points))) != 1):
         return
-    returned = np.isfinite(np.array(points)).all(axis=2)  # (profiles, columns)
+    returned = np.asarray(np.isfinite(points).all(axis=2))  # (profiles, columns)
     seeing = np.flatnonzero(returned.any(axis=0))
     gaps = np.flatnonzero(np.diff(seeing) > GAP_COLUMNS)
     beside_gap = seeing[[gaps, gaps + 1]]
