@@ -193,7 +193,6 @@ class _Move:
         """Return twice the log Bayes factor against no move and, of a sweep, wrong times."""
         alternatives = [self.unmoved]
         if _is_sweep(self.solution):
-            # a moment a few profiles off leaves an error that only a much worse robot explains
             near = self.station + _margin(self.solution) * np.arange(-2, 3)
             conservative = self.solution.conservative
             alternatives.append(
@@ -257,6 +256,7 @@ def _likeliest_move(solution: Solution) -> _Move | None:
     if factors.max() < -WARNING_EVIDENCE:
         return None
     first_tried = moments[np.argsort(-factors, axis=0)[:max(STATIONS_TRIED // n, 1)]]
+    # a moment a few profiles off leaves an error that only a much worse robot would explain
     all_moments = _moments(solution, n)
     tried = dict[tuple[int, int], Solution]()
     for (_, body), first in np.ndenumerate(first_tried):
