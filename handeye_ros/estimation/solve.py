@@ -49,12 +49,12 @@ from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem
 import numpy as np
 from numpy.typing import NDArray
 
-# sigmas: the last step of the unknowns; one more follows with the final scales. After MOST_STEPS a
-# step of NEAR_SIGMAS is small enough.
+# The iteration of the unknowns ends at a step of CONVERGED_SIGMAS; one more follows with the final
+# scales. After MOST_STEPS, one of NEAR_SIGMAS is small enough.
 CONVERGED_SIGMAS, NEAR_SIGMAS, MOST_STEPS = 0.25, 1.0, 10
-FULL_STEPS = 5  # of the scales, of which the others are half
-LEFT_BY_OTHERS = 1e-6  # rest of a variance that the other stations leave
-LAST_STEPS = 3  # iterations of variance factors and scales after it
+FULL_STEPS = 5  # in which the scales change in full, later by half
+LAST_STEPS = 3  # of variance factors and scales, after the last of the unknowns
+LEFT_BY_OTHERS = 1e-6  # share of a variance; a station that leaves less to the others is needed
 MAP_PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
 
 
@@ -110,10 +110,9 @@ class Solution:
             blocks = () if noise.blocks_as_noise else blocks_at(linear)
         residuals = linear.residuals
         for block in blocks:
-            if block.value is not None:  # they are in the estimate or the poses
+            if block.value is not None:  # its parameter is in the estimate, or in the poses
                 residuals = residuals - block.columns @ (block.value / block.std)
-        whiten = whitening(linear, noise)
-        problem = linear.problem
+        whiten, problem = whitening(linear, noise), linear.problem
         whitened = whiten(np.column_stack([linear.jacobian[:, problem.free_columns],
                                            *(block.columns for block in blocks), residuals]))
         A = whitened[:, :-1]
@@ -137,7 +136,8 @@ class Solution:
     @property
     def variances(self) -> Array:
         """Return tau^2 of each block (d,)."""
-        return np.array([self.prior_scale(block) for block in self.blocks]) ** 2
+        variances = self.noise.block_variances
+        return np.array([variances.get(block.name, 1.0) for block in self.blocks])
 
     @cached_property
     def prior_information(self) -> Array:
@@ -284,10 +284,10 @@ class Solution:
     def _best_fit(self) -> Array:
         """Return the mean square (6, 6) of the best-fit transform about the estimate, (9)."""
         conservative = self.conservative
-        moving = best_fit_motions(conservative.linear, conservative.blocks)
-        columns = np.hstack([np.eye(6, conservative.unknowns), moving])
-        shift = self.conservative_shift + moving @ conservative.nuisance
-        return np.asarray(columns @ conservative.covariance @ columns.T + np.outer(shift, shift))
+        G = best_fit_motions(conservative.linear, conservative.blocks)
+        L = np.hstack([np.eye(6, conservative.unknowns), G])
+        d_fit = self.conservative_shift + G @ conservative.nuisance
+        return np.asarray(L @ conservative.covariance @ L.T + np.outer(d_fit, d_fit))
 
     @cached_property
     def ranks(self) -> NDArray[np.intp]:
@@ -359,12 +359,12 @@ class Solution:
     @property
     def deviance(self) -> float:
         """Return -2 log of the marginal likelihood, the prior of the noise factors included."""
-        spread = -2 * sum(float(np.log(np.einsum('nii->ni', f)).sum())
-                          for f in self.whitening.roots)
-        factors, information = self.noise.variance_factors, self.prior_information[self.unknowns:]
-        prior = PRIOR_FREEDOM * float((np.log(factors) + 1 / factors - 1).sum())
-        return float(spread + np.linalg.slogdet(self.information)[1] - np.log(information).sum()
-                     + self.sum_of_squares + prior)
+        log_det_V = -2 * sum(float(np.log(np.einsum('nii->ni', root)).sum())
+                             for root in self.whitening.roots)
+        factors, priors = self.noise.variance_factors, self.prior_information[self.unknowns:]
+        prior_of_factors = PRIOR_FREEDOM * float((np.log(factors) + 1 / factors - 1).sum())
+        return float(log_det_V + np.linalg.slogdet(self.information)[1] - np.log(priors).sum()
+                     + self.sum_of_squares + prior_of_factors)
 
     @property
     def stations_without_edges(self) -> NDArray[np.intp]:
@@ -385,15 +385,15 @@ class Solution:
         """
         problem, T = self.problem, self.problem.robot_poses
         values = np.zeros((len(T), 1)) + (self.nuisance if nuisance is None else nuisance)
-        errors = np.zeros((len(T), 6))
+        twists = np.zeros((len(T), 6))
         for block, columns in with_columns(self.blocks):
             if block.twists is not None:
-                # the poses already include the parameters that they depend on
-                inside = self.nuisance[columns] * (block.value is not None)
-                errors += block.std * np.einsum(
-                    'nxk,nk->nx', block.twists, values[:, columns] - inside)
-        corrected = se3.transform(se3.exp_rotation(errors[:, 3:]) @ T[:, :3, :3],
-                                  T[:, :3, 3] + errors[:, :3])
+                # the poses already include the parameters that they depend on, as estimated
+                included = self.nuisance[columns] * (block.value is not None)
+                twists += block.std * np.einsum(
+                    'nxk,nk->nx', block.twists, values[:, columns] - included)
+        corrected = se3.transform(se3.exp_rotation(twists[:, 3:]) @ T[:, :3, :3],
+                                  T[:, :3, 3] + twists[:, :3])
         return corrected if problem.config.in_hand else se3.inverse(corrected)
 
     def left_out_squares(self) -> tuple[Array, NDArray[np.intp]]:
@@ -404,11 +404,11 @@ class Solution:
         freedom it is chi-squared distributed when the station is good. All points of a station
         share one pose, which has 6 degrees of freedom.
         """
-        station, r = self.problem.observations.station, self.postfit_residuals
-        products = r * leave_one_out(r, self.jacobian, self.covariance, station)
-        statistic, count = (np.bincount(station, weights, len(self.problem.poses))
-                            for weights in (products, None))
-        return statistic / np.maximum(count, 1), np.clip(count, 1, 6)
+        station, e = self.problem.observations.station, self.postfit_residuals
+        products = e * leave_one_out(e, self.jacobian, self.covariance, station)
+        sums, count = (np.bincount(station, weights, len(self.problem.poses))
+                       for weights in (products, None))
+        return sums / np.maximum(count, 1), np.clip(count, 1, 6)
 
     @property
     def is_determined(self) -> bool:
@@ -418,11 +418,12 @@ class Solution:
     @property
     def indispensable_stations(self) -> NDArray[np.intp]:
         """Return the used stations that determine something that no other one shows."""
-        station, alone = self.problem.observations.station, np.zeros(len(self.used), dtype=bool)
+        station, needed = self.problem.observations.station, np.zeros(len(self.used), dtype=bool)
         for group in self.problem.station_groups:
-            share = np.linalg.eigvalsh(self.predicted_covariance(group.rows))[:, -1]
-            alone[station[group.rows[:, 0]]] = share > 1 - LEFT_BY_OTHERS
-        return self.used[alone]
+            # 1 where all that is known of a direction comes from the station itself
+            largest_share = np.linalg.eigvalsh(self.predicted_covariance(group.rows))[:, -1]
+            needed[station[group.rows[:, 0]]] = largest_share > 1 - LEFT_BY_OTHERS
+        return self.used[needed]
 
     def predictions(self, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
         """
@@ -431,12 +432,12 @@ class Solution:
         fold: (n,) fold of each station, from 0. Also returns the poses (n, 4, 4), corrected by the
         robot's smooth error as estimated from the other folds.
         """
-        of_row, u = fold[self.problem.observations.station], self.unknowns
+        fold_of_row, u = fold[self.problem.observations.station], self.unknowns
         steps = np.empty((fold.max() + 1, len(self.prior_information)))
         for k in range(len(steps)):
-            J, r = self.jacobian[of_row == k], self.postfit_residuals[of_row == k]
-            left_out = left_out_residuals((J @ self.covariance @ J.T)[None], r[None])[0]
-            steps[k] = self.covariance @ (J.T @ left_out)
+            A, e = self.jacobian[fold_of_row == k], self.postfit_residuals[fold_of_row == k]
+            left_out = left_out_residuals((A @ self.covariance @ A.T)[None], e[None])[0]
+            steps[k] = self.covariance @ (A.T @ left_out)
         return ([self.problem.retracted(self.estimate, step) for step in steps[:, :u]],
                 self.corrected_poses(self.nuisance + steps[fold, u:]))
 
@@ -445,11 +446,12 @@ def cover(first: Array, second: Array) -> Array:
     """Return the smallest covariance (k, k) not below either of two in any direction, (8)."""
     std = np.sqrt(np.diag(first))
     values, vectors = np.linalg.eigh(first / np.outer(std, std))
-    roots = np.sqrt(np.maximum(values, FREE_DIRECTION))
-    root, inverse_root = std[:, None] * vectors * roots, (vectors / roots).T / std
+    scales = np.sqrt(np.maximum(values, FREE_DIRECTION))
+    root, inverse_root = std[:, None] * vectors * scales, (vectors / scales).T / std
+    # in the axes in which the first is 1 and the second diagonal, the larger of both variances
     values, vectors = np.linalg.eigh(inverse_root @ second @ inverse_root.T)
-    along = root @ vectors
-    return np.asarray((along * np.maximum(values, 1.0)) @ along.T)
+    axes = root @ vectors
+    return np.asarray((axes * np.maximum(values, 1.0)) @ axes.T)
 
 
 @dataclass(frozen=True, eq=False)
