@@ -168,9 +168,9 @@ def station_squares(robust: Solution) -> Array:
 
 def loss(robust: Solution) -> float:
     """
-    Return a robust mean of the squares of all stations.
+    Return the mean over all stations of ln(SMALL_SQUARE + q), the least for the best estimate.
 
-    Its logarithm ranks estimates independently of the noise level above SMALL_SQUARE.
+    By the logarithm, the order of estimates does not depend on the noise level above SMALL_SQUARE.
     """
     return float(np.log(SMALL_SQUARE + station_squares(robust)).mean())
 
