@@ -64,10 +64,10 @@ def distortion_fields(points: Array, degrees: Sequence[int]) -> list[Array]:
     the plane.
     """
     m, (u, v) = len(points), map(_normalised, points.T)
-    every = np.kron(np.eye(2), polynomials(u, v, degrees)).astype(float)
-    fields = projected_off(every, _rigid(points - points.mean(axis=0)))
-    both = fields.reshape(2, m, 2, -1).swapaxes(0, 1)  # point, axis, terms along x and z
-    return [some.reshape(m, 2, -1) for some in _by_degree(both, degrees)]
+    along_axes = np.kron(np.eye(2), polynomials(u, v, degrees)).astype(float)
+    fields = projected_off(along_axes, _rigid(points - points.mean(axis=0)))
+    fields = fields.reshape(2, m, 2, -1).swapaxes(0, 1)  # point, axis, terms along x and z
+    return [field.reshape(m, 2, -1) for field in _by_degree(fields, degrees)]
 
 
 def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
@@ -79,12 +79,13 @@ def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
     box of these points, which are means of bins and lie inside it.
     """
     across = np.linspace(-1.25, 1.25, 11)
-    view, seen = (
-        np.linalg.lstsq(_rigid(where), np.kron(np.eye(2), polynomials(u, v, degrees)),
+    over_view, over_points = (
+        np.linalg.lstsq(_rigid(places), np.kron(np.eye(2), polynomials(u, v, degrees)),
                         rcond=None)[0]
-        for where, (u, v) in ((grid_over(points, across), grid(across).T),
-                              (points, map(_normalised, points.T))))
-    return [some.reshape(3, -1) for some in _by_degree((view - seen).reshape(3, 2, -1), degrees)]
+        for places, (u, v) in ((grid_over(points, across), grid(across).T),
+                               (points, map(_normalised, points.T))))
+    motions = (over_view - over_points).reshape(3, 2, -1)
+    return [motion.reshape(3, -1) for motion in _by_degree(motions, degrees)]
 
 
 def bent_line(points: Array) -> Array:
@@ -141,9 +142,9 @@ def bent_surface(p: Array, on_surface: NDArray[np.bool_], degrees: Sequence[int]
     centred = points - points.mean(axis=0)
     _, axes = np.linalg.eigh(centred.T @ centred)
     u, v = centred @ axes[:, 2], centred @ axes[:, 1]
-    some = polynomials(_normalised(u), _normalised(v), degrees)
-    terms = np.zeros((len(p), some.shape[1]))
-    terms[on_surface] = projected_off(some, np.column_stack([np.ones(len(u)), u, v]))
+    waves = polynomials(_normalised(u), _normalised(v), degrees)
+    terms = np.zeros((len(p), waves.shape[1]))
+    terms[on_surface] = projected_off(waves, np.column_stack([np.ones(len(u)), u, v]))
     return _by_degree(terms, degrees)
 
 
@@ -242,5 +243,5 @@ def motions_by_poses(poses: Array, X: Array, field: Array, in_hand: bool) -> Arr
     rows = motions.reshape(-1, 12)
     covariance = np.linalg.pinv(rows.T @ rows, rcond=1e-9, hermitian=True)
     gradients = np.swapaxes(motions, 1, 2) @ robot.reshape(len(R), -1, 6)  # of each station
-    of_mount = (covariance[:6] / scale[:6, None]) @ gradients
-    return np.asarray(of_mount.swapaxes(0, 1))
+    mount_motions = (covariance[:6] / scale[:6, None]) @ gradients
+    return np.asarray(mount_motions.swapaxes(0, 1))

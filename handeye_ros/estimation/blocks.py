@@ -43,10 +43,9 @@ from handeye_ros.estimation.problem import Linear, Problem
 import numpy as np
 
 LINE_BEND = 'line_bend'
-# RMS of the polynomials of each degree over noise.distortion.
-DISTORTION_SHARES = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}
+DISTORTION_SHARES = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}  # RMS by degree, over noise.distortion
 DEGREES = list(DISTORTION_SHARES)
-# what errors (m) of a robot make of its poses: shifts, and turns with the same shift by a joint
+# twists by smooth errors of the robot of 1 m: 3 shifts, and 3 turns of which a joint makes 1 m
 ROBOT_AXES = np.diag(np.repeat([1.0, 1 / TURN_LENGTH], 3))
 
 
@@ -55,15 +54,15 @@ class ParameterBlock:
     """
     Nuisance parameters with one prior, at an estimate.
 
-    columns: (m, k) derivatives of the residuals by the parameters, in units of the prior sigma std
-        (m, rad, s or 1)
-    twists: (n, 6, k) change of the poses by the parameters (not in sigmas), as in Linear.wrt_pose;
-        None: no change
-    best_fit(linear): (6, k) derivatives of the transform that maps points best, (9); None: none
-    parameter: index of the target's parameter that it is, None for a mere correction of residuals
-    pose_value: index of the value of the pose model that it is, likewise
-    value: (1,) of such a parameter at present
-    least_variance, largest_variance: bounds of the variance over the configured one
+    columns: (m, k) K_b in (2), derivatives of the residuals by the parameters in prior sigmas
+    std: the configured prior sigma (m, rad, s or 1)
+    twists: (n, 6, k) derivatives of the poses by the parameters (not in sigmas), as in
+        Linear.wrt_pose; None: they do not change
+    best_fit(linear): (6, k) derivatives of the transform that maps points best, (9); None: 0
+    parameter: index of the target's parameter that the block is; None: of none
+    pose_value: index of the value of the pose model that it is; None: of none
+    value: (1,) of that parameter or value in the estimate it is linearised at, less the stated
+    least_variance, largest_variance: bounds of tau^2
     report: key in the answer, '' for none
     origin: added to the reported value of one parameter
     """
@@ -108,10 +107,9 @@ def stated_measures(linear: Linear) -> Blocks:
     for name, (stated, std) in target.stated_values(linear.problem.config).items():
         i = names.index(name)
         measure = state[[i - len(names)]]  # the measures are the last of its values
-        if std > 0:
-            yield ParameterBlock(name, linear.jacobian[:, 6 + i:7 + i] * std, std, parameter=i,
-                                 value=measure - stated,
-                                 largest_variance=1e8)  # a stated measure may be plainly wrong
+        yield ParameterBlock(name, linear.jacobian[:, 6 + i:7 + i] * std, std, parameter=i,
+                             value=measure - stated,
+                             largest_variance=1e8)  # a stated measure may be plainly wrong
 
 
 def scale_twists(problem: Problem) -> Array:
@@ -136,14 +134,18 @@ def wrt_smooth(wrt_pose: Array, smooth: Array, axes: Array = ROBOT_AXES) -> Arra
     wrt_pose: (m, 6) by pose errors; smooth: (m, k) the basis functions at the pose of each; axes:
     (6, a) the errors that each of them makes.
     """
-    by_each = (wrt_pose @ axes)[:, :, None] * smooth[:, None]
-    return np.asarray(by_each.reshape(len(wrt_pose), -1))
+    derivatives = (wrt_pose @ axes)[:, :, None] * smooth[:, None]
+    return np.asarray(derivatives.reshape(len(wrt_pose), -1))
 
 
 def smooth_errors(name: str, linear: Linear, smooth: Array, std: float, axes: Array = ROBOT_AXES,
                   best_fit: Callable[[Linear], Array] | None = None, report: str = ''
                   ) -> ParameterBlock:
-    """Return the block of smooth errors of the poses, by functions (n, k) of these."""
+    """
+    Return the block of smooth errors of the poses, one parameter for each axis and function.
+
+    smooth: (n, k) the functions at the poses; axes: see wrt_smooth; std: of each error (m).
+    """
     columns = wrt_smooth(linear.wrt_pose, smooth[linear.problem.observations.station], axes)
     twists = np.einsum('xa,nk->nxak', axes, smooth).reshape(len(smooth), 6, -1)
     return ParameterBlock(name, columns * std, std, twists, best_fit, report=report)
@@ -151,8 +153,8 @@ def smooth_errors(name: str, linear: Linear, smooth: Array, std: float, axes: Ar
 
 def robot_smooth(linear: Linear) -> Blocks:
     """Yield the block of the robot's smooth errors, of position and rotation."""
-    if size := linear.problem.config.noise.robot_smooth:
-        yield smooth_errors('robot_smooth', linear, linear.problem.smooth_error_basis, size,
+    if std := linear.problem.config.noise.robot_smooth:
+        yield smooth_errors('robot_smooth', linear, linear.problem.smooth_error_basis, std,
                             best_fit=_motions_of_smooth, report='robot_position_error')
 
 
@@ -187,13 +189,13 @@ def sensor_scale(linear: Linear) -> Blocks:
 
 def sensor_distortion(linear: Linear) -> Blocks:
     """Yield the blocks of the sensor's distortion: polynomials in its plane, one per degree."""
-    std = linear.problem.config.noise.distortion
-    fields = distortion_fields(points_on_target(linear), DEGREES) if std else []
+    distortion = linear.problem.config.noise.distortion
+    fields = distortion_fields(points_on_target(linear), DEGREES) if distortion else []
     for i, field in enumerate(fields):
-        size = std * DISTORTION_SHARES[DEGREES[i]]
-        by_x, by_z = (linear.wrt_point * size).T[:, :, None]
+        std = distortion * DISTORTION_SHARES[DEGREES[i]]
+        wrt_x, wrt_z = (linear.wrt_point * std).T[:, :, None]
         yield ParameterBlock(
-            f'distortion_{DEGREES[i]}', by_x * field[:, 0] + by_z * field[:, 1], size,
+            f'distortion_{DEGREES[i]}', wrt_x * field[:, 0] + wrt_z * field[:, 1], std,
             best_fit=partial(_motions_of_degree, i), report='distortion_error')
 
 
@@ -211,7 +213,11 @@ def line_bend(linear: Linear) -> Blocks:
 
 
 def _motion_of_bend(linear: Linear) -> Array:
-    """Return the motion to the plane along the middle of the line, as of a data sheet."""
+    """
+    Return the motion (6, 3) from the plane that fits best to the one that touches the middle.
+
+    The latter is the light plane of a data sheet.
+    """
     middle, half = line_span(linear.problem.observations.points)
     _, y, z = linear.estimate.X[:3, :3].T
     slope = 3 / 5 * BEND_OF_S / half
@@ -227,25 +233,29 @@ def pose_parameters(linear: Linear) -> Blocks:
     if model is None:
         return
     for k, (name, std) in enumerate(zip(model.names, model.stds, strict=True)):
-        moves = problem.pose_twists[:, :, [k]]
-        yield ParameterBlock(name, linear.wrt_twists(moves) * std, std, moves, pose_value=k,
+        twists = problem.pose_twists[:, :, [k]]
+        yield ParameterBlock(name, linear.wrt_twists(twists) * std, std, twists, pose_value=k,
                              value=problem.pose_values[[k]],
                              least_variance=model.least_variance, report=name)
 
 
 def with_columns(blocks: Sequence[ParameterBlock], first: int = 0
                  ) -> Iterator[tuple[ParameterBlock, slice]]:
-    """Yield each block with the place of its parameters among those of all, from `first` on."""
+    """
+    Yield each block with the columns of its parameters among those of all blocks.
+
+    first: the column at which the first block begins.
+    """
     for block in blocks:
         yield block, slice(first, first + block.count)
         first += block.count
 
 
 def best_fit_motions(linear: Linear, blocks: Sequence[ParameterBlock]) -> Array:
-    """Return the derivatives (6, q) of the best-fit transform by the parameters of blocks."""
-    parts = [np.zeros((6, block.count)) if block.best_fit is None else
-             block.best_fit(linear) * block.std for block in blocks]
-    return np.concatenate([np.zeros((6, 0)), *parts], axis=1)
+    """Return G (6, q), derivatives of the best-fit transform by the parameters of blocks, (9)."""
+    motions = [block.best_fit(linear) * block.std if block.best_fit else
+               np.zeros((6, block.count)) for block in blocks]
+    return np.concatenate([np.zeros((6, 0)), *motions], axis=1)
 
 
 BLOCK_SOURCES: tuple[BlockSource, ...] = (

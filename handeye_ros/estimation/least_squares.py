@@ -3,14 +3,18 @@
 """
 The least squares of the estimators, over items of data, and which items are outliers.
 
-An item has one weight: a station, a row of a table, a pair of poses. Levenberg-Marquardt; items
-that do not fit are weighted down by graduated non-convexity, (11) (Yang et al. 2020, RA-L 5:1127),
-then those that the others do not predict are dropped, worst first, by leave-one-out residuals,
-(12). In an inverse, a direction that the data do not show keeps a large, finite variance.
+An item is what is right or wrong as a whole: a station, a row of a table, a pair of poses. It has
+one or several residuals (rows of the system) with one weight.
+
+`System.least_squares` is Levenberg-Marquardt. `graduated` reaches a fit from a rough start in
+spite of outliers, (11) (graduated non-convexity, Yang et al. 2020, RA-L 5:1127). `drop_outliers`
+then drops the items that the others do not predict, by leave-one-out residuals, (12). `adjust`
+does all three for a table. In an inverse, a direction that the data do not show keeps a large,
+finite variance.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, wraps
 from typing import Any, Generic, ParamSpec, TypeAlias, TypeVar
@@ -81,27 +85,30 @@ class System(Generic[S]):
         weights: (n,) on the squared residuals of the items; converged: the iteration ends when a
         step changes the residuals by less than this (sigmas).
         """
-        root = np.ones(len(self.item)) if weights is None else np.sqrt(weights)[self.item]
+        root_weights = np.ones(len(self.item)) if weights is None else np.sqrt(weights)[self.item]
 
-        def whitened_at(rows: Rows) -> tuple[Whitener, Array, Array]:
+        def whitened(rows: Rows) -> tuple[Whitener, Array, Array]:
             whiten = rows.whitener()
-            return whiten, whiten(rows.residuals) * root, whiten(rows.jacobian()) * root[:, None]
+            return (whiten, whiten(rows.residuals) * root_weights,
+                    whiten(rows.jacobian()) * root_weights[:, None])
 
-        state, (whiten, r, J), damping = start, whitened_at(self.rows(start)), 1e-4
+        state, damping = start, 1e-4
+        whiten, r, J = whitened(self.rows(start))
         for _ in range(iterations):
             step = _damped_steps(J, r, np.array(damping))
             moved = self.retract(state, step)
-            rows, before = self.rows(moved), r @ r
-            after = float(((whiten(rows.residuals) * root) ** 2).sum())
-            if not after <= before * (1 + ROUNDING_SHARE):
+            rows = self.rows(moved)
+            cost = r @ r
+            cost_moved = float(((whiten(rows.residuals) * root_weights) ** 2).sum())
+            if not cost_moved <= cost * (1 + ROUNDING_SHARE):  # larger, or nan
                 damping *= DAMPING_FACTOR
                 continue
             state = moved
-            if (np.linalg.norm(J @ step) < converged * (1 + np.sqrt(before))
-                    or after >= before * (1 - 1e-14)):  # the rounding of the derivatives is left
+            if (np.linalg.norm(J @ step) < converged * (1 + np.sqrt(cost))
+                    or cost_moved >= cost * (1 - 1e-14)):  # only rounding of the derivatives left
                 break
             damping = max(damping / DAMPING_FACTOR ** 2, 1e-14)
-            whiten, r, J = whitened_at(rows)
+            whiten, r, J = whitened(rows)
         return state
 
     def few_weighted_steps(self, state: S, weights: Array) -> S:
@@ -115,21 +122,23 @@ def many_least_squares(linear: Callable[[States], tuple[Array, Array]],
     """
     Return the states after some steps from k independent starts, and their sums of squares (k,).
 
-    starts: arrays (k, ...); linear(states): residuals (k, m) and their derivatives (k, m, u);
-    retract(states, steps (k, u)): the moved states. One start after the other takes more than
-    twice as long.
+    starts: arrays (k, ...) that together are k states; linear(states): residuals (k, m) and their
+    derivatives (k, m, u); retract(states, steps (k, u)): the moved states. All step at once:
+    one start after the other takes more than twice as long.
     """
-    current, damping = [*starts, *linear(starts)], np.full(len(starts[0]), 1e-4)
+    states, damping = starts, np.full(len(starts[0]), 1e-4)
+    r, J = linear(states)
     for _ in range(iterations):
-        *states, r, J = current
-        moved = retract(tuple(states), _damped_steps(J, r, damping))
-        trial = [*moved, *linear(moved)]
-        better = (trial[-2] ** 2).sum(axis=1) <= (r ** 2).sum(axis=1) * (1 + ROUNDING_SHARE)
+        moved = retract(states, _damped_steps(J, r, damping))
+        r_moved, J_moved = linear(moved)
+        better = (r_moved ** 2).sum(axis=1) <= (r ** 2).sum(axis=1) * (1 + ROUNDING_SHARE)
         damping = np.where(better, np.maximum(damping / DAMPING_FACTOR ** 2, 1e-14),
                            damping * DAMPING_FACTOR)
-        current = [np.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-                   for new, old in zip(trial, current, strict=True)]
-    return tuple(current[:-2]), (current[-2] ** 2).sum(axis=1)
+        *arrays, r, J = (np.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+                         for new, old in zip((*moved, r_moved, J_moved), (*states, r, J),
+                                             strict=True))
+        states = tuple(arrays)
+    return states, (r ** 2).sum(axis=1)
 
 
 def _damped_steps(J: Array, r: Array, damping: Array) -> Array:
@@ -138,33 +147,37 @@ def _damped_steps(J: Array, r: Array, damping: Array) -> Array:
 
     J: (..., m, u), r: (..., m), damping: (...).
     """
-    transposed, every = np.swapaxes(J, -1, -2), np.arange(J.shape[-1])
-    A = transposed @ J
-    scale = np.maximum(np.sqrt(A[..., every, every]), 1e-150)  # its square is a number, too
-    A /= scale[..., None, :] * scale[..., None]
-    A[..., every, every] += damping[..., None]
-    step = np.linalg.solve(A, (transposed @ r[..., None]) / scale[..., None])[..., 0]
-    return np.asarray(-step / scale)
+    J_T, diagonal = np.swapaxes(J, -1, -2), np.arange(J.shape[-1])
+    normal = J_T @ J
+    # norms of the columns; the least is so small that its square is still a number
+    norms = np.maximum(np.sqrt(normal[..., diagonal, diagonal]), 1e-150)
+    normal /= norms[..., None, :] * norms[..., None]
+    normal[..., diagonal, diagonal] += damping[..., None]
+    step = np.linalg.solve(normal, (J_T @ r[..., None]) / norms[..., None])[..., 0]
+    return np.asarray(-step / norms)
 
 
 def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array], S]) -> S:
     """
     Return the state that graduated non-convexity reaches from a start, (11).
 
-    squares(state): (n,) mean squared whitened residuals of the items; refit(state, weights (n,)):
-    the state after some steps of the weighted least squares.
+    In each round item i has the weight (mu / (mu + q_i))^2, and mu is halved.
+
+    squares(state): (n,) q, the mean squared whitened residuals of the items; refit(state, weights
+    (n,)): the state after some steps of the weighted least squares.
     """
-    state, current = start, squares(start)
-    # where a start explains most items, the few others have little weight from the first step on
-    control, before = min(float(current.max()), 10.0 * typical_square(current)), np.inf
+    state, q = start, squares(start)
+    typical, typical_before = typical_square(q), np.inf
+    # where a start explains most items, the few others have little weight from the first round on
+    halved = min(float(q.max()), 10.0 * typical)
     for _ in range(50):
-        spread = typical_square(current)
-        last = max(9.0, 3.0 * spread)  # of mu, a squared whitened residual: 3 sigma
-        if control <= last and spread > 0.99 * before:
+        least = max(9.0, 3.0 * typical)  # of mu, a squared whitened residual: 3 sigma
+        if halved <= least and typical > 0.99 * typical_before:
             break
-        mu = max(control, last)
-        state = refit(state, (mu / (mu + current)) ** 2)
-        current, before, control = squares(state), spread, control / 2
+        mu = max(halved, least)
+        state = refit(state, (mu / (mu + q)) ** 2)
+        q, halved = squares(state), halved / 2
+        typical, typical_before = typical_square(q), typical
     return state
 
 
@@ -218,41 +231,44 @@ def outliers(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, s
     """
     probability = chi2_sf(mean_squares * freedom, freedom)
     most = max(1, min(len(mean_squares) // 50, spare)) if spare > 0 else 0
-    worst = np.lexsort((-mean_squares, probability))[:most]  # some may be as good as impossible
+    # by the squares where probabilities are too small to differ
+    worst = np.lexsort((-mean_squares, probability))[:most]
     return np.asarray(worst[probability[worst] < FALSE_ALARM / total])
 
 
 def shared_variance_factor(mean_squares: Array, freedom: NDArray[np.intp] | int) -> float:
-    """Return the variance factor common to most items, at least 1."""
-    median = chi2_isf(0.5, freedom) / freedom
-    return max(1.0, float(np.median(mean_squares / median)))
+    """Return the variance factor common to most items, at least 1; arguments as of outliers."""
+    expected = chi2_isf(0.5, freedom) / freedom  # their median if the factor is 1
+    return max(1.0, float(np.median(mean_squares / expected)))
 
 
 def drop_outliers(used: NDArray[np.intp], total: int, fewest: int,
                   fitted: Callable[[F | None, NDArray[np.intp]], F],
                   left_out_squares: Callable[[F], tuple[Array, NDArray[np.intp] | int]],
-                  surely_wrong: Callable[[F], int | None] = lambda fit: None
+                  surely_wrong: Callable[[F], Sequence[int]] = lambda fit: ()
                   ) -> tuple[F, NDArray[np.intp], dict[int, float]]:
     """
-    Return the fit of the items that agree, these items, and the squares of those dropped.
+    Return the fit of the items that agree, these items, and the squares of those dropped, by item.
 
-    One that the others do not predict is dropped here; what is off by much more was left out of
-    `used` before. used: the items to begin with, of `total`; fewest: fewest that remain;
-    fitted(the fit before or None, used): the fit of some items; left_out_squares(fit): of each
-    item the mean squared left-out residual, (12), and its degrees of freedom; surely_wrong(fit):
-    an item that is wrong though none of these is too large, None without one.
+    Each round fits the items used, and drops those that the others do not predict, (12).
+
+    used: numbers of the items to begin with, of `total`; fewest: number that at least remain
+    fitted(the fit of the round before or None, used): the fit of the items used
+    left_out_squares(fit): (len(used),) mean squared left-out residuals of the items used, and
+        their degrees of freedom
+    surely_wrong(fit): places in `used` of items that are wrong though no square is too large
     """
     fit, dropped = fitted(None, used), dict[int, float]()
     while True:
         squares, freedom = left_out_squares(fit)
-        worst = outliers(squares, freedom, total, len(used) - fewest)
-        sure = surely_wrong(fit) if not len(worst) and len(used) > fewest else None
-        if sure is not None:
-            worst = np.array([sure])
-        if not len(worst):
+        spare = len(used) - fewest
+        wrong = [*outliers(squares, freedom, total, spare)]
+        if not wrong and spare > 0:
+            wrong = [*surely_wrong(fit)]
+        if not wrong:
             return fit, used, dropped
-        dropped |= {int(used[k]): float(squares[k]) for k in worst}
-        used = np.delete(used, worst)
+        dropped |= {int(used[place]): float(squares[place]) for place in wrong}
+        used = np.delete(used, wrong)
         fit = fitted(fit, used)
 
 
@@ -284,40 +300,41 @@ def adjust(system: System[S], start: S, fewest: int) -> Adjusted[S]:
     n = int(system.item[-1]) + 1
 
     def squares(state: S) -> Array:
-        current = system.rows(state)
-        return np.asarray((current.whitener()(current.residuals) ** 2).reshape(n, -1).mean(axis=1))
+        rows = system.rows(state)
+        return np.asarray((rows.whitener()(rows.residuals) ** 2).reshape(n, -1).mean(axis=1))
 
     def fitted(before: Adjusted[S] | None, used: NDArray[np.intp]) -> Adjusted[S]:
-        good = np.isin(np.arange(n), used)
-        state = system.least_squares(before.state if before else start_near, good.astype(float))
-        rows = system.rows(state)
+        is_used = np.isin(np.arange(n), used)
+        state = system.least_squares(before.state if before else robust, is_used.astype(float))
+        rows, of_used = system.rows(state), is_used[system.item]
         whiten = rows.whitener()
-        r, J, kept = whiten(rows.residuals), whiten(rows.jacobian()), good[system.item]
-        covariance = covariance_of(J[kept])
-        left_out = leave_one_out(r[kept], J[kept], covariance, system.item[kept])
-        variance = float(r[kept] @ r[kept] / max(kept.sum() - J.shape[1], 1))
-        return Adjusted(state, used, r.reshape(n, -1), left_out.reshape(len(used), -1),
-                        covariance * max(1.0, variance), variance)
+        whitened = whiten(rows.residuals)
+        r, J = whitened[of_used], whiten(rows.jacobian())[of_used]
+        covariance = covariance_of(J)
+        left_out = leave_one_out(r, J, covariance, system.item[of_used])
+        variance_factor = float(r @ r / max(len(r) - J.shape[1], 1))
+        return Adjusted(state, used, whitened.reshape(n, -1), left_out.reshape(len(used), -1),
+                        covariance * max(1.0, variance_factor), variance_factor)
 
     def left_out_squares(fit: Adjusted[S]) -> tuple[Array, int]:
-        statistic = (fit.residuals[fit.used] * fit.left_out).mean(axis=1)
+        mean_squares = (fit.residuals[fit.used] * fit.left_out).mean(axis=1)
         freedom = fit.residuals.shape[1]
-        return statistic / shared_variance_factor(statistic, freedom), freedom
+        return mean_squares / shared_variance_factor(mean_squares, freedom), freedom
 
-    start_near = graduated(start, squares, system.few_weighted_steps)
-    current = squares(start_near)
-    good = np.flatnonzero(current <= max(GROSS_SQUARE * max(1.0, typical_square(current)),
-                                         np.sort(current)[:fewest][-1]))
-    return drop_outliers(good, n, fewest, fitted, left_out_squares)[0]
+    robust = graduated(start, squares, system.few_weighted_steps)
+    q = squares(robust)
+    limit = max(GROSS_SQUARE * max(1.0, typical_square(q)), np.sort(q)[:fewest][-1])
+    return drop_outliers(np.flatnonzero(q <= limit), n, fewest, fitted, left_out_squares)[0]
 
 
 def covariance_of(J: Array) -> Array:
     """Return the covariance (u, u) of the unknowns of a whitened J (m, u), sigmas bounded."""
-    few = len(J) < J.shape[1]  # then only the full SVD of J has the free directions
-    _, s, Vt = np.linalg.svd(J if few else np.linalg.qr(J, mode='r'))
-    values = np.pad(s, (0, len(Vt) - len(s)))
-    root = Vt / np.maximum(values, 1 / LARGEST_STD)[:, None]
-    return np.asarray(root.T @ root)
+    # of fewer rows than unknowns, only the full SVD of J has the free directions
+    root = J if len(J) < J.shape[1] else np.linalg.qr(J, mode='r')
+    _, values, axes = np.linalg.svd(root)
+    values = np.pad(values, (0, len(axes) - len(values)))
+    scaled = axes / np.maximum(values, 1 / LARGEST_STD)[:, None]
+    return np.asarray(scaled.T @ scaled)
 
 
 def bounded_inverse(information: Array) -> Array:
@@ -325,13 +342,13 @@ def bounded_inverse(information: Array) -> Array:
     scale = 1 / np.sqrt(np.maximum(np.diag(information), SMALLEST_INFORMATION))
     scaled = information * scale * scale[:, None] + FREE_DIRECTION * np.eye(len(information))
     root, failed = lapack.dpotrf(scaled.T, lower=1)  # and zeros above it
-    if failed:
+    if failed:  # not positive but for rounding
         values, vectors = eigen(scaled)
-        full = (vectors / np.maximum(values, FREE_DIRECTION)) @ vectors.T
+        inverse = (vectors / np.maximum(values, FREE_DIRECTION)) @ vectors.T
     else:
         lower, _ = lapack.dpotri(root, lower=1, overwrite_c=1)
-        full = lower + np.tril(lower, -1).T
-    return np.asarray(full * scale * scale[:, None])
+        inverse = lower + np.tril(lower, -1).T
+    return np.asarray(inverse * scale * scale[:, None])
 
 
 def eigen(A: Array) -> tuple[Array, Array]:
@@ -345,9 +362,9 @@ def eigen(A: Array) -> tuple[Array, Array]:
 
 def inverse_roots(covariance: Array) -> Array:
     """Return the whitening factors (n, c, c) of covariances (n, c, c)."""
-    size = 1e-12 * np.einsum('nii->n', covariance)[:, None, None]  # many points: rank 6
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance + size * np.eye(
-        covariance.shape[1]))))
+    # those of many points, which share the errors of six numbers, are singular but for this
+    small = 1e-12 * np.einsum('nii->n', covariance)[:, None, None] * np.eye(covariance.shape[1])
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance + small)))
 
 
 def chi2_isf(probability: ArrayLike, freedom: ArrayLike) -> Array:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import eigen, inverse_roots
@@ -91,14 +92,14 @@ def covariance_parts(linear: Linear, group: StationGroup) -> Array:
     stations, the poses, and the pose values if they have white errors.
     """
     noise = linear.problem.config.noise
-    local = (0.6 * noise.distortion) ** 2  # the share that differs, as speckle does
-    pose = np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
+    local_distortion = (0.6 * noise.distortion) ** 2  # the share that differs, as speckle does
+    pose_variances = np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
     # no covariance between the components, so that any factors keep the sum positive
     features = _outer(linear.wrt_feature[group.rows]) * group.shared
-    features += 1e-9 ** 2 * np.eye(group.rows.shape[1])  # m; without noise its weight is infinite
+    features += 1e-9 ** 2 * np.eye(group.rows.shape[1])  # (1 nm)^2: exact points weigh, too
     parts = [*features * group.components,
-             group.correlation * _outer(linear.wrt_point[group.rows], local),
-             _outer(linear.wrt_pose[group.rows], pose)]
+             group.correlation * _outer(linear.wrt_point[group.rows], local_distortion),
+             _outer(linear.wrt_pose[group.rows], pose_variances)]
     if linear.wrt_jitter is not None:
         parts.append(_outer(linear.wrt_jitter[group.rows]))
     return np.array(parts)
@@ -124,6 +125,7 @@ def _outer(factor: Array, variances: Array | float = 1.0) -> Array:
     return np.asarray(scaled @ np.swapaxes(scaled, 1, 2))
 
 
+@lru_cache(maxsize=4)  # the search asks twice: for the residuals, then for the step from there
 def whitening(linear: Linear, noise: Noise) -> Whitening:
     """Return the map that whitens residuals to unit covariance."""
     groups = linear.problem.station_groups
@@ -134,42 +136,43 @@ def whitening(linear: Linear, noise: Noise) -> Whitening:
 def prior_variances(covariance: Array, value: Array, counts: Sequence[int], before: Array,
                     largest: Array) -> tuple[Array, Array]:
     """
-    Return the scales of blocks, (6), for the estimate and for the report, as variances (d,).
+    Return tau^2 of each block, (6), for the estimate and for the report: (d,) each.
 
-    value (q,), covariance (q, q): of the parameters, in configured sigmas, when the variance of
-    each block is before (d,) times the configured one; counts: (d,) number of parameters of each
-    block; largest: (d,) bound of the variance.
+    covariance (q, q), value (q,): of the parameters of all blocks, in configured sigmas, estimated
+    with tau^2 of before (d,); counts: (d,) number of parameters of each block; largest: (d,) bound
+    of tau^2.
     """
-    first = np.cumsum([0, *counts])[:-1]
-    # along the axes in which a block's parameters are independent
-    posterior, along = np.empty((2, len(value)))
-    for start, count in zip(first.tolist(), counts, strict=True):
-        block = slice(start, start + count)
-        posterior[block], axes = eigen(covariance[block, block])
-        along[block] = axes.T @ value[block]
-    # without a prior: the information of the data about each parameter, and its gradient
-    present = np.repeat(before, counts)
-    posterior = np.clip(posterior, 1e-12 * present, (1 - 1e-9) * present)
-    information, gradient = 1 / posterior - 1 / present, along / posterior
-    # with each variance that is tried, of each parameter: its posterior variance (s, q), and the
-    # first term of (6), its squared estimate over that variance
-    tried = TRIED_VARIANCES[:, None]
-    growth = 1 + tried * information
-    variance = tried / growth
-    explained = variance * gradient ** 2
-    # of each block (s, d): the log likelihood, and the moments to match, for estimate and report
-    evidence = 0.5 * np.add.reduceat(explained - np.log(growth), first, axis=1)
-    evidence[tried > largest] = -np.inf
-    of_estimate = np.add.reduceat(explained, first, axis=1)
-    of_report = np.add.reduceat(variance * (1 + explained), first, axis=1)
-    prior = np.where(np.equal(counts, 1), SINGLE_PRIOR[:, None], CONSERVATIVE_PRIOR[:, None])
-    return (_moment_matched(MAP_PRIOR[:, None] + evidence, of_estimate),
-            _moment_matched(prior + evidence, of_report))
+    variances = []
+    for end, count, present, bound in zip(np.cumsum(counts), counts, before, largest, strict=True):
+        block = slice(end - count, end)
+        variances.append(_variances_of_block(covariance[block, block], value[block], present,
+                                             bound))
+    for_estimate, for_report = np.reshape(variances, (-1, 2)).T
+    return for_estimate, for_report
 
 
-def _moment_matched(posterior: Array, moment: Array) -> Array:
-    """Return the variances (d,) where moment (s, d) equals its posterior mean over the scales."""
-    weights = np.exp(posterior - posterior.max(axis=0))
-    means = (weights * moment).sum(axis=0) / weights.sum(axis=0)
-    return np.exp([np.interp(mean, of_block, np.log(TRIED_VARIANCES))
-                   for mean, of_block in zip(means, moment.T, strict=True)])
+def _variances_of_block(covariance: Array, value: Array, before: float, largest: float
+                        ) -> tuple[float, float]:
+    """Return tau^2 of one block of k parameters; arguments as of prior_variances."""
+    # the axes l along which the parameters are independent
+    posterior, axes = eigen(covariance)
+    posterior = np.clip(posterior, 1e-12 * before, (1 - 1e-9) * before)
+    # lambda_l and gamma_l: what the data say without the prior
+    information, gradient = 1 / posterior - 1 / before, (axes.T @ value) / posterior
+    # with each tau^2 tried (s, k): the posterior variance, and the squared estimate over it
+    growth = 1 + TRIED_VARIANCES[:, None] * information
+    variance = TRIED_VARIANCES[:, None] / growth
+    squares = variance * gradient ** 2
+    log_likelihood = 0.5 * (squares - np.log(growth)).sum(axis=1)
+    log_likelihood[largest < TRIED_VARIANCES] = -np.inf
+    prior = SINGLE_PRIOR if len(value) == 1 else CONSERVATIVE_PRIOR
+    second_moment = (variance * (1 + squares)).sum(axis=1)
+    return (_matching_variance(MAP_PRIOR + log_likelihood, squares.sum(axis=1)),
+            _matching_variance(prior + log_likelihood, second_moment))
+
+
+def _matching_variance(log_posterior: Array, moment: Array) -> float:
+    """Return the tau^2 at which a moment (s,) equals its mean over TRIED_SCALES, (6)."""
+    weights = np.exp(log_posterior - log_posterior.max())
+    mean = (weights * moment).sum() / weights.sum()
+    return float(np.exp(np.interp(mean, moment, np.log(TRIED_VARIANCES))))

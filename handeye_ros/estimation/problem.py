@@ -82,7 +82,7 @@ class Observations:
 
     @property
     def error_source(self) -> NDArray[np.intp]:
-        """Return a number (m,) that those observations share that share an error e."""
+        """Return numbers (m,), equal for observations that share an error e."""
         return (self.station << 32) + self.error_number
 
     @cached_property
@@ -91,12 +91,12 @@ class Observations:
         grouped = []
         for rows in rows_by_count(self.station):
             points, number = self.points[rows], self.error_number[rows]
-            second = self.ending[rows] > 0
+            is_edge = self.ending[rows] > 0
             apart = points[:, :, None] - points[:, None, :]
             # 0.01 m: correlation length of the sensor's distortion
             correlation = np.exp(-0.5 * np.einsum('nijk,nijk->nij', apart, apart) / 0.01 ** 2)
             shared = (number[:, :, None] == number[:, None, :]).astype(float)
-            pairs = [of[:, :, None] & of[:, None, :] for of in (~second, second)]
+            pairs = [mask[:, :, None] & mask[:, None, :] for mask in (~is_edge, is_edge)]
             grouped.append(StationGroup(rows, correlation, shared, np.array(pairs, dtype=float)))
         return tuple(grouped)
 

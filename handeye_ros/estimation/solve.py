@@ -49,12 +49,12 @@ from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem
 import numpy as np
 from numpy.typing import NDArray
 
-# sigmas: the last step of the unknowns; one more follows with the final scales. After MOST_STEPS a
-# step of NEAR_SIGMAS is small enough.
+# The iteration of the unknowns ends at a step of CONVERGED_SIGMAS; one more follows with the final
+# scales. After MOST_STEPS, one of NEAR_SIGMAS is small enough.
 CONVERGED_SIGMAS, NEAR_SIGMAS, MOST_STEPS = 0.25, 1.0, 10
-FULL_STEPS = 5  # of the scales, of which the others are half
-LEFT_BY_OTHERS = 1e-6  # rest of a variance that the other stations leave
-LAST_STEPS = 3  # iterations of variance factors and scales after it
+FULL_STEPS = 5  # in which the scales change in full, later by half
+LAST_STEPS = 3  # of variance factors and scales, after the last of the unknowns
+LEFT_BY_OTHERS = 1e-6  # share of a variance; a station that leaves less to the others is needed
 MAP_PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
 
 
@@ -77,7 +77,7 @@ class Solution:
     used: (n,) indices of those used
     dropped_squares: squared residual of the others
     probability_wrong: that one of few used stations is wrong
-    surely_wrong: the station that almost surely is
+    surely_wrong: the place in `used` of the station that almost surely is, () without one
 
     What is reported, (8), is the estimate of one solution with the covariance of another:
 
@@ -99,7 +99,7 @@ class Solution:
     dropped_squares: Mapping[int, float] = field(default_factory=dict)
     probability_wrong: float = 0.0
     added_covariances: Mapping[str, Array] = field(default_factory=dict)
-    surely_wrong: int | None = None
+    surely_wrong: tuple[int, ...] = ()
     at_conservative_scales: Solution | None = None
 
     @classmethod
@@ -110,10 +110,9 @@ class Solution:
             blocks = () if noise.blocks_as_noise else blocks_at(linear)
         residuals = linear.residuals
         for block in blocks:
-            if block.value is not None:  # they are in the estimate or the poses
+            if block.value is not None:  # its parameter is in the estimate, or in the poses
                 residuals = residuals - block.columns @ (block.value / block.std)
-        whiten = whitening(linear, noise)
-        problem = linear.problem
+        whiten, problem = whitening(linear, noise), linear.problem
         whitened = whiten(np.column_stack([linear.jacobian[:, problem.free_columns],
                                            *(block.columns for block in blocks), residuals]))
         A = whitened[:, :-1]
@@ -137,7 +136,8 @@ class Solution:
     @property
     def variances(self) -> Array:
         """Return tau^2 of each block (d,)."""
-        return np.array([self.prior_scale(block) for block in self.blocks]) ** 2
+        variances = self.noise.block_variances
+        return np.array([variances.get(block.name, 1.0) for block in self.blocks])
 
     @cached_property
     def prior_information(self) -> Array:
@@ -200,38 +200,40 @@ class Solution:
         gain = (J.reshape(-1, J.shape[2]) @ self.covariance).reshape(J.shape)
         return np.asarray(gain @ np.swapaxes(J, 1, 2))
 
-    def estimated_factors(self, stated: Array | float = 1.0) -> Array:
-        """Return the variance factors (5,) from residuals, and a prior at stated, (7)."""
+    def estimated_factors(self, prior: Array | float = 1.0) -> Array:
+        """Return the variance factors (5,) from residuals and their prior phi_0, (7)."""
+        # e' V~ e, and the trace of V~ (I - A C A'), of each factor
         sums = np.zeros((len(MAP_PRIOR_FACTORS), 2))
         for group, root in zip(self.problem.station_groups, self.whitening.roots, strict=True):
-            V = covariance_parts(self.linear, group)
-            W = (root @ V @ np.swapaxes(root, 1, 2)).reshape(len(V), -1)
-            r = self.postfit_residuals[group.rows]
-            left = np.eye(r.shape[1]) - self.predicted_covariance(group.rows)
-            both = r[:, :, None] * r[:, None]
-            sums[:len(V)] += W @ np.column_stack([both.ravel(), left.ravel()])
+            parts = covariance_parts(self.linear, group)
+            whitened_parts = (root @ parts @ np.swapaxes(root, 1, 2)).reshape(len(parts), -1)
+            e = self.postfit_residuals[group.rows]
+            products = e[:, :, None] * e[:, None]
+            expected = np.eye(e.shape[1]) - self.predicted_covariance(group.rows)
+            sums[:len(parts)] += whitened_parts @ np.column_stack(
+                [products.ravel(), expected.ravel()])
         before = self.noise.variance_factors
-        sums *= before[:, None]
-        after = before * (sums[:, 0] + PRIOR_FREEDOM * stated / before) / (
-            np.maximum(sums[:, 1], 0.0) + PRIOR_FREEDOM)
+        squares, trace = before * sums.T
+        after = before * (squares + PRIOR_FREEDOM * prior / before) / (
+            np.maximum(trace, 0.0) + PRIOR_FREEDOM)
         return np.asarray(np.clip(after, 1e-4, 1e8))
 
     def estimated_block_variances(self) -> tuple[Array, Array]:
         """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
         u, least = self.unknowns, [block.least_variance for block in self.blocks]
-        largest = np.array([block.largest_variance for block in self.blocks])
-        found = prior_variances(self.covariance[u:, u:], self.nuisance,
-                                [block.count for block in self.blocks], self.variances, largest)
-        return np.maximum(found[0], least), np.maximum(found[1], least)
+        for_estimate, for_report = prior_variances(
+            self.covariance[u:, u:], self.nuisance, [block.count for block in self.blocks],
+            self.variances, np.array([block.largest_variance for block in self.blocks]))
+        return np.maximum(for_estimate, least), np.maximum(for_report, least)
 
     def with_variances(self, variances: Array) -> Solution:
         """Return the solution with variances (d,) of blocks, relative to the configured ones."""
         named = dict(zip([block.name for block in self.blocks], variances.tolist(), strict=True))
         return replace(self, noise=replace(self.noise, block_variances=named))
 
-    def with_estimated_factors(self, stated: Array | float = 1.0) -> Solution:
-        """Return the solution with estimated variance factors, at the same estimate."""
-        noise = replace(self.noise, variance_factors=self.estimated_factors(stated))
+    def with_estimated_factors(self, prior: Array | float = 1.0) -> Solution:
+        """Return the solution with variance factors from (7), linearised where this one is."""
+        noise = replace(self.noise, variance_factors=self.estimated_factors(prior))
         return Solution.of_linear(self.linear, noise, self.blocks)
 
     def with_conservative_scales(self, steps: int) -> Solution:
@@ -282,10 +284,10 @@ class Solution:
     def _best_fit(self) -> Array:
         """Return the mean square (6, 6) of the best-fit transform about the estimate, (9)."""
         conservative = self.conservative
-        moving = best_fit_motions(conservative.linear, conservative.blocks)
-        columns = np.hstack([np.eye(6, conservative.unknowns), moving])
-        shift = self.conservative_shift + moving @ conservative.nuisance
-        return np.asarray(columns @ conservative.covariance @ columns.T + np.outer(shift, shift))
+        G = best_fit_motions(conservative.linear, conservative.blocks)
+        L = np.hstack([np.eye(6, conservative.unknowns), G])
+        d_fit = self.conservative_shift + G @ conservative.nuisance
+        return np.asarray(L @ conservative.covariance @ L.T + np.outer(d_fit, d_fit))
 
     @cached_property
     def ranks(self) -> NDArray[np.intp]:
@@ -357,12 +359,12 @@ class Solution:
     @property
     def deviance(self) -> float:
         """Return -2 log of the marginal likelihood, the prior of the noise factors included."""
-        spread = -2 * sum(float(np.log(np.einsum('nii->ni', f)).sum())
-                          for f in self.whitening.roots)
-        factors, information = self.noise.variance_factors, self.prior_information[self.unknowns:]
-        prior = PRIOR_FREEDOM * float((np.log(factors) + 1 / factors - 1).sum())
-        return float(spread + np.linalg.slogdet(self.information)[1] - np.log(information).sum()
-                     + self.sum_of_squares + prior)
+        log_det_V = -2 * sum(float(np.log(np.einsum('nii->ni', root)).sum())
+                             for root in self.whitening.roots)
+        factors, priors = self.noise.variance_factors, self.prior_information[self.unknowns:]
+        prior_of_factors = PRIOR_FREEDOM * float((np.log(factors) + 1 / factors - 1).sum())
+        return float(log_det_V + np.linalg.slogdet(self.information)[1] - np.log(priors).sum()
+                     + self.sum_of_squares + prior_of_factors)
 
     @property
     def stations_without_edges(self) -> NDArray[np.intp]:
@@ -383,15 +385,15 @@ class Solution:
         """
         problem, T = self.problem, self.problem.robot_poses
         values = np.zeros((len(T), 1)) + (self.nuisance if nuisance is None else nuisance)
-        errors = np.zeros((len(T), 6))
+        twists = np.zeros((len(T), 6))
         for block, columns in with_columns(self.blocks):
             if block.twists is not None:
-                # the poses already include the parameters that they depend on
-                inside = self.nuisance[columns] * (block.value is not None)
-                errors += block.std * np.einsum(
-                    'nxk,nk->nx', block.twists, values[:, columns] - inside)
-        corrected = se3.transform(se3.exp_rotation(errors[:, 3:]) @ T[:, :3, :3],
-                                  T[:, :3, 3] + errors[:, :3])
+                # the poses already include the parameters that they depend on, as estimated
+                included = self.nuisance[columns] * (block.value is not None)
+                twists += block.std * np.einsum(
+                    'nxk,nk->nx', block.twists, values[:, columns] - included)
+        corrected = se3.transform(se3.exp_rotation(twists[:, 3:]) @ T[:, :3, :3],
+                                  T[:, :3, 3] + twists[:, :3])
         return corrected if problem.config.in_hand else se3.inverse(corrected)
 
     def left_out_squares(self) -> tuple[Array, NDArray[np.intp]]:
@@ -402,11 +404,11 @@ class Solution:
         freedom it is chi-squared distributed when the station is good. All points of a station
         share one pose, which has 6 degrees of freedom.
         """
-        station, r = self.problem.observations.station, self.postfit_residuals
-        products = r * leave_one_out(r, self.jacobian, self.covariance, station)
-        statistic, count = (np.bincount(station, weights, len(self.problem.poses))
-                            for weights in (products, None))
-        return statistic / np.maximum(count, 1), np.clip(count, 1, 6)
+        station, e = self.problem.observations.station, self.postfit_residuals
+        products = e * leave_one_out(e, self.jacobian, self.covariance, station)
+        sums, count = (np.bincount(station, weights, len(self.problem.poses))
+                       for weights in (products, None))
+        return sums / np.maximum(count, 1), np.clip(count, 1, 6)
 
     @property
     def is_determined(self) -> bool:
@@ -416,11 +418,12 @@ class Solution:
     @property
     def indispensable_stations(self) -> NDArray[np.intp]:
         """Return the used stations that determine something that no other one shows."""
-        station, alone = self.problem.observations.station, np.zeros(len(self.used), dtype=bool)
+        station, needed = self.problem.observations.station, np.zeros(len(self.used), dtype=bool)
         for group in self.problem.station_groups:
-            share = np.linalg.eigvalsh(self.predicted_covariance(group.rows))[:, -1]
-            alone[station[group.rows[:, 0]]] = share > 1 - LEFT_BY_OTHERS
-        return self.used[alone]
+            # 1 where all that is known of a direction comes from the station itself
+            largest_share = np.linalg.eigvalsh(self.predicted_covariance(group.rows))[:, -1]
+            needed[station[group.rows[:, 0]]] = largest_share > 1 - LEFT_BY_OTHERS
+        return self.used[needed]
 
     def predictions(self, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
         """
@@ -429,12 +432,12 @@ class Solution:
         fold: (n,) fold of each station, from 0. Also returns the poses (n, 4, 4), corrected by the
         robot's smooth error as estimated from the other folds.
         """
-        of_row, u = fold[self.problem.observations.station], self.unknowns
+        fold_of_row, u = fold[self.problem.observations.station], self.unknowns
         steps = np.empty((fold.max() + 1, len(self.prior_information)))
         for k in range(len(steps)):
-            J, r = self.jacobian[of_row == k], self.postfit_residuals[of_row == k]
-            left_out = left_out_residuals((J @ self.covariance @ J.T)[None], r[None])[0]
-            steps[k] = self.covariance @ (J.T @ left_out)
+            A, e = self.jacobian[fold_of_row == k], self.postfit_residuals[fold_of_row == k]
+            left_out = left_out_residuals((A @ self.covariance @ A.T)[None], e[None])[0]
+            steps[k] = self.covariance @ (A.T @ left_out)
         return ([self.problem.retracted(self.estimate, step) for step in steps[:, :u]],
                 self.corrected_poses(self.nuisance + steps[fold, u:]))
 
@@ -443,11 +446,21 @@ def cover(first: Array, second: Array) -> Array:
     """Return the smallest covariance (k, k) not below either of two in any direction, (8)."""
     std = np.sqrt(np.diag(first))
     values, vectors = np.linalg.eigh(first / np.outer(std, std))
-    roots = np.sqrt(np.maximum(values, FREE_DIRECTION))
-    root, inverse_root = std[:, None] * vectors * roots, (vectors / roots).T / std
+    scales = np.sqrt(np.maximum(values, FREE_DIRECTION))
+    root, inverse_root = std[:, None] * vectors * scales, (vectors / scales).T / std
+    # in the axes in which the first is 1 and the second diagonal, the larger of both variances
     values, vectors = np.linalg.eigh(inverse_root @ second @ inverse_root.T)
-    along = root @ vectors
-    return np.asarray((along * np.maximum(values, 1.0)) @ along.T)
+    axes = root @ vectors
+    return np.asarray((axes * np.maximum(values, 1.0)) @ axes.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Where the least squares (4) converged, and noise and scales for the estimate and report."""
+
+    linear: Linear
+    for_estimate: Noise
+    for_report: Noise
 
 
 def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
@@ -458,80 +471,80 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
     conservative scales, with long errors of the robot only. noise: to start with.
     """
     if len(problem.poses) < 2 * problem.many:
-        linear, for_estimate, for_report = _estimated(problem, start, noise)
-        return replace(Solution.of_linear(linear, for_estimate),
-                       at_conservative_scales=reported_at(linear, for_report, problem))
-    linear, for_estimate, for_report = estimated_of_part(problem, start, noise)
-    return solution_of_many(linear, for_estimate, for_report,
-                            reported_at(linear, for_report, problem))
+        minimum = minimum_near(problem, start, noise)
+        return replace(Solution.of_linear(minimum.linear, minimum.for_estimate),
+                       at_conservative_scales=reported_at(minimum.linear, minimum.for_report,
+                                                          problem))
+    part = minimum_of_part(problem, start, noise)
+    return solution_of_many(part, reported_at(part.linear, part.for_report, problem))
 
 
-def estimated_of_part(problem: Problem, start: Estimate, noise: Noise
-                      ) -> tuple[Linear, Noise, Noise]:
-    """Return what _estimated does, of a part of many stations."""
+def minimum_of_part(problem: Problem, start: Estimate, noise: Noise) -> Minimum:
+    """Return the minimum of evenly chosen stations, about `many`, of a problem with more."""
     n = len(problem.poses)
-    return _estimated(problem.subset(np.arange(0, n, round(n / problem.many))), start, noise)
+    return minimum_near(problem.subset(np.arange(0, n, round(n / problem.many))), start, noise)
 
 
-def solution_of_many(linear: Linear, noise: Noise, conservative_noise: Noise, reported: Solution
-                     ) -> Solution:
+def solution_of_many(part: Minimum, reported: Solution) -> Solution:
     """
-    Return the MAP solution of many stations from what a part told, and from that for the report.
+    Return the MAP solution of many stations, from the minimum of a part and that for the report.
 
-    It is linearised where the part was, and has its noise. Scales take one step from its own.
+    It is linearised where the part was, and has its noise. The scales of the estimate take one
+    step from those of the part.
     """
-    near = solution_at(replace(reported.problem, long_errors=False), linear.estimate, noise)
-    conservative = replace(
-        near, noise=replace(noise, block_variances=conservative_noise.block_variances))
-    return replace(near.with_variances(conservative.estimated_block_variances()[0]),
-                   at_conservative_scales=reported)
+    problem = replace(reported.problem, long_errors=False)
+    solution = solution_at(problem, part.linear.estimate, part.for_estimate)
+    conservative = replace(solution, noise=replace(
+        part.for_estimate, block_variances=part.for_report.block_variances))
+    for_estimate, _ = conservative.estimated_block_variances()
+    return replace(solution.with_variances(for_estimate), at_conservative_scales=reported)
 
 
-def _estimated(problem: Problem, start: Estimate, noise: Noise) -> tuple[Linear, Noise, Noise]:
-    """Return the problem at its minimum, and noise and scales for the estimate and the report."""
-    # near the minimum, at conservative scales
-    reached, converged = _until_converged(solution_at(problem, start, noise))
-    if not converged:  # where it is stays the answer, as uncertain as any
-        return reached.linear, reached.noise, reached.noise
+def minimum_near(problem: Problem, start: Estimate, noise: Noise) -> Minimum:
+    """Return the minimum near a start, with noise and scales estimated there."""
+    reached, converged = _iterated(solution_at(problem, start, noise))
+    if not converged:  # the nearest is the answer, as uncertain as any
+        return Minimum(reached.linear, reached.noise, reached.noise)
     # both scales follow from the posterior at the conservative ones
-    for_estimate = conservative = reached
+    for_estimate = for_report = reached
     if reached.blocks:
         posterior = reached.with_conservative_scales(LAST_STEPS - 1)
-        for_estimate, conservative = map(reached.with_variances,
-                                         posterior.estimated_block_variances())
+        for_estimate, for_report = map(reached.with_variances,
+                                       posterior.estimated_block_variances())
     # the noise of the estimate, at its own scales; that of the report stays as it converged
     for _ in range(LAST_STEPS):
         for_estimate = for_estimate.with_estimated_factors(MAP_PRIOR_FACTORS)
-    return for_estimate.relinearise(), for_estimate.noise, conservative.noise
+    return Minimum(for_estimate.relinearise(), for_estimate.noise, for_report.noise)
 
 
-def _until_converged(start: Solution) -> tuple[Solution, bool]:
+def _iterated(start: Solution) -> tuple[Solution, bool]:
     """
-    Return the solution at the minimum and True, or the nearest to one and False.
+    Return the solution that repeated steps (5) reach and True, or, if none, the nearest and False.
 
-    Each is linearised where the step of the one before leads, with the variance factors from its
-    residuals, and takes one step of the conservative scales. (Both from the same residuals may
-    swing from too much of one to too much of the other for ever. Where these do all the same, half
-    of the steps that follow, in logarithms, ends it.)
+    The nearest has the shortest step in sigmas. After each step the variance factors are estimated
+    from the residuals before it, (7), and then the conservative scales from those after it, (6).
+    (Both from the same residuals may swing from too much of one to too much of the other for ever.
+    Where these do all the same, half of the later changes, in logarithms, ends it.)
     """
     current = nearest = start
-    least = np.inf
+    shortest = np.inf
     for number in range(MOST_STEPS):
         step = current._step_to_minimum[:current.unknowns]
-        size = float(np.abs(step / np.sqrt(np.diag(current.covariance)[:len(step)])).max())
-        if size < least:
-            nearest, least = current, size
+        sigmas = np.sqrt(np.diag(current.covariance)[:current.unknowns])
+        length = float(np.abs(step / sigmas).max())
+        if length < shortest:
+            nearest, shortest = current, length
         factors = current.estimated_factors()
         steady = np.abs(np.log(factors / current.noise.variance_factors)).max() < 0.1
         noise = replace(current.noise, variance_factors=factors)
-        before = current
-        current = Solution.of_linear(current.relinearise(), noise).with_conservative_scales(1)
-        if number >= FULL_STEPS and len(before.blocks) == len(current.blocks):
-            current = current.with_variances(np.sqrt(current.variances * before.variances))
-        if size < CONVERGED_SIGMAS and steady:
+        following = Solution.of_linear(current.relinearise(), noise).with_conservative_scales(1)
+        if number >= FULL_STEPS and len(current.blocks) == len(following.blocks):
+            following = following.with_variances(np.sqrt(following.variances * current.variances))
+        current = following
+        if length < CONVERGED_SIGMAS and steady:
             break
     # a variance factor of a few points may settle slowly, and hardly moves the solution
-    return (current, True) if size < NEAR_SIGMAS else (nearest, False)
+    return (current, True) if length < NEAR_SIGMAS else (nearest, False)
 
 
 def reported_at(linear: Linear, noise: Noise, problem: Problem, steps: int = LAST_STEPS
