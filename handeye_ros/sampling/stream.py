@@ -171,12 +171,12 @@ def two_frames(kind: str, first: str, second: str) -> InputError:
                       reason='two_frames')
 
 
-def in_majority_order(stamps: NDArray[np.int64], of: str) -> NDArray[np.bool_]:
+def in_majority_order(stamps: NDArray[np.int64], source: str) -> NDArray[np.bool_]:
     """
     Return which messages fit the order of the majority; raises DataError for two runs.
 
-    stamps: in the order of recording (ns); deviations up to REORDER_TIME from the order fit. of:
-    whose they are, in words.
+    stamps: in the order of recording (ns); deviations up to REORDER_TIME from the order fit.
+    source: whose they are, in words.
     """
     if (stamps[1:] >= stamps[:-1]).all():
         return np.ones(len(stamps), dtype=bool)
@@ -188,7 +188,7 @@ def in_majority_order(stamps: NDArray[np.int64], of: str) -> NDArray[np.bool_]:
     if wrong and (wrong > max(FEW_STRAYS, FEW_SHARE * len(fits)) or 2 * wrong >= len(fits)):
         back = np.maximum.accumulate(stamps) - stamps
         index = int(np.argmax(back > REORDER_TIME))
-        raise DataError(f'the stamps {of} jump back by {back[index] * 1e-9:.1f} s at message '
+        raise DataError(f'the stamps {source} jump back by {back[index] * 1e-9:.1f} s at message '
                         f'{index + 1}: two runs seem to be mixed (a bag recorded in a loop?); '
                         'record one run', reason='two_runs')
     return fits
@@ -202,11 +202,11 @@ def _longest_rising(stamps: Sequence[int]) -> NDArray[np.bool_]:
         place = bisect_right(ends, stamp)
         ends[place:place + 1] = [stamp]
         indices.append(place)
-    chosen, wanted = np.zeros(len(stamps), dtype=bool), len(ends) - 1
+    rising, wanted = np.zeros(len(stamps), dtype=bool), len(ends) - 1
     for index in reversed(range(len(stamps))):
         if indices[index] == wanted:
-            chosen[index], wanted = True, wanted - 1
-    return chosen
+            rising[index], wanted = True, wanted - 1
+    return rising
 
 
 def around(poses: Sequence[TimedPose], stamps: Sequence[int]) -> list[TimedPose]:
@@ -226,9 +226,10 @@ def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:
     Linear in the translation, slerp in the rotation. Raises ValueError outside.
     """
     poses = around(poses, stamps)
-    times = np.array([p.stamp - poses[0].stamp for p in poses], dtype=float)
-    at = np.array([s - poses[0].stamp for s in stamps], dtype=float)
-    translations, quaternions = (np.array([getattr(p, name) for p in poses])
-                                 for name in ('translation', 'quaternion'))
-    return se3.transform(Slerp(times, Rotation.from_quat(quaternions))(at).as_matrix(),
-                         np.column_stack([np.interp(at, times, axis) for axis in translations.T]))
+    pose_times = np.array([pose.stamp - poses[0].stamp for pose in poses], dtype=float)
+    times = np.array([stamp - poses[0].stamp for stamp in stamps], dtype=float)
+    rotations = Rotation.from_quat([pose.quaternion for pose in poses])
+    translations = np.array([pose.translation for pose in poses])
+    return se3.transform(
+        Slerp(pose_times, rotations)(times).as_matrix(),
+        np.column_stack([np.interp(times, pose_times, axis) for axis in translations.T]))
