@@ -140,12 +140,13 @@ def _on_arc(points: Array, circle: Array, noise: float, config: Config) -> tuple
         if len(columns) < FEWEST_FITTED:
             break
         circle = fit_circle(points.take(columns, axis=0), steps=1)
-        off = np.abs(distances_from_circle(points[columns[0]:columns[-1] + 1], circle))
-        middle = len(off) // 2
-        scale = SIGMA_OF_MEDIAN * float(np.partition(off, middle)[middle])
-        if not NOISE_RATIO * noise < scale < MOST_NOISE * config.noise.sensor:
+        between_ends = points[columns[0]:columns[-1] + 1]
+        deviations = np.abs(distances_from_circle(between_ends, circle))
+        middle = len(deviations) // 2
+        scatter = SIGMA_OF_MEDIAN * float(np.partition(deviations, middle)[middle])
+        if not NOISE_RATIO * noise < scatter < MOST_NOISE * config.noise.sensor:
             break
-        noise, widths = scale, REFIT_WIDTHS
+        noise, widths = scatter, REFIT_WIDTHS
     if len(columns) < config.sampling.min_points or (
             len(columns) < SMALLEST_DENSITY * (columns[-1] - columns[0] + 1)):
         raise FeatureError(SCATTERED)
@@ -197,11 +198,11 @@ def _is_corner(arc: Arc) -> bool:
     not fit a true arc, whose halves are curved.
     """
     points = arc.raw[::-(-len(arc.raw) // JUDGED_POINTS)]
-    off, (x, z) = distances_from_circle(points, arc.circle), (points - arc.centre).T
+    residual, (x, z) = distances_from_circle(points, arc.circle), (points - arc.centre).T
     sums = np.array([np.ones(len(x)), x, z, x * x, x * z, z * z]).cumsum(axis=1)
     first_line = sums[:, LINE_POINTS - 1:-LINE_POINTS]  # that ends at each point
     squares = _squares_of_lines(first_line) + _squares_of_lines(sums[:, -1:] - first_line)
-    return bool(squares.min() < LEAST_ROUNDNESS * (off @ off))
+    return bool(squares.min() < LEAST_ROUNDNESS * (residual @ residual))
 
 
 def _squares_of_lines(sums: Array) -> Array:
@@ -221,15 +222,15 @@ def normal_points(raw: Array, most: int = NORMAL_POINTS) -> Arc:
     circle = fit_circle(raw)
     from_centre = (raw - circle[:2]) @ [1, 1j]
     middle = from_centre.mean() / abs(from_centre.mean())
-    angle, off = np.angle(from_centre / middle), distances_from_circle(raw, circle)
+    angle, residual = np.angle(from_centre / middle), distances_from_circle(raw, circle)
     order = angle.argsort()
     bins = min(most, len(raw) // 3)
-    (angles, count), (off_means, _) = (bin_means(values[order], bins) for values in (angle, off))
-    places = (circle[2] + off_means) * middle * np.exp(1j * angles)
-    mean_size = len(raw) / bins
-    variance = _variance_of_mean(off[order], off_means, mean_size) * len(raw) / bins / count
-    return Arc(circle[:2] + np.column_stack([places.real, places.imag]), np.sqrt(variance),
-               circle[:2], float(circle[2]), raw)
+    angles, count = bin_means(angle[order], bins)
+    residual_means, _ = bin_means(residual[order], bins)
+    places = (circle[2] + residual_means) * middle * np.exp(1j * angles)
+    variance = _variance_of_mean(residual[order], residual_means, len(raw) / bins)
+    return Arc(circle[:2] + np.column_stack([places.real, places.imag]),
+               np.sqrt(variance * len(raw) / bins / count), circle[:2], float(circle[2]), raw)
 
 
 def _variance_of_mean(residual: Array, means: Array, size: float) -> float:

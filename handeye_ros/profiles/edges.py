@@ -152,11 +152,11 @@ class FaceEnd:
 def ends_of_segments(segments: Sequence[Segment], points: Array, config: Config
                      ) -> Iterator[tuple[FaceEnd, FaceEnd]]:
     """Yield the first and the last end of segments of a profile (n, 2), the longest first."""
-    n, returns, near = len(points), returned(points), -config.profile.range_sign
-    turned = [segment.reversed(n) for segment in reversed(segments)]
+    n, returns, near_sign = len(points), returned(points), -config.profile.range_sign
+    mirrored = [segment.reversed(n) for segment in reversed(segments)]
     for k in sorted(range(len(segments)), key=lambda k: -len(segments[k].columns)):
-        yield (FaceEnd(turned[-1 - k], turned, points[::-1], n - 1 - returns[::-1], near),
-               FaceEnd(segments[k], segments, points, returns, near))
+        yield (FaceEnd(mirrored[-1 - k], mirrored, points[::-1], n - 1 - returns[::-1], near_sign),
+               FaceEnd(segments[k], segments, points, returns, near_sign))
 
 
 class NoEdgeError(FeatureError):

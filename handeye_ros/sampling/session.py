@@ -26,15 +26,8 @@ from handeye_ros.data import AnyProfile, Array, NS, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import frame_notes
 from handeye_ros.sampling.features import result_of
-from handeye_ros.sampling.stops import (
-    FOREVER,
-    MOST_PROFILES,
-    Motion,
-    ProfileBuffer,
-    Stop,
-    StopFinder,
-)
-from handeye_ros.sampling.stream import Copyable, REORDER_TIME, Stream
+from handeye_ros.sampling.stops import MOST_PROFILES, Motion, ProfileBuffer, Stop, StopFinder
+from handeye_ros.sampling.stream import Copyable, LAST_STAMP, REORDER_TIME, Stream
 from handeye_ros.sampling.sweep import passes_expanded
 import numpy as np
 
@@ -109,7 +102,7 @@ class Session(Copyable):
         session = self.copied()
         session.config, session._finder = config, StopFinder(config.sampling)
         session._waiting = []
-        session._profiles.keep(FOREVER, FOREVER, FOREVER)
+        session._profiles.keep(LAST_STAMP, LAST_STAMP, LAST_STAMP)
         return session
 
     def add_pose(self, pose: TimedPose) -> None:
@@ -168,8 +161,8 @@ class Session(Copyable):
         and two frames on a topic, unless there are samples: all are of the first.
         """
         self._require_samples_of_one_frame()
-        self._take_poses(self._pose_stream.released(0, FOREVER))
-        self._profiles.add(self._profile_stream.released(0, FOREVER))
+        self._take_poses(self._pose_stream.released(0, LAST_STAMP))
+        self._profiles.add(self._profile_stream.released(0, LAST_STAMP))
         return self._take_out(self._all_stops())
 
     def _all_stops(self) -> list[Stop]:

@@ -20,7 +20,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config, SamplingConfig
 from handeye_ros.data import AnyProfile, Array, NS, Profile, RawProfile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.sampling.stream import around, by_stamp, Copyable
+from handeye_ros.sampling.stream import around, by_stamp, Copyable, LAST_STAMP
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,7 +29,6 @@ LONGEST_STOP = 10 * NS  # of a stop: more adds nothing but memory
 PASS_TIME = 2 * NS  # of motion
 SHORT_REST = NS // 10  # a rest that was probably meant as a stop
 MOST_POSES = 20_000  # of one stop: stamps need not go on as time does
-FOREVER = 2**63
 
 # Profiles of a sample, evenly spread. A robot at rest sees the same speckle, and 32 profiles
 # reduce the noise of single ones far below that of the poses. A stop keeps more: for other
@@ -98,7 +97,7 @@ class Stop:
         """Return the stop with the profiles surely taken during it, among candidates in order."""
         begin = bisect_left(candidates, self.start, key=by_stamp)
         end = bisect_right(candidates, self.end, key=by_stamp)
-        taken = [profile for profile in candidates[begin:end] if self._has(profile)]
+        taken = [profile for profile in candidates[begin:end] if self._covers(profile)]
         first_settled, last_settled = self._settled_span(config)
         begin = bisect_left(taken, first_settled, key=by_stamp)
         end = max(begin, bisect_right(taken, last_settled, key=by_stamp))
@@ -121,7 +120,7 @@ class Stop:
         poses = around(self.poses, [profile.stamp for profile in profiles])
         return replace(stop, poses=tuple(poses), profiles=tuple(profiles))
 
-    def _has(self, profile: AnyProfile) -> bool:
+    def _covers(self, profile: AnyProfile) -> bool:
         """Return whether a profile was surely taken during the stop, given its duration."""
         before, after = profile.reach if isinstance(profile, RawProfile) else (0, 0)
         return profile.stamp - before >= self.start and profile.stamp + after <= self.end
@@ -247,9 +246,9 @@ class StopFinder(Copyable):
     def window(self) -> tuple[int, int]:
         """Return the first and last stamp of profiles that the current stop can use."""
         if not self._poses:
-            return 0, FOREVER
+            return 0, LAST_STAMP
         first = self._poses[0].stamp
-        return first, first + LONGEST_STOP if self.sampling.by_itself else FOREVER
+        return first, first + LONGEST_STOP if self.sampling.by_itself else LAST_STAMP
 
     def _is_near(self, first: TimedPose, pose: TimedPose) -> bool:
         """Return whether the robot still is where it was."""

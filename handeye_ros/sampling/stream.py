@@ -18,19 +18,18 @@ from operator import attrgetter
 from typing import Generic, Self, TypeVar
 
 from handeye_ros import se3
-from handeye_ros.data import Array, Profile, RawProfile, TimedPose
+from handeye_ros.data import Array, NS, Profile, RawProfile, TimedPose
 from handeye_ros.errors import DataError, InputError
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-REORDER_TIME = 1_000_000_000  # ns; a smaller step back is only a reordering in transit
-LAST_STAMP = 2 ** 63 - 1  # ns; largest stamp
-
-LATE_TIME = 500_000_000  # ns of messages that are late, after which the clock was set back
+REORDER_TIME = NS  # a smaller step back is only a reordering in transit
+LAST_STAMP = 2 ** 63 - 1  # the largest (ns)
+LATE_TIME = NS // 2  # of messages that are late, after which the clock was set back
 FEW_STRAYS = 3  # messages of another frame, or with wrong stamps: a topic may hold this number,
 FEW_SHARE = 0.05  # or a recording this share of many; with more, the right one is unknown
-UNMIXED_TIME = 3_000_000_000  # ns of messages of one frame, after which others are of the past
+UNMIXED_TIME = 3 * NS  # of messages of one frame, after which others are of the past
 
 by_stamp = attrgetter('stamp')
 Stamped = TypeVar('Stamped', bound=Profile | RawProfile | TimedPose)

@@ -10,10 +10,15 @@ sweep). Its rotation is that of a time later by the lag.
 - drift: the clock of the profiles is slower by this, seconds a second
 - lag: the robot reports its rotation later than its position, in seconds
 
-The derivative of a condition by one of them is its derivative by the pose of the flange times the
-twist of the flange: one more column each. They need no start value: with_estimated_clocks fits
-some of the samples from several offsets until one is good, then all. However long a sweep is,
-MOST_SAMPLES of its profiles make the answer.
+The way of a sweep: StopFinder (stops.py) cuts it into passes of two seconds. A pass gives a sample
+of each of its profiles, and its part of the trajectory (_pass_of in features.py). passes_expanded
+takes the passes apart and joins their trajectories. with_estimated_clocks finds the three unknowns
+and, with them, the pose of each sample: a station of the solve, as any stop is.
+
+The derivative of a condition by an unknown is its derivative by the pose of the flange times the
+twist of the flange: one more column each. They need no start value: some of the samples are fitted
+from several offsets until one is good, then all. However long a sweep is, MOST_SAMPLES of its
+profiles make the answer.
 
 A sweep differs from stops in these places, found by Sample.moving and sampling.moving:
 
