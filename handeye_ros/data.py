@@ -22,7 +22,7 @@ TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT = 'time_offset', 'rotation_lag', 'clock_d
 QUATERNION_TOLERANCE = 1e-3  # of its length
 ENDINGS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; see EdgePoint
 SIGMA_OF_MEDIAN = 1.4826  # 1 sigma of a normal distribution over its median absolute deviation
-MOST_BACK = 0.2  # of the way forth: beyond a step the columns may run back by less
+MOST_BACK = 0.2  # largest way back of columns in order, over the way forth: at steps they jump
 
 
 def rms(values: Array) -> float:
@@ -36,7 +36,7 @@ def robust_std(deviations: Array) -> float:
 
 
 def without_order(steps: Array) -> bool:
-    """Return whether points at these steps along the laser line are in no order along it."""
+    """Return whether points with these steps (n,) from one to the next run forth and back."""
     forth, back = steps[steps > 0].sum(), -steps[steps < 0].sum()
     return bool(min(forth, back) > MOST_BACK * max(forth, back))
 
@@ -164,7 +164,7 @@ def _require_stamp(what: str, stamp: object) -> None:
 
 
 def require_each(name: str, values: Iterable[T], *types: type) -> Iterator[T]:
-    """Yield values; raises InputError, which names the argument, for one of none of some types."""
+    """Yield values; raises InputError, which names the argument, for one of another type."""
     require_type(name, values, Iterable)
     for value in values:
         require_type(name, value, *types)
@@ -217,8 +217,8 @@ class EdgePoint:
         without a visible wall, else 0
     shape_log_odds: (k + 1,) log likelihoods of roundings with k radii and of a bevel, 0 for the
         best, empty without a bend
-    arc_offset: (2,) from the point to the middle of the end's arc if it is a rounding
-    arc_std: 1 sigma of this position along the direction
+    arc_offset: (2,) from the point to where its rounding is located best, if it is one
+    arc_std: 1 sigma of this place along the direction, for a given radius
     shape_std: 1 sigma of the edge position from its uncertain shape, common to all ends
     """
 

@@ -20,6 +20,7 @@ from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
 from handeye_ros.profiles.ransac import circles_among
 from handeye_ros.profiles.segment import MOST_NOISE, noise_level, returned, without_clutter
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg.lapack import dgesv
 
 SMALLEST_RADIUS, LARGEST_RADIUS = 1e-4, 0.5  # of the arc of a sphere of unknown radius (m)
@@ -105,7 +106,7 @@ def _solved(A: Array, b: Array) -> list[float]:
     return solution
 
 
-def off_circle(points: Array, circle: Array) -> Array:
+def distances_from_circle(points: Array, circle: Array) -> Array:
     """Return the distances (n,) of points (n, 2) outside of a circle, negative inside."""
     x, z = (points - circle[:2]).T
     return np.asarray(np.sqrt(x * x + z * z) - circle[2])
@@ -119,9 +120,6 @@ def _on_arc(points: Array, circle: Array, noise: float, config: Config) -> tuple
     correlated over some columns and larger than configured, and then only the part of an arc that
     happens to lie near the circle would be found. So the noise is that of all points between its
     ends, and if it is larger the search goes on with it.
-
-    Few returns come from near a rim, and then none. The angle at which they end depends on the
-    tilt across the profile, which is unknown; so the end of the arc is used instead.
     """
     widths: Sequence[float] = FIT_WIDTHS
     columns, (x, z) = np.empty(0, dtype=np.intp), points.T.copy()
@@ -129,34 +127,48 @@ def _on_arc(points: Array, circle: Array, noise: float, config: Config) -> tuple
         for width in widths:
             if len(columns) >= FEWEST_FITTED:
                 circle = fit_circle(points.take(columns, axis=0), steps=1)
-            along, away = x - circle[0], z - circle[1]
-            distance = np.sqrt(along * along + away * away)
-            on = np.abs(distance - circle[2]) < width * TOLERANCE_SIGMAS * noise
+            dx, dz = x - circle[0], z - circle[1]
+            distance = np.sqrt(dx * dx + dz * dz)
+            near = np.abs(distance - circle[2]) < width * TOLERANCE_SIGMAS * noise
             # the light falls on one side of a ball only
-            towards = away if away @ on > 0 else -away
-            on &= towards > 0
-            columns = np.flatnonzero(on & (towards > RIM_COSINE * distance))
+            towards_light = dz if dz @ near > 0 else -dz
+            near &= towards_light > 0
+            columns = np.flatnonzero(near & (towards_light > RIM_COSINE * distance))
             if len(columns) < FEWEST_FITTED:
                 raise FeatureError(SCATTERED)
-        turn = np.arctan2(along, towards)
-        ends, turn = np.sort(turn[on]), turn[columns]
-        stray = len(ends) // 200
-        first, last = ends[stray], ends[-1 - stray]
-        columns = columns[~((turn < first + RIM_WIDTH) & (first < -RIM_INCIDENCE)
-                            | (turn > last - RIM_WIDTH) & (last > RIM_INCIDENCE))]
+        columns = _without_rims(columns, near, np.arctan2(dx, towards_light))
         if len(columns) < FEWEST_FITTED:
             break
         circle = fit_circle(points.take(columns, axis=0), steps=1)
-        off = np.abs(off_circle(points[columns[0]:columns[-1] + 1], circle))
-        middle = len(off) // 2
-        scale = SIGMA_OF_MEDIAN * float(np.partition(off, middle)[middle])
-        if not NOISE_RATIO * noise < scale < MOST_NOISE * config.noise.sensor:
+        between_ends = points[columns[0]:columns[-1] + 1]
+        deviations = np.abs(distances_from_circle(between_ends, circle))
+        middle = len(deviations) // 2
+        scatter = SIGMA_OF_MEDIAN * float(np.partition(deviations, middle)[middle])
+        if not NOISE_RATIO * noise < scatter < MOST_NOISE * config.noise.sensor:
             break
-        noise, widths = scale, REFIT_WIDTHS
+        noise, widths = scatter, REFIT_WIDTHS
     if len(columns) < config.sampling.min_points or (
             len(columns) < SMALLEST_DENSITY * (columns[-1] - columns[0] + 1)):
         raise FeatureError(SCATTERED)
     return points.take(columns, axis=0), noise
+
+
+def _without_rims(columns: NDArray[np.intp], near: NDArray[np.bool_], angle: Array
+                  ) -> NDArray[np.intp]:
+    """
+    Return the columns of an arc without those beside a rim of the ball.
+
+    near (n,): which points are near the circle; angle (n,): theirs on it. Few returns come from
+    near a rim, and then none. The angle at which they end depends on the tilt across the profile,
+    which is unknown; so the end of the arc is used instead.
+    """
+    angles = np.sort(angle[near])
+    stray = len(angles) // 200
+    first, last = angles[stray], angles[-1 - stray]
+    arc_angle = angle[columns]
+    beside_rim = ((arc_angle < first + RIM_WIDTH) & (first < -RIM_INCIDENCE)
+                  | (arc_angle > last - RIM_WIDTH) & (last > RIM_INCIDENCE))
+    return np.asarray(columns[~beside_rim])
 
 
 def _arc(points: Array, noise: float, config: Config) -> Arc:
@@ -185,12 +197,12 @@ def _is_corner(arc: Arc) -> bool:
     A circle in a corner, or through two surfaces, also has many points near it. But two lines do
     not fit a true arc, whose halves are curved.
     """
-    some = arc.raw[::-(-len(arc.raw) // JUDGED_POINTS)]
-    off, (x, z) = off_circle(some, arc.circle), (some - arc.centre).T
+    points = arc.raw[::-(-len(arc.raw) // JUDGED_POINTS)]
+    residual, (x, z) = distances_from_circle(points, arc.circle), (points - arc.centre).T
     sums = np.array([np.ones(len(x)), x, z, x * x, x * z, z * z]).cumsum(axis=1)
-    first = sums[:, LINE_POINTS - 1:-LINE_POINTS]
-    squares = _squares_of_lines(first) + _squares_of_lines(sums[:, -1:] - first)
-    return bool(squares.min() < LEAST_ROUNDNESS * (off @ off))
+    first_line = sums[:, LINE_POINTS - 1:-LINE_POINTS]  # that ends at each point
+    squares = _squares_of_lines(first_line) + _squares_of_lines(sums[:, -1:] - first_line)
+    return bool(squares.min() < LEAST_ROUNDNESS * (residual @ residual))
 
 
 def _squares_of_lines(sums: Array) -> Array:
@@ -208,24 +220,25 @@ def normal_points(raw: Array, most: int = NORMAL_POINTS) -> Arc:
     parts of the arc, so they are not taken for noise that averages out.
     """
     circle = fit_circle(raw)
-    away = (raw - circle[:2]) @ [1, 1j]
-    middle = away.mean() / abs(away.mean())
-    turn, off = np.angle(away / middle), off_circle(raw, circle)
-    order = turn.argsort()
+    from_centre = (raw - circle[:2]) @ [1, 1j]
+    middle = from_centre.mean() / abs(from_centre.mean())
+    angle, residual = np.angle(from_centre / middle), distances_from_circle(raw, circle)
+    order = angle.argsort()
     bins = min(most, len(raw) // 3)
-    (turn, count), (radius, _) = (bin_means(values[order], bins) for values in (turn, off))
-    place = (circle[2] + radius) * middle * np.exp(1j * turn)
-    variance = _variance(off[order], radius, len(raw) / bins) * len(raw) / bins / count
-    return Arc(circle[:2] + np.column_stack([place.real, place.imag]), np.sqrt(variance),
-               circle[:2], float(circle[2]), raw)
+    angles, count = bin_means(angle[order], bins)
+    residual_means, _ = bin_means(residual[order], bins)
+    places = (circle[2] + residual_means) * middle * np.exp(1j * angles)
+    variance = _variance_of_mean(residual[order], residual_means, len(raw) / bins)
+    return Arc(circle[:2] + np.column_stack([places.real, places.imag]),
+               np.sqrt(variance * len(raw) / bins / count), circle[:2], float(circle[2]), raw)
 
 
-def _variance(residual: Array, of_bins: Array, size: float) -> float:
-    """Return the variance of a normal point, the mean of a bin of the residuals (n,)."""
+def _variance_of_mean(residual: Array, means: Array, size: float) -> float:
+    """Return the variance of the means (k,) of bins of the residuals (n,), of a mean size."""
     white_var = float(residual @ residual) / max(len(residual) - 3, 1) / size
-    finer = bin_means(residual, FINER_BINS * len(of_bins))[0] if size > 2 * FINER_BINS else of_bins
-    fine = variance_of_bins(finer, white_var * len(finer) / len(of_bins))
+    finer = bin_means(residual, FINER_BINS * len(means))[0] if size > 2 * FINER_BINS else means
+    fine = variance_of_bins(finer, white_var * len(finer) / len(means))
     # what is alike over a whole bin scatters between them
-    coarse = float(of_bins @ of_bins) / max(len(of_bins) - 3, 1)
+    coarse = float(means @ means) / max(len(means) - 3, 1)
     coarse = coarse if coarse > SURELY_MORE * white_var else white_var
-    return max(fine * len(of_bins) / len(finer), coarse)
+    return max(fine * len(means) / len(finer), coarse)

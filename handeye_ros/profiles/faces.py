@@ -22,7 +22,7 @@ from handeye_ros.profiles.edges import (
     NoEdgeError,
     smallest_step,
 )
-from handeye_ros.profiles.lines import face_line, on_line
+from handeye_ros.profiles.lines import face_line, with_line_errors
 from handeye_ros.profiles.segment import Segment, straight_segments
 import numpy as np
 
@@ -51,38 +51,39 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
     Raises FeatureError when there is no face with an edge in the profile.
     """
     segments = straight_segments(points, config.noise.sensor, config.sampling.min_points)
-    best, face, edges, reasons = 0.0, segments[0], list[EdgePoint](), list[str]()
+    best_weight, face, edges, reasons = 0.0, segments[0], list[EdgePoint](), list[str]()
     # the longest first: most of the others then cannot be preferred, whatever their edges are
     for ends in ends_of_segments(segments, points, config):
         segment = ends[1].segment
-        if len(segment.columns) * SURE_EDGE < best:
+        if len(segment.columns) * SURE_EDGE < best_weight:
             break
-        of_segment = list[EdgePoint]()
+        edges_of_segment = list[EdgePoint]()
         for end in ends:
             try:
-                of_segment.append(edge_at(end))
+                edges_of_segment.append(edge_at(end))
             except NoEdgeError as reason:
                 reasons.append(str(reason))
-        sure = any(edge.ending in ('step', 'shadow', 'roof') for edge in of_segment)
+        sure = any(edge.ending in ('step', 'shadow', 'roof') for edge in edges_of_segment)
         beside_nearer = any(_is_above(end, other) for end in ends for other in end.beyond)
-        likely = len(segment.columns) * (SURE_EDGE if sure else 1.0) * (
+        weight = len(segment.columns) * (SURE_EDGE if sure else 1.0) * (
             BESIDE_NEARER_WEIGHT if beside_nearer else 1.0)
-        if of_segment and (likely > best or (likely == best and segment.first < face.first)):
-            best, face, edges = likely, segment, of_segment
+        if edges_of_segment and (weight > best_weight
+                                 or (weight == best_weight and segment.first < face.first)):
+            best_weight, face, edges = weight, segment, edges_of_segment
     if not edges:
         raise FeatureError('no edge of a face in the profile: the face ends only '
                            + ' or '.join(dict.fromkeys(reasons)))
     line = face_line(face, points, config.sampling.moving)
     white_std = face.noise / math.hypot(1.0, face.slope) / math.sqrt(len(face.straight))
-    return (line, *(on_line(edge, line, line.std / white_std) for edge in edges))
+    return (line, *(with_line_errors(edge, line, line.std / white_std) for edge in edges))
 
 
 def _is_above(end: FaceEnd, other: Segment) -> bool:
-    """Return whether the adjacent surface, beyond a gap or a wall, is nearer."""
+    """Return whether another surface, beyond a gap or a wall at the end, is nearer."""
     rise = end.rise_of(other.columns.item(len(other.columns) // 2))
     if rise / math.hypot(1.0, end.segment.slope) <= smallest_step(end, other):
         return False
-    u, v = end.outwards_and_below(other.columns[[0, -1]])
+    u, v = end.in_frame(other.columns[[0, -1]])
     return (math.hypot(u[1] - u[0], v[1] - v[0]) > LARGEST_SPLINTER
             and bool(u.min() < WIDEST_GAP + HIDDEN_PER_HEIGHT * rise))
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 import math
 
 from handeye_ros.data import Array, EdgePoint, FaceLine
-from handeye_ros.profiles.segment import Segment, unit_parabola
+from handeye_ros.profiles.segment import legendre_2, Segment
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,42 +34,42 @@ def face_line(segment: Segment, points: Array, moving: bool) -> FaceLine:
     most = POINTS_OF_SWEEP if moving else NORMAL_POINTS
     measured = points.take(segment.straight, axis=0)
     n, length = len(measured), math.hypot(1.0, segment.slope)
-    middle, std = float(measured[:, 0].mean()), float(measured[:, 0].std())
-    bins, count = bin_means(measured, BIN_COUNT if n >= BIN_COUNT * FEWEST_POINTS else min(
-        most, n))
+    middle, spread_x = float(measured[:, 0].mean()), float(measured[:, 0].std())
+    bin_count = BIN_COUNT if n >= BIN_COUNT * FEWEST_POINTS else min(most, n)
+    bins, _ = bin_means(measured, bin_count)
     centre = np.array([middle, segment.height(middle)])
-    return line_of_bins(centre, segment.slope, std * length, bins,
-                        (segment.noise / length) ** 2 * len(count) / n, most)
+    white_var = (segment.noise / length) ** 2 * bin_count / n
+    return line_of_bins(centre, segment.slope, spread_x * length, bins, white_var, most)
 
 
-def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoint:
+def with_line_errors(edge: EdgePoint, line: FaceLine, excess: float = 1.0) -> EdgePoint:
     """
-    Return an edge with the uncertainty of the line across it.
+    Return an edge with its uncertainty across the line of its face.
 
-    correlated: uncertainty of the line over that for white noise; an edge that is the crossing of
-    two lines has the same factor.
+    excess: std of the line over that of white noise alone; an edge that is the crossing of two
+    lines is as much more uncertain.
     """
-    away = float((edge.point - line.centre) @ line.direction) / line.spread
-    across = line.std * (1 + away ** 2) ** 0.5
-    std = edge.std * (max(correlated, 1.0) if edge.ending == 'roof' else 1.0)
-    return replace(edge, std=float(std), std_across=float(across))
+    spreads = float((edge.point - line.centre) @ line.direction) / line.spread
+    std = edge.std * (max(excess, 1.0) if edge.ending == 'roof' else 1.0)
+    return replace(edge, std=float(std), std_across=float(line.std * (1 + spreads ** 2) ** 0.5))
 
 
 def line_of_bins(centre: Array, slope: float, spread: float, bins: Array, white_var: float,
                  most: int = NORMAL_POINTS) -> FaceLine:
     """
-    Return the line with bins (m, 2), and at most so many normal points.
+    Return the face line with the normal points that follow from means of points, its bins.
 
-    white_var: the variance of each bin for independent noise.
+    centre (2,), slope, spread: of the line; bins: (m, 2); white_var: the variance of each bin for
+    independent noise; most: of the normal points.
     """
     direction = np.array([1.0, slope]) / math.hypot(1.0, slope)
     normal = np.array([-direction[1], direction[0]])
     across, along = (bins - centre) @ normal, bins @ direction
     variance = variance_of_bins(across, white_var)
     normal_points, size = bin_means(bins, min(most, len(bins)))
-    if len(bins) >= FEWEST_BINS:  # the mean of a part of a parabola lies beside it
-        bow = (across * unit_parabola((along - along.mean()) / along.std())).mean()
-        normal_points -= bow * (unit_parabola(1 / len(size)) - unit_parabola(0.0)) * normal
+    if len(bins) >= FEWEST_BINS:  # of a bowed face the mean of a part lies beside the surface
+        bow = (across * legendre_2((along - along.mean()) / along.std())).mean()
+        normal_points -= bow * (legendre_2(1 / len(size)) - legendre_2(0.0)) * normal
     return FaceLine(centre, direction, spread, math.sqrt(variance / len(bins)),
                     normal_points, np.sqrt(variance / size), bins)
 
@@ -91,14 +91,16 @@ def variance_of_bins(bins: Array, white_var: float) -> float:
     """
     if len(bins) < FEWEST_BINS:
         return white_var
-    seen = _variance(bins)
-    if seen <= SURELY_MORE * white_var:
+    variance = _variance_about_smooth(bins)
+    if variance <= SURELY_MORE * white_var:
         return white_var
     # speckle that is wider than a bin makes two neighbours alike
     pairs = bins[:len(bins) // 2 * 2].reshape(-1, 2).mean(axis=1)
-    return max(seen, 2 * _variance(pairs)) if len(pairs) >= FEWEST_BINS else seen
+    return (variance if len(pairs) < FEWEST_BINS else
+            max(variance, 2 * _variance_about_smooth(pairs)))
 
 
-def _variance(bins: Array) -> float:
+def _variance_about_smooth(bins: Array) -> float:
+    """Return the variance of white noise with these second differences."""
     second = bins[:-2] - 2 * bins[1:-1] + bins[2:]
     return float(second @ second) / (6 * len(second))

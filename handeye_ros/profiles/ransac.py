@@ -36,16 +36,17 @@ def dominant_line(x: Array, z: Array, tolerance: float, fewest: int) -> NDArray[
     n = len(x)
     if n < fewest:
         return None
-    terms = np.empty((5, n))  # their sums over points give the line of these
+    terms = np.empty((5, n))  # 1, x, z, x^2, x z: their sums over points give the line of these
     terms[0] = 1.0
     np.subtract(x, x.item(n // 2), out=terms[1])  # avoids loss of digits
     np.subtract(z, z.item(n // 2), out=terms[2])
     np.multiply(terms[1], terms[1:3], out=terms[3:])
     pairs = _subsets(n, 2, PAIR_COUNT, PAIR_SPANS)
     (x, x_after), (z, z_after) = (v.take(pairs) for v in terms[1:3])
-    apart, lines = x_after - x, np.full((len(x), 3), -1.0)  # offset, slope, -1
-    apart[np.abs(apart) < NARROWEST_LINE] = np.inf
-    lines[:, 1] = (z_after - z) / apart
+    lines = np.full((len(x), 3), -1.0)  # offset, slope, -1
+    width = x_after - x
+    width[np.abs(width) < NARROWEST_LINE] = np.inf
+    lines[:, 1] = (z_after - z) / width
     lines[:, 0] = z - lines[:, 1] * x
     step = -(-n // VOTER_COUNT)
     for voters in (terms[:3, ::4 * step], terms[:3, ::step]):
@@ -79,10 +80,11 @@ def circles_among(points: Array, smallest: float, largest: float, tolerance: flo
     terms = np.stack([np.ones(len(x)), x, z, x * x + z * z])
     # |d - r| < t is the same as |d^2 - r^2 - t^2| < 2 r t, which is a product of matrices
     x, z, r = circles.T
-    on = _near(np.column_stack([(x * x + z * z - r * r - tolerance ** 2) / (2 * r), -x / r, -z / r,
-                                0.5 / r]), terms, tolerance)
+    shapes = np.column_stack([(x * x + z * z - r * r - tolerance ** 2) / (2 * r), -x / r, -z / r,
+                              0.5 / r])
+    near = _near(shapes, terms, tolerance)
     for _ in range(MOST_CIRCLES):
-        votes, x, z, squares = terms @ on.T.astype(float)
+        votes, x, z, squares = terms @ near.T.astype(float)
         # evenly spread points of a chord have this variance: a line may fit them as well
         count = np.maximum(votes, 1.0)
         variance = (squares - (x * x + z * z) / count) / count
@@ -91,23 +93,27 @@ def circles_among(points: Array, smallest: float, largest: float, tolerance: flo
         if votes[best] < FEWEST_VOTES:
             return
         yield np.asarray(circles[best])
-        on &= ~on[best]
+        near &= ~near[best]
 
 
 def _near(shapes: Array, terms: Array, tolerance: float) -> NDArray[np.bool_]:
     """Return which points (n,) or (k, n), by their terms, are near shapes (u,) or (k, u)."""
-    away = shapes @ terms  # products of matrices are by far the quickest way to multiply
-    near: NDArray[np.bool_] = np.abs(away, out=away) < tolerance
+    distances = shapes @ terms  # products of matrices are by far the quickest way to multiply
+    near: NDArray[np.bool_] = np.abs(distances, out=distances) < tolerance
     return near
 
 
 @lru_cache(1000)  # sizes of profiles
-def _subsets(size: int, of: int, count: int, spans: tuple[float, ...]) -> NDArray[np.intp]:
-    """Return rows (of, k) of subsets of so many points, distributed over a profile."""
-    span = np.maximum(size / np.array(spans) / (of - 1), 1).astype(int)[:, None]
-    first = np.maximum(np.arange(count) * (size - 1 - (of - 1) * span) // (count - 1), 0)
-    rows = first + np.arange(of)[:, None, None] * span
-    return np.asarray(np.minimum(rows, size - 1).reshape(of, -1))
+def _subsets(size: int, members: int, count: int, spans: tuple[float, ...]) -> NDArray[np.intp]:
+    """
+    Return rows (members, k) of subsets of the points of a profile, distributed over it.
+
+    size: number of points; members: points in a subset; count: subsets of each span.
+    """
+    step = np.maximum(size / np.array(spans) / (members - 1), 1).astype(int)[:, None]
+    first = np.arange(count) * (size - 1 - (members - 1) * step) // (count - 1)
+    rows = np.maximum(first, 0) + np.arange(members)[:, None, None] * step
+    return np.asarray(np.minimum(rows, size - 1).reshape(members, -1))
 
 
 def _through(a: Array, b: Array, c: Array) -> Array:

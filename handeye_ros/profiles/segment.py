@@ -68,9 +68,14 @@ class Segment:
                        self.slope, self.noise, end - self.straight[::-1])
 
 
-def unit_parabola(away: Any) -> Any:
-    """Return the heights of a parabola of mean 0 and RMS 1 at points so many spreads away."""
-    return 5 ** 0.5 / 2 * (away * away - 1)
+def legendre_2(spreads: Any) -> Any:
+    """
+    Return the second Legendre polynomial, scaled: over evenly spread points its RMS is 1.
+
+    spreads: distance from the middle of the points, over their standard deviation. Such points
+    have no correlation with it in offset and slope, so its factor is the bow of a face (RMS).
+    """
+    return 5 ** 0.5 / 2 * (spreads * spreads - 1)
 
 
 def noise_level(z: Array, configured: float) -> float:
@@ -124,29 +129,31 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
     tolerance = INLIER_SIGMAS * max(noise_level(z, noise), noise)
     segments, free = list[Segment](), np.arange(len(columns))
 
-    def fitted(members: NDArray[np.intp]) -> list[Segment]:
-        return [segment for piece in _pieces(members) if len(piece) >= min_points for segment in
-                _segments(columns.take(piece), x.take(piece), z.take(piece), noise / 3)
-                if segment.noise <= MOST_NOISE * noise]
+    def segments_of(members: NDArray[np.intp]) -> list[Segment]:
+        pieces = [piece for piece in _pieces(members) if len(piece) >= min_points]
+        fitted = [_segment(columns.take(piece), x.take(piece), z.take(piece), noise / 3)
+                  for piece in pieces]
+        return [segment for segment in fitted if segment and segment.noise <= MOST_NOISE * noise]
 
     for _ in range(MAX_LINES):
         near = dominant_line(x.take(free), z.take(free), tolerance, min_points)
         if near is None:
             break
-        found = fitted(free[near])
-        if len(found) > 1:
+        new = segments_of(free[near])
+        if len(new) > 1:
             # a line that slants through two surfaces may have more points than either has
-            largest = max(found, key=lambda s: len(s.columns))
+            largest = max(new, key=lambda s: len(s.columns))
             near = np.abs(z.take(free) - largest.height(x.take(free))) < tolerance
-            found = fitted(free[near])
-        if len(found) == 1:  # of a bent laser line it is a parabola: no part of it is off
-            inner = (columns[free] >= found[0].first) & (columns[free] <= found[0].last)
-            if np.count_nonzero(inner & ~near) > FOREIGN_POINTS:
-                own = free[near & inner]
-                parabola = np.polyfit(x[own], z[own], 2)
-                near |= inner & (np.abs(z[free] - np.polyval(parabola, x[free])) < tolerance)
-                found = fitted(free[near])
-        segments += found
+            new = segments_of(free[near])
+        if len(new) == 1:
+            # a bent laser line shows a plane as a parabola, of which parts are off every line
+            within = (columns[free] >= new[0].first) & (columns[free] <= new[0].last)
+            if np.count_nonzero(within & ~near) > FOREIGN_POINTS:
+                on_line = free[near & within]
+                parabola = np.polyfit(x[on_line], z[on_line], 2)
+                near |= within & (np.abs(z[free] - np.polyval(parabola, x[free])) < tolerance)
+                new = segments_of(free[near])
+        segments += new
         free = free[~near]
     if not segments:
         raise FeatureError(f'no straight piece of {min_points} points or more in the profile, so '
@@ -166,36 +173,44 @@ def _pieces(members: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
         yield members[first:last]
 
 
-def _segments(columns: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> list[Segment]:
+def _segment(columns: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> Segment | None:
     """
-    Return the segment fitted to the points x, z of columns, none if all have the same x.
+    Return the segment fitted to the points x, z of columns, None if all have the same x.
 
     least_noise: lower bound of the noise (m), as a sensor that rounds may show none.
     """
-    # the last points at an end are the worst: the line is fitted without them
-    first = last = min(max(2, len(columns) // 50), (len(columns) - 3) // 2)
-    for is_last in (False, True):
-        inner = slice(first, len(columns) - last)
-        count = inner.stop - inner.start
-        middle_x, middle_z = float(x[inner].sum()) / count, float(z[inner].sum()) / count
-        dx, dz = x - middle_x, z - middle_z
-        steps = dx[inner]
-        spread = float(steps @ steps)
-        if spread < count * NARROWEST_LINE ** 2:
-            return []
-        slope = float(steps @ dz[inner]) / spread
-        residual = dz - slope * dx
-        inside = residual[inner]
-        noise = max(math.sqrt(inside @ inside / max(count - 2, 1)), least_noise)
-        if is_last:
-            break
-        bent = _bent_end(residual, noise), _bent_end(residual[::-1], noise)
-        if max(bent) <= first:
-            break
-        first, last = max(first, bent[0]), max(last, bent[1])
-    straight = columns[bent[0]:len(columns) - bent[1]]
-    return [Segment(columns.item(0), columns.item(-1), columns, middle_z - slope * middle_x,
-                    slope, noise, straight)]
+    # the last points at an end are the worst: the line is fitted without them, and then without
+    # the ends that are seen to bend away from it
+    n = len(columns)
+    unused = min(max(2, n // 50), (n - 3) // 2)
+    line = _line_through(x, z, slice(unused, n - unused), least_noise)
+    if line is None:
+        return None
+    _, _, noise, residual = line
+    bent = _bent_end(residual, noise), _bent_end(residual[::-1], noise)
+    if max(bent) > unused:
+        inner = slice(max(unused, bent[0]), n - max(unused, bent[1]))
+        line = _line_through(x, z, inner, least_noise)
+        if line is None:
+            return None
+    offset, slope, noise, _ = line
+    return Segment(columns.item(0), columns.item(-1), columns, offset, slope, noise,
+                   straight=columns[bent[0]:n - bent[1]])
+
+
+def _line_through(x: Array, z: Array, part: slice, least_noise: float
+                  ) -> tuple[float, float, float, Array] | None:
+    """Return offset, slope and noise of the line through a part, and the residuals (n,) of all."""
+    n = part.stop - part.start
+    middle_x, middle_z = float(x[part].sum()) / n, float(z[part].sum()) / n
+    dx, dz = x - middle_x, z - middle_z
+    square = float(dx[part] @ dx[part])
+    if square < n * NARROWEST_LINE ** 2:
+        return None
+    slope = float(dx[part] @ dz[part]) / square
+    residual = dz - slope * dx
+    noise = math.sqrt(residual[part] @ residual[part] / max(n - 2, 1))
+    return middle_z - slope * middle_x, slope, max(noise, least_noise), residual
 
 
 def _bent_end(residual: Array, noise: float) -> int:

@@ -44,50 +44,57 @@ def with_common_shape(samples: Sequence[Sample]) -> list[Sample]:
     together is used. Edges with a visible wall need no correction.
     """
     shape = common_shape(samples)
-    return [replace(s, features=tuple(_moved(f, shape) for f in s.features)) for s in samples]
+    return [replace(sample, features=tuple(_moved(f, shape) for f in sample.features))
+            for sample in samples]
 
 
 def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     """Return the edge shape that all samples support, with one common radius where they agree."""
-    ends = [f for s in samples for f in s.features
-            if isinstance(f, EdgePoint) and f.ending != 'roof']
-    depth = np.hypot(*np.reshape([end.drop for end in ends], (-1, 2)).T)
-    if len(ends) < 3 or np.median(depth) <= SHARP_DEPTH:
+    edges = [f for sample in samples for f in sample.features
+             if isinstance(f, EdgePoint) and f.ending != 'roof']
+    depth = np.hypot(*np.reshape([edge.drop for edge in edges], (-1, 2)).T)
+    if len(edges) < 3 or np.median(depth) <= SHARP_DEPTH:
         return EdgeShape()
-    bent = [end.shape_log_odds for end in ends if len(end.shape_log_odds)]
+    bent = [edge.shape_log_odds for edge in edges if len(edge.shape_log_odds)]
     log_odds = sum(map(_blurred, bent), np.zeros(len(TRIED_RADII) + 1))
-    if np.logaddexp.reduce(log_odds[:-1]) - np.log(len(TRIED_RADII)) > log_odds[-1]:
+    rounded = np.logaddexp.reduce(log_odds[:-1]) - np.log(len(TRIED_RADII))
+    if rounded > log_odds[-1]:
         shape = EdgeShape(*_radius(log_odds[:-1]))
-    else:  # deeper ends say more about the shape
-        order = np.argsort(depth)
-        share = np.cumsum(depth[order] ** 2)
-        most = depth[order][np.searchsorted(share, share[-1] / 2)]
-        shape = EdgeShape(float(np.median(depth[depth > most / 2])), SHAPE_STD, is_round=False)
+    else:  # deeper ends say more about the legs of a bevel
+        legs = float(np.median(depth[depth > _weighted_median(depth, depth ** 2) / 2]))
+        shape = EdgeShape(legs, SHAPE_STD, is_round=False)
     return shape if np.median(depth) > LEAST_SEEN * shape.size else EdgeShape()
 
 
-def _blurred(shapes: Array) -> Array:
+def _weighted_median(values: Array, weights: Array) -> float:
+    """Return the value (of n) up to which the weights (n,) reach half of their sum."""
+    order = np.argsort(values)
+    reached = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(reached, reached[-1] / 2)])
+
+
+def _blurred(log_odds: Array) -> Array:
     """
-    Return the log likelihoods (k + 1,) of the shapes at one end, bounded against model error.
+    Return log likelihoods (k + 1,) of the shapes at one end, bounded against model error.
 
     A laser that crosses at a slant sees an ellipse: other radii nearby are as likely.
     """
-    logs = np.log(TRIED_RADII[:, 0])
-    kernel = -0.5 * ((logs[:, None] - logs) / SLANT_STD) ** 2
-    radii = np.logaddexp.reduce(kernel + shapes[:-1], axis=1)
-    radii += shapes[:-1].max() - radii.max()
-    return np.asarray(np.maximum(np.append(radii, shapes[-1]), -LARGEST_LOG_ODDS))
+    log_radii = np.log(TRIED_RADII[:, 0])
+    kernel = -0.5 * ((log_radii[:, None] - log_radii) / SLANT_STD) ** 2
+    rounded = np.logaddexp.reduce(kernel + log_odds[:-1], axis=1)
+    rounded += log_odds[:-1].max() - rounded.max()
+    return np.asarray(np.maximum(np.append(rounded, log_odds[-1]), -LARGEST_LOG_ODDS))
 
 
 def _radius(log_odds: Array) -> tuple[float, float]:
     """Return the radius (m) and its relative 1 sigma from log likelihoods (k,) of TRIED_RADII."""
     from scipy.interpolate import CubicSpline  # 0.09 s, only for round edges
     tried = np.log(TRIED_RADII[:, 0])
-    logs = np.linspace(tried[0], tried[-1], 8 * len(log_odds))
-    likely = CubicSpline(tried, log_odds)(logs)
-    weights = np.exp(likely - likely.max())
-    mean = float(weights @ logs / weights.sum())
-    spread = float(weights @ (logs - mean) ** 2 / weights.sum()) ** 0.5
+    log_radii = np.linspace(tried[0], tried[-1], 8 * len(log_odds))
+    log_likelihood = CubicSpline(tried, log_odds)(log_radii)
+    weights = np.exp(log_likelihood - log_likelihood.max())
+    mean = float(weights @ log_radii / weights.sum())
+    spread = float(weights @ (log_radii - mean) ** 2 / weights.sum()) ** 0.5
     return float(np.exp(mean)), float(np.hypot(spread, SHAPE_STD))
 
 
@@ -104,19 +111,23 @@ def _moved(feature: Feature, shape: EdgeShape) -> Feature:
     edge, size = feature, shape.size
     if not size:
         return replace(edge, drop=np.zeros(2))
-    back, drop, least, std = 0.0, edge.drop, DEPTH_STD, 0.0
-    from_arc = shape.is_round and 0 < edge.arc_std < size
-    if from_arc:
-        back, least, std = float(edge.arc_offset @ edge.direction), LEAST_DEPTH, edge.arc_std
-        drop = edge.arc_offset - back * edge.direction
-    depth = min(max(float(np.hypot(*drop)), least), size)
+    # the point of the shape that is measured: how far outwards of the end it is, and how deep
+    outwards, drop, least_depth, std = 0.0, edge.drop, DEPTH_STD, 0.0
+    is_arc = shape.is_round and 0 < edge.arc_std < size
+    if is_arc:
+        least_depth, std = LEAST_DEPTH, edge.arc_std
+        outwards = float(edge.arc_offset @ edge.direction)
+        drop = edge.arc_offset - outwards * edge.direction
+    depth = min(max(float(np.hypot(*drop)), least_depth), size)
+    # the shape has this depth so far from its start; the wall is `size` from its start
     if shape.is_round:
-        out = float(np.sqrt(depth * (2 * size - depth)))
-        share = 1 - depth / out
-        std = std if from_arc else (size - depth) / out * DEPTH_STD
+        from_start = float(np.sqrt(depth * (2 * size - depth)))
+        wrt_size = 1 - depth / from_start
+        std = std if is_arc else (size - depth) / from_start * DEPTH_STD
     else:
-        share = float(np.clip(1.5 - 2 * depth / size, 0.0, 1.0))
-        out = (1 - share) * size
-    return replace(edge, point=edge.point + (back + size - out) * edge.direction, drop=drop,
+        wrt_size = float(np.clip(1.5 - 2 * depth / size, 0.0, 1.0))
+        from_start = (1 - wrt_size) * size
+    wall = outwards + size - from_start
+    return replace(edge, point=edge.point + wall * edge.direction, drop=drop,
                    std=float(np.sqrt(edge.std ** 2 + std ** 2 + (OBLIQUE_STD * size) ** 2)),
-                   shape_std=shape.relative_std * size * share)
+                   shape_std=shape.relative_std * size * wrt_size)

@@ -30,8 +30,8 @@ from handeye_ros.data import (
     Sample,
 )
 from handeye_ros.errors import FeatureError, mm, UnusableMessageError
-from handeye_ros.profiles.arcs import normal_points, off_circle
-from handeye_ros.profiles.lines import line_of_bins, on_line
+from handeye_ros.profiles.arcs import distances_from_circle, normal_points
+from handeye_ros.profiles.lines import line_of_bins, with_line_errors
 from handeye_ros.sampling.stops import decoded, evenly, evenly_chosen, Stop
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.sampling.trajectory import trajectory_of
@@ -147,7 +147,8 @@ def combined_features(profiles: Sequence[Profile], config: Config
             combine([features for _, features in shown], targets.target_for(config).face_count))
 
 
-def combine(found: Sequence[tuple[Feature, ...]], lines_per_group: int = 1) -> tuple[Feature, ...]:
+def combine(features_by_profile: Sequence[tuple[Feature, ...]], lines_per_group: int = 1
+            ) -> tuple[Feature, ...]:
     """
     Return the features of a stop from those of its profiles (one tuple each).
 
@@ -155,53 +156,54 @@ def combine(found: Sequence[tuple[Feature, ...]], lines_per_group: int = 1) -> t
     consecutive lines that are used only together. Raises FeatureError when the profiles of the
     stop do not agree.
     """
-    if len(found) == 1:
-        return found[0]
-    arcs = [f for features in found for f in features if isinstance(f, Arc)]
+    if len(features_by_profile) == 1:
+        return features_by_profile[0]
+    arcs = [f for features in features_by_profile for f in features if isinstance(f, Arc)]
     if arcs:
         return (_combined_arc(arcs),)
-    edges = [f for features in found for f in features if isinstance(f, EdgePoint)]
+    edges = [f for features in features_by_profile for f in features if isinstance(f, EdgePoint)]
     lines = _combined_lines([[f for f in features if isinstance(f, FaceLine)]
-                             for features in found], lines_per_group)
-    combined: list[Feature] = list(lines)
-    for sign in (-1.0, 1.0):
-        same = [e for e in edges if np.sign(e.direction[0]) == sign]
-        if 2 * len(same) > len(found):
-            combined.append(on_line(_combined_edge(same), lines[0]))
-    if edges and not any(isinstance(f, EdgePoint) for f in combined):
+                             for features in features_by_profile], lines_per_group)
+    combined_edges = []
+    for side in (-1.0, 1.0):
+        of_side = [edge for edge in edges if np.sign(edge.direction[0]) == side]
+        if 2 * len(of_side) > len(features_by_profile):
+            combined_edges.append(with_line_errors(_combined_edge(of_side), lines[0]))
+    if edges and not combined_edges:
         points = np.array([edge.point for edge in edges])
         raise _disagreeing('where the edge is',
                            float(np.linalg.norm(np.ptp(points, axis=0))))
-    return tuple(combined)
+    return (*lines, *combined_edges)
 
 
-def _combined_lines(seen: Sequence[Sequence[FaceLine]], lines_per_group: int) -> list[FaceLine]:
+def _combined_lines(lines_by_profile: Sequence[Sequence[FaceLine]], lines_per_group: int
+                    ) -> list[FaceLine]:
     """
     Return one line for each surface that most of the profiles show.
 
     Raises FeatureError if fewer lines agree than each profile shows.
     """
-    usual = Counter(map(len, seen)).most_common(1)[0][0]
-    lines = next(lines for lines in seen if len(lines) == usual)
+    usual_count = Counter(map(len, lines_by_profile)).most_common(1)[0][0]
+    reference = next(lines for lines in lines_by_profile if len(lines) == usual_count)
     combined: list[FaceLine] = []
-    failed = None
-    for first in range(0, usual, lines_per_group):
+    failure = None
+    for first in range(0, usual_count, lines_per_group):
         try:
-            combined += [_combined_line([min(others, key=partial(_line_distance, line))
-                                         for others in seen if others])
-                         for line in lines[first:first + lines_per_group]]
+            combined += [_combined_line([min(lines, key=partial(_line_distance, line))
+                                         for lines in lines_by_profile if lines])
+                         for line in reference[first:first + lines_per_group]]
         except FeatureError as error:
-            failed = failed or error
-    if failed and len(combined) < min(map(len, seen)):
-        raise failed
+            failure = failure or error
+    if failure and len(combined) < min(map(len, lines_by_profile)):
+        raise failure
     return combined
 
 
 def _line_distance(line: FaceLine, other: FaceLine) -> float:
     """Return the distance between two lines (m): across, plus a small part along."""
-    away = line.centre - other.centre
-    across = away[1] * line.direction[0] - away[0] * line.direction[1]
-    return float(abs(across) + ALONG_WEIGHT * abs(away[0]))
+    offset = line.centre - other.centre
+    across = offset[1] * line.direction[0] - offset[0] * line.direction[1]
+    return float(abs(across) + ALONG_WEIGHT * abs(offset[0]))
 
 
 def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
@@ -214,22 +216,24 @@ def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
     slopes = np.array([line.direction[1] / line.direction[0] for line in lines])
     x = float(np.median(centres[:, 0]))
     heights = centres[:, 1] + slopes * (x - centres[:, 0])
-    good = _near_median(heights, 6.0, 6 * float(np.mean([line.std for line in lines])),
-                        'how high the face is')
-    lines = [line for line, g in zip(lines, good, strict=True) if g]
-    slope, centre = float(slopes[good].mean()), np.array([x, heights[good].mean()])
-    size = min(len(line.bins) for line in lines)
-    same = [line for line in lines if len(line.bins) == size]
-    each, n = np.array([line.bins for line in same]), len(same)
-    across = (each - centre) @ np.array([-slope, 1.0]) / np.hypot(1.0, slope)
-    white_var = (float(across.var(axis=0, ddof=1).mean()) if n > 1 else same[0].std ** 2 * size)
+    agree = _near_median(heights, 6.0, 6 * float(np.mean([line.std for line in lines])),
+                         'how high the face is')
+    lines = [line for line, agrees in zip(lines, agree, strict=True) if agrees]
+    slope, centre = float(slopes[agree].mean()), np.array([x, heights[agree].mean()])
     spread = float(np.median([line.spread for line in lines]))
-    combined = line_of_bins(centre, slope, spread, each.mean(axis=0), white_var / n)
+    # the means of the bins over the profiles that have as many of them
+    bin_count = min(len(line.bins) for line in lines)
+    binned = [line for line in lines if len(line.bins) == bin_count]
+    bins, n = np.array([line.bins for line in binned]), len(binned)
+    across = (bins - centre) @ np.array([-slope, 1.0]) / np.hypot(1.0, slope)
+    white_var = (float(across.var(axis=0, ddof=1).mean()) if n > 1
+                 else binned[0].std ** 2 * bin_count)
+    combined = line_of_bins(centre, slope, spread, bins.mean(axis=0), white_var / n)
     # a robot that shakes moves all points of a profile alike
-    scatter = heights[good].std(ddof=1) / np.hypot(1.0, slope) if len(lines) > 1 else 0.0
-    shared = max(float(scatter) ** 2 / n - combined.std ** 2, 0.0)
-    return replace(combined, std=float(np.sqrt(combined.std ** 2 + shared)),
-                   points_std=np.sqrt(combined.points_std ** 2 + shared))
+    scatter = heights[agree].std(ddof=1) / np.hypot(1.0, slope) if len(lines) > 1 else 0.0
+    common_var = max(float(scatter) ** 2 / n - combined.std ** 2, 0.0)
+    return replace(combined, std=float(np.sqrt(combined.std ** 2 + common_var)),
+                   points_std=np.sqrt(combined.points_std ** 2 + common_var))
 
 
 def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
@@ -238,68 +242,70 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
 
     Raises FeatureError.
     """
-    ending = Counter(e.ending for e in edges).most_common(1)[0][0]
-    edges = [e for e in edges if e.ending == ending]  # each has its own bias
-    points = np.array([e.point for e in edges])
-    direction = np.median([e.direction for e in edges], axis=0)
+    ending = Counter(edge.ending for edge in edges).most_common(1)[0][0]
+    edges = [edge for edge in edges if edge.ending == ending]  # each kind has a bias of its own
+    points = np.array([edge.point for edge in edges])
+    direction = np.median([edge.direction for edge in edges], axis=0)
     direction /= np.linalg.norm(direction)
     along, across = points @ direction, points @ [-direction[1], direction[0]]
-    single = float(np.median([e.std for e in edges]))
-    expected = float(np.median([e.std_across for e in edges]))
-    good = _near_median(along, 4.0, 2 * single, 'where the edge is')
-    good &= _near_median(across, 6.0, 6 * expected, 'where the edge is')
-    n = max(int(good.sum()), 1)
-    scatter = float(along[good].std(ddof=1)) if n > 1 else single
+    single_std = float(np.median([edge.std for edge in edges]))
+    std_across = float(np.median([edge.std_across for edge in edges]))
+    agree = _near_median(along, 4.0, 2 * single_std, 'where the edge is')
+    agree &= _near_median(across, 6.0, 6 * std_across, 'where the edge is')
+    n = max(int(agree.sum()), 1)
+    scatter = float(along[agree].std(ddof=1)) if n > 1 else single_std
     # a robot that stands still repeats the rounding to a column, and mixed and lost points pull
     # the edge inwards in every profile: that does not average out
-    std = np.hypot(single, scatter / min(n, MOST_INDEPENDENT) ** 0.5)
-    combined = EdgePoint(points[good].mean(axis=0), direction, float(std), expected, ending,
-                         np.median([e.drop for e in edges], axis=0))
-    bent = [e for e, g in zip(edges, good, strict=True) if g and len(e.shape_log_odds)]
-    if 2 * len(bent) <= good.sum():
+    std = np.hypot(single_std, scatter / min(n, MOST_INDEPENDENT) ** 0.5)
+    combined = EdgePoint(points[agree].mean(axis=0), direction, float(std), std_across, ending,
+                         np.median([edge.drop for edge in edges], axis=0))
+    bent = [edge for edge, agrees in zip(edges, agree, strict=True)
+            if agrees and len(edge.shape_log_odds)]
+    if 2 * len(bent) <= agree.sum():
         return combined
-    times = min(len(bent), MOST_INDEPENDENT)
-    shapes = np.mean([e.shape_log_odds for e in bent], axis=0) * times
-    middle = np.mean([e.point + e.arc_offset for e in bent], axis=0)
-    return replace(combined, shape_log_odds=shapes - shapes.max(),
-                   arc_offset=middle - combined.point,
-                   arc_std=float(np.median([e.arc_std for e in bent])) / times ** 0.5)
+    independent = min(len(bent), MOST_INDEPENDENT)
+    log_odds = np.mean([edge.shape_log_odds for edge in bent], axis=0) * independent
+    arc_middle = np.mean([edge.point + edge.arc_offset for edge in bent], axis=0)
+    return replace(combined, shape_log_odds=log_odds - log_odds.max(),
+                   arc_offset=arc_middle - combined.point,
+                   arc_std=float(np.median([edge.arc_std for edge in bent])) / independent ** 0.5)
 
 
-def _near_median(values: Array, times: float, least: float, what: str) -> NDArray[np.bool_]:
+def _near_median(values: Array, scatters: float, least: float, what: str) -> NDArray[np.bool_]:
     """
-    Return which values (n,) are near the median: within `times` scatters, or `least`.
+    Return which values (n,) are within so many robust scatters of the median, or within `least`.
 
-    Raises FeatureError when too few are, or when they scatter more than a robot at
+    Raises FeatureError, about `what`, when too few are, or when they scatter more than a robot at
     rest may move.
     """
-    middle = np.quantile(values, 0.5, method='lower')
-    limit = min(max(times * robust_std(values - middle), least), LARGEST_DISAGREEMENT)
-    good = np.abs(values - middle) <= limit
-    if good.sum() < LEAST_AGREEING * len(values):
+    median = np.quantile(values, 0.5, method='lower')
+    limit = min(max(scatters * robust_std(values - median), least), LARGEST_DISAGREEMENT)
+    near = np.abs(values - median) <= limit
+    if near.sum() < LEAST_AGREEING * len(values):
         raise _disagreeing(what, float(np.ptp(values)))
-    return np.asarray(good)
+    return np.asarray(near)
 
 
 def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     """Return one arc from all points of the profiles of a stop."""
-    centres = np.array([a.centre for a in arcs])
-    middle = np.median([a.circle for a in arcs], axis=0)
+    circle = np.median([arc.circle for arc in arcs], axis=0)
     # a short arc determines its centre worse than the position of its points
-    away = np.array([rms(off_circle(a.raw, middle)) for a in arcs])
-    scatter = float(np.median([rms(off_circle(a.raw, a.circle)) for a in arcs]))
-    good = away < min(LARGEST_DISAGREEMENT, scatter + max(3.0 * scatter, SMALLEST_DISAGREEMENT))
-    if good.sum() < LEAST_AGREEING * len(arcs):
+    distance = np.array([rms(distances_from_circle(arc.raw, circle)) for arc in arcs])
+    scatter = float(np.median([rms(distances_from_circle(arc.raw, arc.circle)) for arc in arcs]))
+    agree = distance < min(LARGEST_DISAGREEMENT,
+                           scatter + max(3.0 * scatter, SMALLEST_DISAGREEMENT))
+    if agree.sum() < LEAST_AGREEING * len(arcs):
+        centres = np.array([arc.centre for arc in arcs])
         raise _disagreeing('where the sphere is',
                            float(np.linalg.norm(np.ptp(centres, axis=0))))
-    used = [a.raw for a, agrees in zip(arcs, good, strict=True) if agrees]
-    arc = normal_points(np.concatenate(used))
+    combined = normal_points(np.concatenate([
+        arc.raw for arc, agrees in zip(arcs, agree, strict=True) if agrees]))
     # for the residuals: 0.8 MB of a sample at most
-    return replace(arc, raw=arc.raw[evenly_chosen(len(arc.raw), 50_000)])
+    return replace(combined, raw=combined.raw[evenly_chosen(len(combined.raw), 50_000)])
 
 
-def _disagreeing(what: str, apart: float) -> FeatureError:
+def _disagreeing(what: str, distance: float) -> FeatureError:
     """Return the refusal of profiles that show the target at places so far apart (m)."""
     return FeatureError(f'the profiles of this stop do not agree on {what}: they are '
-                        f'{mm(apart)} apart; something moved, or some of them show another '
+                        f'{mm(distance)} apart; something moved, or some of them show another '
                         'object; take the sample again', reason='disagreeing')

@@ -3,9 +3,16 @@
 """
 The session: from the messages of both topics to complete stops, and what each gives.
 
-Stops come from the pose stream alone. A stop is complete only when both streams have passed its
-end, so it does not depend on the order of arrival. The same Session takes the messages of a bag
-and those of live topics.
+The same Session takes the messages of a bag and those of live topics. A stop passes through
+
+1. the current stop, while the robot stands: it is cut from the stream of poses alone (StopFinder)
+2. waiting, once the robot has gone on, until the profiles have passed its end, too: so it does not
+   depend on the order of arrival. In manual mode it ends here, only counted
+3. done: `completed` returns it, once, with its profiles (at the end of a recording `remaining`,
+   with the current one). `stop_on_request` and `early_stop` return the current stop already while
+   the robot stands: it may come back with more profiles, unless `mark_done` forbids it
+4. evaluated: `result_of` (features.py) makes a Sample or a Reject of it, `evaluated` gives it a
+   number, and `add_stop` stores it
 """
 from __future__ import annotations
 
@@ -19,15 +26,8 @@ from handeye_ros.data import AnyProfile, Array, NS, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import frame_notes
 from handeye_ros.sampling.features import result_of
-from handeye_ros.sampling.stops import (
-    FOREVER,
-    MOST_PROFILES,
-    Motion,
-    ProfileBuffer,
-    Stop,
-    StopFinder,
-)
-from handeye_ros.sampling.stream import Copyable, REORDER_TIME, Stream
+from handeye_ros.sampling.stops import MOST_PROFILES, Motion, ProfileBuffer, Stop, StopFinder
+from handeye_ros.sampling.stream import Copyable, LAST_STAMP, REORDER_TIME, Stream
 from handeye_ros.sampling.sweep import passes_expanded
 import numpy as np
 
@@ -99,10 +99,11 @@ class Session(Copyable):
 
     def without_messages(self, config: Config) -> Session:
         """Return a copy with other settings, without the messages that wait: they are many."""
-        other = self.copied()
-        other.config, other._finder, other._waiting = config, StopFinder(config.sampling), []
-        other._profiles.keep(FOREVER, FOREVER, FOREVER)
-        return other
+        session = self.copied()
+        session.config, session._finder = config, StopFinder(config.sampling)
+        session._waiting = []
+        session._profiles.keep(LAST_STAMP, LAST_STAMP, LAST_STAMP)
+        return session
 
     def add_pose(self, pose: TimedPose) -> None:
         """Take a pose of the flange; one that cannot be used is dropped with a warning."""
@@ -136,7 +137,7 @@ class Session(Copyable):
         self._profiles.add(self._profile_stream.released(now - REORDER_TIME, now + REORDER_TIME))
         stops = self._take_out([stop for stop in self._waiting
                                 if stop.end < self._profile_stream.latest])
-        # only what those that wait, the current stop, and those to come can use is kept
+        # keep only the profiles that stops that wait, the current one, and those to come can use
         first, last = self._finder.window()
         self._profiles.keep(self._waiting[0].start if self._waiting else first, last, now)
         return stops
@@ -160,8 +161,8 @@ class Session(Copyable):
         and two frames on a topic, unless there are samples: all are of the first.
         """
         self._require_samples_of_one_frame()
-        self._take_poses(self._pose_stream.released(0, FOREVER))
-        self._profiles.add(self._profile_stream.released(0, FOREVER))
+        self._take_poses(self._pose_stream.released(0, LAST_STAMP))
+        self._profiles.add(self._profile_stream.released(0, LAST_STAMP))
         return self._take_out(self._all_stops())
 
     def _all_stops(self) -> list[Stop]:
@@ -171,10 +172,10 @@ class Session(Copyable):
 
     def _take_out(self, stops: Sequence[Stop]) -> list[Stop]:
         """Let stops wait no longer; return those that were not returned before, with profiles."""
-        new = [stop for stop in stops if not self.is_done(stop)]
+        not_returned = [stop for stop in stops if not self.is_done(stop)]
         self._done.update(stop.stamp for stop in stops)
         self._waiting = [stop for stop in self._waiting if not self.is_done(stop)]
-        return [stop.with_profiles(self._profiles.items, self.config) for stop in new]
+        return [stop.with_profiles(self._profiles.items, self.config) for stop in not_returned]
 
     def is_done(self, stop: Stop) -> bool:
         """Return whether a stop was already sampled, or is to be ignored."""
@@ -194,7 +195,7 @@ class Session(Copyable):
         if self.conflict:
             raise self.conflict
         self._require_usable_poses()
-        poses, stop, motion = self._pose_stream, self._finder.current(), self.motion
+        poses, stop = self._pose_stream, self._finder.current()
         if poses.late:
             raise DataError('the robot position is not known: its poses have older stamps than '
                             'those before', reason='late_poses')
@@ -202,9 +203,9 @@ class Session(Copyable):
         if max(POSES_MISSING_TIME, 5 * poses.period) < silence < REORDER_TIME / NS:
             raise silent_poses(silence)
         if stop is None:
-            how = motion.sentence if motion else 'too few poses have come'
+            motion = self.motion.sentence if self.motion else 'too few poses have come'
             raise DataError(f'the robot must stand still for {self.config.sampling.still_time:g} '
-                            f's, and {how}: wait, and take the sample again', reason='moving')
+                            f's, and {motion}: wait, and take the sample again', reason='moving')
         self._profiles.add(self._profile_stream.released(stop.start, stop.end))
         return stop.with_profiles(self._profiles.items, self.config)
 
@@ -275,15 +276,15 @@ class Session(Copyable):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return one sentence for each kind of message that was dropped."""
-        kept, dropped = self._profiles, []
-        if kept.dropped:
-            dropped.append(f'dropped {kept.dropped} profiles, the oldest of those that wait: '
-                           f'together these may take {kept.most_bytes / 1e6:.0f} MB')
+        profiles, too_many = self._profiles, []
+        if profiles.dropped:
+            too_many.append(f'dropped {profiles.dropped} profiles, the oldest of those that wait: '
+                            f'together these may take {profiles.most_bytes / 1e6:.0f} MB')
         if self._expired_stops:
-            dropped.append(f'gave up {self._expired_stops} stops, the oldest that waited for '
-                           'profiles')
+            too_many.append(f'gave up {self._expired_stops} stops, the oldest that waited for '
+                            'profiles')
         out_of_plane = max((abs(float(across)) for across, *_ in self._centroids), default=0.0)
-        return (*self._pose_stream.warnings, *self._profile_stream.warnings, *dropped,
+        return (*self._pose_stream.warnings, *self._profile_stream.warnings, *too_many,
                 *frame_notes(self._profile_stream.frame, out_of_plane, self.config))
 
     @property
@@ -299,10 +300,10 @@ class Session(Copyable):
             return InputError(f'the poses are given in "{self.base_frame}", but robot_base_frame '
                               f'is "{wanted}": set it to {self.base_frame}, or leave it out; it '
                               'is then that of the poses', reason='base_frame')
-        if between := _tilted(self._centroids):
+        if limits := _limits_of_tilted_plane(self._centroids):
             along, across = self.config.profile.axes
             return InputError(
-                f'the profiles lie between {between[0] * 1e3:.1f} and {between[1] * 1e3:.1f} mm '
+                f'the profiles lie between {limits[0] * 1e3:.1f} and {limits[1] * 1e3:.1f} mm '
                 f'beside the plane of {along} and {across} in their frame, as in a light plane '
                 'that is tilted against it: let the driver publish them in a frame of the light '
                 'plane; a static transform can hold the tilt', reason='tilted_plane')
@@ -403,29 +404,29 @@ class Session(Copyable):
         later and later, as the cause may be gone. completed() returns it again when it is over.
         """
         sampling, stood = self.config.sampling, self._pose_stream.latest - self._finder.stamp
-        first = (sampling.still_time + 2 * sampling.settle_time) * NS
-        if stood < first:  # it has just begun
-            self._early_after = first
+        first_time = (sampling.still_time + 2 * sampling.settle_time) * NS
+        if stood < first_time:  # it has just begun
+            self._early_after = first_time
         if sampling.mode != 'still' or stood < self._early_after:
             return None
-        fewest = (MOST_PROFILES if self._early_after == first else
+        fewest = (MOST_PROFILES if self._early_after == first_time else
                   1 if stood < NO_PROFILE_PATIENCE else 0)
         self._early_after *= CHECK_LATER
-        stop, known = self._finder.current(), self._stops.get(self._finder.stamp)
-        if stop is None or self.is_done(stop) or (known and known.sample):
+        stop, evaluated = self._finder.current(), self._stops.get(self._finder.stamp)
+        if stop is None or self.is_done(stop) or (evaluated and evaluated.sample):
             return None
         stop = stop.with_profiles(self._profiles.items, self.config)
         return stop if len(stop.settled_profiles(self.config)) >= fewest else None
 
     def evaluated(self, stop: Stop, result: Sample | Reject) -> Stop:
         """Return a stop with its number and result; a duplicate pose gives no sample."""
-        before = self._stops.get(stop.stamp)
+        earlier = self._stops.get(stop.stamp)  # of the same stop, with fewer profiles
         others = [other for other in self.stops
-                  if other is not before and not self.excludes(other)]
-        why = '' if isinstance(result, Reject) or result.moving else duplicate_pose(
+                  if other is not earlier and not self.excludes(other)]
+        duplicate = '' if isinstance(result, Reject) or result.moving else duplicate_pose(
             result, others, self.config)
-        return replace(stop, number=before.number if before else self.last_number + 1,
-                       result=Reject(result.stamp, why, final=True) if why else result)
+        return replace(stop, number=earlier.number if earlier else self.last_number + 1,
+                       result=Reject(result.stamp, duplicate, final=True) if duplicate else result)
 
     def add_stop(self, stop: Stop) -> Stop:
         """Store and return an evaluated stop, in place of an earlier part of it."""
@@ -438,19 +439,23 @@ class Session(Copyable):
         self._stops.pop(stop.stamp, None)
 
 
-def _tilted(centroids: Sequence[Array]) -> tuple[float, float] | None:
+def _limits_of_tilted_plane(centroids: Sequence[Array]) -> tuple[float, float] | None:
     """
-    Return between which distances (m) profiles lie beside their plane, if this is a tilted one.
+    Return between which distances (m) profiles lie beside their plane, None if it is not tilted.
 
-    centroids: of the samples. Of a tilted plane the distance across it follows from the others; an
-    encoder's position does not.
+    centroids: of the samples, see Sample. Of a tilted plane the distance across it follows from
+    the other coordinates; an encoder's position does not.
     """
-    if len(centroids) < FEWEST_TILTED or np.ptp([one[0] for one in centroids]) < SAME_PLANE:
+    if len(centroids) < FEWEST_TILTED:
         return None
-    y, *rest = np.transpose(centroids)
-    by = np.column_stack([*rest, np.ones(len(y))])
-    off = y - by @ np.linalg.lstsq(by, y, rcond=None)[0]
-    return (float(y.min()), float(y.max())) if np.std(off) < TILT_REST * np.std(y) else None
+    across, along, distance = np.transpose(centroids)
+    if np.ptp(across) < SAME_PLANE:
+        return None
+    plane = np.column_stack([along, distance, np.ones(len(across))])
+    residual = across - plane @ np.linalg.lstsq(plane, across, rcond=None)[0]
+    if not np.std(residual) < TILT_REST * np.std(across):
+        return None
+    return float(across.min()), float(across.max())
 
 
 def silent_poses(seconds: float) -> DataError:

@@ -20,7 +20,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config, SamplingConfig
 from handeye_ros.data import AnyProfile, Array, NS, Profile, RawProfile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.sampling.stream import around, by_stamp, Copyable
+from handeye_ros.sampling.stream import around, by_stamp, Copyable, LAST_STAMP
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,7 +29,6 @@ LONGEST_STOP = 10 * NS  # of a stop: more adds nothing but memory
 PASS_TIME = 2 * NS  # of motion
 SHORT_REST = NS // 10  # a rest that was probably meant as a stop
 MOST_POSES = 20_000  # of one stop: stamps need not go on as time does
-FOREVER = 2**63
 
 # Profiles of a sample, evenly spread. A robot at rest sees the same speckle, and 32 profiles
 # reduce the noise of single ones far below that of the poses. A stop keeps more: for other
@@ -98,14 +97,14 @@ class Stop:
         """Return the stop with the profiles surely taken during it, among candidates in order."""
         begin = bisect_left(candidates, self.start, key=by_stamp)
         end = bisect_right(candidates, self.end, key=by_stamp)
-        inside = [profile for profile in candidates[begin:end] if self._has(profile)]
-        first, last = self._settled_span(config)
-        begin = bisect_left(inside, first, key=by_stamp)
-        end = max(begin, bisect_right(inside, last, key=by_stamp))
+        taken = [profile for profile in candidates[begin:end] if self._covers(profile)]
+        first_settled, last_settled = self._settled_span(config)
+        begin = bisect_left(taken, first_settled, key=by_stamp)
+        end = max(begin, bisect_right(taken, last_settled, key=by_stamp))
         # few from times with vibration
-        return replace(self, profiles=(*_thinned(inside[:begin], 8),
-                                       *_thinned(inside[begin:end], 64),
-                                       *_thinned(inside[end:], 8)))
+        return replace(self, profiles=(*_thinned(taken[:begin], 8),
+                                       *_thinned(taken[begin:end], 64),
+                                       *_thinned(taken[end:], 8)))
 
     def settled_profiles(self, config: Config) -> list[AnyProfile]:
         """Return MOST_PROFILES of the time without vibration at most, not yet decoded."""
@@ -114,14 +113,14 @@ class Stop:
 
     def trimmed(self, config: Config) -> Stop:
         """Return the stop reduced to what its sample needs, to be evaluated elsewhere."""
-        alone = replace(self, result=NOT_EVALUATED)
+        stop = replace(self, result=NOT_EVALUATED)
         if self.reader or config.sampling.moving:
-            return alone
+            return stop
         profiles = self.settled_profiles(config)
         poses = around(self.poses, [profile.stamp for profile in profiles])
-        return replace(alone, poses=tuple(poses), profiles=tuple(profiles))
+        return replace(stop, poses=tuple(poses), profiles=tuple(profiles))
 
-    def _has(self, profile: AnyProfile) -> bool:
+    def _covers(self, profile: AnyProfile) -> bool:
         """Return whether a profile was surely taken during the stop, given its duration."""
         before, after = profile.reach if isinstance(profile, RawProfile) else (0, 0)
         return profile.stamp - before >= self.start and profile.stamp + after <= self.end
@@ -137,8 +136,8 @@ NO_STOP = Stop(0)
 
 def _thinned(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
     """Return a part of the profiles of a stop: 40 per second, at most 150."""
-    length = (profiles[-1].stamp - profiles[0].stamp) / NS if profiles else 0.0
-    return evenly(profiles, min(150, max(least, 1 + round(40 * length))))
+    seconds = (profiles[-1].stamp - profiles[0].stamp) / NS if profiles else 0.0
+    return evenly(profiles, min(150, max(least, 1 + round(40 * seconds))))
 
 
 def evenly_chosen(n: int, most: int) -> NDArray[np.intp]:
@@ -192,38 +191,46 @@ class StopFinder(Copyable):
 
     def add(self, pose: TimedPose) -> Stop | None:
         """Add the next pose; return the stop that it ends, or None."""
-        seen = bool(self._recent) and (
-            pose.stamp - self._recent[-1].stamp <= self.sampling.max_pose_gap * NS)
-        if not (seen and self._rest and self._is_near(self._rest, pose)):
-            if self._rest:
-                stood = self._recent[-1].stamp - self._rest.stamp
-                self.longest_rest = max(self.longest_rest, stood)
-            self._rest = pose
+        sampling = self.sampling
+        no_gap = bool(self._recent) and (
+            pose.stamp - self._recent[-1].stamp <= sampling.max_pose_gap * NS)
+        self._note_rest(pose, no_gap)
         self._recent.append(pose)
         while pose.stamp - self._recent[0].stamp > MOTION_TIME:
             self._recent.popleft()
         # a rest is one pass, too: a robot at rest shows nothing new
-        if seen and (self.sampling.moving and pose.stamp - self._poses[0].stamp <= PASS_TIME
-                     or self._is_near(self._poses[0], pose)):
-            # a long one keeps its first seconds, on request its last
-            forget = self._poses.pop if self.sampling.by_itself else self._poses.popleft
-            self._poses.append(pose)
-            while (self._poses[-1].stamp - self._poses[0].stamp > LONGEST_STOP
-                   or len(self._poses) > MOST_POSES):
-                forget()
+        if no_gap and (sampling.moving and pose.stamp - self._poses[0].stamp <= PASS_TIME
+                       or self._is_near(self._poses[0], pose)):
+            self._prolong(pose)
             return None
         ended = self.current()
-        if self._poses:
-            stood = self._poses[-1].stamp - self._poses[0].stamp
-            self.short_rests += ended is None and stood >= SHORT_REST
+        if self._poses and ended is None:
+            self.short_rests += self._poses[-1].stamp - self._poses[0].stamp >= SHORT_REST
         self._poses, self.stamp = deque([pose]), pose.stamp
         return ended
 
+    def _note_rest(self, pose: TimedPose, no_gap: bool) -> None:
+        """Measure how long the robot stays near one pose; no_gap: since the pose before."""
+        if self._rest and no_gap and self._is_near(self._rest, pose):
+            return
+        if self._rest:
+            stood = self._recent[-1].stamp - self._rest.stamp
+            self.longest_rest = max(self.longest_rest, stood)
+        self._rest = pose
+
+    def _prolong(self, pose: TimedPose) -> None:
+        """Add a pose to the current stop; a long one keeps its first, on request its last ones."""
+        self._poses.append(pose)
+        forget = self._poses.pop if self.sampling.by_itself else self._poses.popleft
+        while (self._poses[-1].stamp - self._poses[0].stamp > LONGEST_STOP
+               or len(self._poses) > MOST_POSES):
+            forget()
+
     def current(self) -> Stop | None:
         """Return the current stop without profiles, None before sampling.still_time."""
-        poses = self._poses
-        still = bool(poses) and poses[-1].stamp - poses[0].stamp >= self.sampling.still_time * NS
-        return Stop(self.stamp, tuple(poses)) if still else None
+        poses, least = self._poses, self.sampling.still_time * NS
+        is_stop = bool(poses) and poses[-1].stamp - poses[0].stamp >= least
+        return Stop(self.stamp, tuple(poses)) if is_stop else None
 
     def motion(self) -> Motion | None:
         """Return the current motion of the robot, None with fewer than two poses."""
@@ -239,9 +246,9 @@ class StopFinder(Copyable):
     def window(self) -> tuple[int, int]:
         """Return the first and last stamp of profiles that the current stop can use."""
         if not self._poses:
-            return 0, FOREVER
+            return 0, LAST_STAMP
         first = self._poses[0].stamp
-        return first, first + LONGEST_STOP if self.sampling.by_itself else FOREVER
+        return first, first + LONGEST_STOP if self.sampling.by_itself else LAST_STAMP
 
     def _is_near(self, first: TimedPose, pose: TimedPose) -> bool:
         """Return whether the robot still is where it was."""
@@ -252,8 +259,10 @@ class StopFinder(Copyable):
 
 def _angle_between(a: TimedPose, b: TimedPose) -> float:
     """Return the angle between close orientations (rad): twice |q1 - q2|."""
-    apart = math.dist(a.quaternion, b.quaternion)  # of three numbers much quicker than numpy
-    return 2 * (apart if apart < 1.0 else min(apart, math.dist(a.quaternion, -b.quaternion)))
+    distance = math.dist(a.quaternion, b.quaternion)  # much quicker than numpy
+    if distance >= 1.0:  # q and -q are one rotation
+        distance = min(distance, math.dist(a.quaternion, -b.quaternion))
+    return 2 * distance
 
 
 class ProfileBuffer(Copyable):

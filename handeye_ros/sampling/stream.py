@@ -18,19 +18,18 @@ from operator import attrgetter
 from typing import Generic, Self, TypeVar
 
 from handeye_ros import se3
-from handeye_ros.data import Array, Profile, RawProfile, TimedPose
+from handeye_ros.data import Array, NS, Profile, RawProfile, TimedPose
 from handeye_ros.errors import DataError, InputError
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-REORDER_TIME = 1_000_000_000  # ns; a smaller step back is only a reordering in transit
-LAST_STAMP = 2 ** 63 - 1  # ns; largest stamp
-
-LATE_TIME = 500_000_000  # ns of messages that are late, after which the clock was set back
+REORDER_TIME = NS  # a smaller step back is only a reordering in transit
+LAST_STAMP = 2 ** 63 - 1  # the largest (ns)
+LATE_TIME = NS // 2  # of messages that are late, after which the clock was set back
 FEW_STRAYS = 3  # messages of another frame, or with wrong stamps: a topic may hold this number,
 FEW_SHARE = 0.05  # or a recording this share of many; with more, the right one is unknown
-UNMIXED_TIME = 3_000_000_000  # ns of messages of one frame, after which others are of the past
+UNMIXED_TIME = 3 * NS  # of messages of one frame, after which others are of the past
 
 by_stamp = attrgetter('stamp')
 Stamped = TypeVar('Stamped', bound=Profile | RawProfile | TimedPose)
@@ -171,12 +170,12 @@ def two_frames(kind: str, first: str, second: str) -> InputError:
                       reason='two_frames')
 
 
-def in_majority_order(stamps: NDArray[np.int64], of: str) -> NDArray[np.bool_]:
+def in_majority_order(stamps: NDArray[np.int64], source: str) -> NDArray[np.bool_]:
     """
     Return which messages fit the order of the majority; raises DataError for two runs.
 
-    stamps: in the order of recording (ns); deviations up to REORDER_TIME from the order fit. of:
-    whose they are, in words.
+    stamps: in the order of recording (ns); deviations up to REORDER_TIME from the order fit.
+    source: whose they are, in words.
     """
     if (stamps[1:] >= stamps[:-1]).all():
         return np.ones(len(stamps), dtype=bool)
@@ -188,7 +187,7 @@ def in_majority_order(stamps: NDArray[np.int64], of: str) -> NDArray[np.bool_]:
     if wrong and (wrong > max(FEW_STRAYS, FEW_SHARE * len(fits)) or 2 * wrong >= len(fits)):
         back = np.maximum.accumulate(stamps) - stamps
         index = int(np.argmax(back > REORDER_TIME))
-        raise DataError(f'the stamps {of} jump back by {back[index] * 1e-9:.1f} s at message '
+        raise DataError(f'the stamps {source} jump back by {back[index] * 1e-9:.1f} s at message '
                         f'{index + 1}: two runs seem to be mixed (a bag recorded in a loop?); '
                         'record one run', reason='two_runs')
     return fits
@@ -202,11 +201,11 @@ def _longest_rising(stamps: Sequence[int]) -> NDArray[np.bool_]:
         place = bisect_right(ends, stamp)
         ends[place:place + 1] = [stamp]
         indices.append(place)
-    chosen, wanted = np.zeros(len(stamps), dtype=bool), len(ends) - 1
+    rising, wanted = np.zeros(len(stamps), dtype=bool), len(ends) - 1
     for index in reversed(range(len(stamps))):
         if indices[index] == wanted:
-            chosen[index], wanted = True, wanted - 1
-    return chosen
+            rising[index], wanted = True, wanted - 1
+    return rising
 
 
 def around(poses: Sequence[TimedPose], stamps: Sequence[int]) -> list[TimedPose]:
@@ -226,9 +225,10 @@ def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:
     Linear in the translation, slerp in the rotation. Raises ValueError outside.
     """
     poses = around(poses, stamps)
-    times = np.array([p.stamp - poses[0].stamp for p in poses], dtype=float)
-    at = np.array([s - poses[0].stamp for s in stamps], dtype=float)
-    translations, quaternions = (np.array([getattr(p, name) for p in poses])
-                                 for name in ('translation', 'quaternion'))
-    return se3.transform(Slerp(times, Rotation.from_quat(quaternions))(at).as_matrix(),
-                         np.column_stack([np.interp(at, times, axis) for axis in translations.T]))
+    pose_times = np.array([pose.stamp - poses[0].stamp for pose in poses], dtype=float)
+    times = np.array([stamp - poses[0].stamp for stamp in stamps], dtype=float)
+    rotations = Rotation.from_quat([pose.quaternion for pose in poses])
+    translations = np.array([pose.translation for pose in poses])
+    return se3.transform(
+        Slerp(pose_times, rotations)(times).as_matrix(),
+        np.column_stack([np.interp(times, pose_times, axis) for axis in translations.T]))

@@ -10,10 +10,15 @@ sweep). Its rotation is that of a time later by the lag.
 - drift: the clock of the profiles is slower by this, seconds a second
 - lag: the robot reports its rotation later than its position, in seconds
 
-The derivative of a condition by one of them is its derivative by the pose of the flange times the
-twist of the flange: one more column each. They need no start value: with_estimated_clocks fits
-some of the samples from several offsets until one is good, then all. However long a sweep is,
-MOST_SAMPLES of its profiles make the answer.
+The way of a sweep: StopFinder (stops.py) cuts it into passes of two seconds. A pass gives a sample
+of each of its profiles, and its part of the trajectory (_pass_of in features.py). passes_expanded
+takes the passes apart and joins their trajectories. with_estimated_clocks finds the three unknowns
+and, with them, the pose of each sample: a station of the solve, as any stop is.
+
+The derivative of a condition by an unknown is its derivative by the pose of the flange times the
+twist of the flange: one more column each. They need no start value: some of the samples are fitted
+from several offsets until one is good, then all. However long a sweep is, MOST_SAMPLES of its
+profiles make the answer.
 
 A sweep differs from stops in these places, found by Sample.moving and sampling.moving:
 
@@ -71,8 +76,8 @@ def passes_expanded(samples: Sequence[Sample]) -> tuple[Sample, ...]:
     """Return one sample per profile of passes, with their common trajectory; others unchanged."""
     trajectories = [sample.trajectory for sample in samples if sample.per_profile]
     trajectory = joined(trajectories) if trajectories else None
-    return tuple(replace(one, trajectory=trajectory) if sample.per_profile else one
-                 for sample in samples for one in sample.station_samples)
+    return tuple(replace(station, trajectory=trajectory) if sample.per_profile else station
+                 for sample in samples for station in sample.station_samples)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,21 +110,21 @@ class ClockedPoses:
     def at(self, offset: float, lag: float = 0.0, drift: float = 0.0) -> Instants:
         """Return the flange at each sample; offset, lag (s), drift: as in the module's text."""
         shift = np.rint((offset + drift * self.since_middle) * 1e9).astype(np.int64)
-        instants = self.trajectory.at((self.stamps + shift)[self.moving], lag)
-        n = len(self.stamps)
+        n, moving = len(self.stamps), self.moving
+        instants = self.trajectory.at((self.stamps + shift)[moving], lag)
         T, twists, inside = self.T_base_flange.copy(), np.zeros((n, 6)), np.ones(n, dtype=bool)
-        T[self.moving], twists[self.moving] = instants.T_base_flange, instants.twists
-        inside[self.moving] = instants.inside
+        T[moving], twists[moving] = instants.T_base_flange, instants.twists
+        inside[moving] = instants.inside
         return Instants(T, twists, inside)
 
 
-def _poses_and_twists(clocked: ClockedPoses, values: Array) -> tuple[Array, Array]:
-    """Return poses (n, 4, 4) and twists (n, 6, 3) for offset, lag and drift."""
-    poses = clocked.at(*values)
-    twists = np.stack([poses.twists] * len(CLOCK_KEYS), axis=2)
-    twists[:, :3, 1] = 0.0  # a lag is of the rotation alone
-    twists[:, :, 2] *= clocked.since_middle[:, None]
-    return poses.T_base_flange, twists
+def _poses_and_derivatives(clocked: ClockedPoses, clock_values: Array) -> tuple[Array, Array]:
+    """Return poses (n, 4, 4), and their derivatives (n, 6, 3) by offset, lag and drift."""
+    instants = clocked.at(*clock_values)
+    derivatives = np.stack([instants.twists] * len(CLOCK_KEYS), axis=2)
+    derivatives[:, :3, 1] = 0.0  # a lag is of the rotation alone
+    derivatives[:, :, 2] *= clocked.since_middle[:, None]
+    return instants.T_base_flange, derivatives
 
 
 def problem_of_known_poses(samples: Sequence[Sample], config: Config) -> Problem:
@@ -134,32 +139,32 @@ def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:
     clocked = ClockedPoses.of(samples)
     stds = config.time_offset_std, config.rotation_lag_std, config.clock_drift_std
     model = PoseModel(
-        partial(_poses_and_twists, clocked), CLOCK_KEYS, stds,
+        partial(_poses_and_derivatives, clocked), CLOCK_KEYS, stds,
         np.arange(len(samples)), least_variance=1.0,
         blocks=partial(errors_in_motion, clocked.stamps),
         jitter=np.array([config.noise.stamps, 0.0, 0.0]))
-    known = next(sample.clock_values for sample in samples if sample.moving)
-    return replace(problem, pose_model=model).with_pose_values(np.array(known))
+    clock_values = next(sample.clock_values for sample in samples if sample.moving)
+    return replace(problem, pose_model=model).with_pose_values(np.array(clock_values))
 
 
 def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
     """Yield the blocks of errors of a moving robot: smooth in time, and of the exposure."""
-    size, model = linear.problem.config.noise.robot_smooth, linear.problem.pose_model
+    position_std, model = linear.problem.config.noise.robot_smooth, linear.problem.pose_model
     assert model is not None
-    functions = smooth_basis_in_time((stamps[model.stations] - stamps[0]) * 1e-9,
-                                     linear.problem.long_errors)
+    basis = smooth_basis_in_time((stamps[model.stations] - stamps[0]) * 1e-9,
+                                 linear.problem.long_errors)
     shifts, turns = np.hsplit(np.eye(6), 2)
-    for name, axes, std in (('tracking_position', shifts, size),
-                            ('tracking_rotation', turns, size / TURN_LENGTH)):
-        yield smooth_errors(name, linear, functions, std, axes, report=f'{name}_error')
+    for name, axes, std in (('tracking_position', shifts, position_std),
+                            ('tracking_rotation', turns, position_std / TURN_LENGTH)):
+        yield smooth_errors(name, linear, basis, std, axes, report=f'{name}_error')
     exposure = linear.problem.config.profile.exposure
     if exposure:
         # a profile averages over the exposure, and shows a face only while the face is seen: an
         # end shifts by up to half the exposure times the velocity across it, always inwards
         inwards = np.sign(linear.problem.target.feature_errors(linear))
-        moved = linear.wrt_twists(linear.problem.pose_twists[:, :, :1])
+        velocity = np.abs(linear.wrt_twists(linear.problem.pose_twists[:, :, :1]))
         std = exposure / 2
-        yield ParameterBlock('exposure', inwards * np.abs(moved) * std, std)
+        yield ParameterBlock('exposure', inwards * velocity * std, std)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,27 +195,29 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
         raise DataError(f'the profiles that show the target are of {seconds:.1f} s, in which a '
                         'robot hardly turns: record a longer sweep', reason='few')
     clocked, problem = ClockedPoses.of(samples), problem_with_clocks(samples, config)
-    some = problem.subset(evenly_chosen(len(samples), SEARCH_SAMPLES))
-    start = _best_over_offsets(some, np.random.default_rng(0))
-    known = start.problem.pose_values
+    # the clocks from some samples, and then from all
+    start = _best_over_offsets(problem.subset(evenly_chosen(len(samples), SEARCH_SAMPLES)),
+                               np.random.default_rng(0))
+    start_values = start.problem.pose_values
     # profiles in gaps between the poses would pull the offset
-    inner = problem.subset(np.flatnonzero(_with_poses(clocked, known, problem).inside))
-    fit = refined_robustly(inner.with_pose_values(known), start.estimate)
-    values = tuple(fit.problem.pose_values.tolist())
-    instants = _with_poses(clocked, values, problem)
-    paired = [replace(sample, T_base_flange=T, clock_values=values)
-              for sample, T, inside in zip(
-                  samples, instants.T_base_flange, instants.inside, strict=True) if inside]
+    in_time = np.flatnonzero(_flange_at(start_values, clocked, problem).inside)
+    fit = refined_robustly(problem.subset(in_time).with_pose_values(start_values), start.estimate)
+    # each sample gets the pose of its time
+    clock_values = tuple(fit.problem.pose_values.tolist())
+    instants = _flange_at(clock_values, clocked, problem)
+    timed = [replace(sample, T_base_flange=T, clock_values=clock_values)
+             for sample, T, inside in zip(
+                 samples, instants.T_base_flange, instants.inside, strict=True) if inside]
     rejects = [Reject(sample.stamp, NO_POSES)
                for sample, inside in zip(samples, instants.inside, strict=True) if not inside]
-    of_paired = problem.subset(np.flatnonzero(instants.inside))
-    return TimedSamples(paired, rejects, of_paired.with_pose_values(fit.problem.pose_values),
+    problem = problem.subset(np.flatnonzero(instants.inside))
+    return TimedSamples(timed, rejects, problem.with_pose_values(fit.problem.pose_values),
                         fit.estimate)
 
 
-def _with_poses(clocked: ClockedPoses, values: Iterable[float], problem: Problem) -> Instants:
+def _flange_at(clock_values: Iterable[float], clocked: ClockedPoses, problem: Problem) -> Instants:
     """Return the flange at each sample; raises DataError where few have poses at their time."""
-    instants, least = clocked.at(*values), problem.target.min_samples
+    instants, least = clocked.at(*clock_values), problem.target.min_samples
     if (count := instants.inside.sum()) < least:
         raise DataError(f'at the time offset that fits best, {count} of {len(instants.inside)} '
                         f'profiles have poses of their time, and {problem.target.name} needs '
@@ -222,9 +229,9 @@ def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Solution:
     """Return the best fit over several offsets, or the first convincing one."""
     fits = list[Solution]()
     for offset in sorted(np.arange(-10, 11, 2), key=abs):  # prior sigmas
-        values = np.zeros(len(problem.pose_values))
-        values[0] = offset * problem.config.time_offset_std
-        shifted = problem.with_pose_values(values)
+        clock_values = np.zeros(len(problem.pose_values))
+        clock_values[0] = offset * problem.config.time_offset_std
+        shifted = problem.with_pose_values(clock_values)
         for start in islice(shifted.target.starts(shifted, rng), 3):
             fits.append(refined_robustly(shifted, start))
             if is_convincing(fits[-1]):

@@ -29,8 +29,6 @@ from scipy.sparse import csr_array, diags
 KNOT_SPACINGS = (0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018, 0.012)
 FEWEST_POSES = 8  # fewest poses of a piece
 AT_ONCE = 500  # stamps of which the uncertainty is evaluated together
-# the four functions at a time, by the powers of its share of the interval between two knots
-CUBIC = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6
 STIFFNESS = 1e-8  # of the spline, where there are no poses
 OUTLIER_SCATTERS = 8.0  # residual, in robust scatters, above which a pose is an outlier
 
@@ -79,85 +77,76 @@ class Trajectory:
 
     def at(self, stamps: NDArray[np.int64], lag: float = 0.0) -> Instants:
         """Return the flange at stamps (n,); lag: of the reported rotation (s)."""
-        n, both = len(stamps), np.concatenate([stamps, stamps + round(lag * 1e9)])
-        value, rate = np.zeros((2, 2 * n, 7))
-        value[:, 6], inside = 1.0, np.zeros(2 * n, dtype=bool)
-        for piece, chosen in self._by_piece(both):
-            some = both[chosen]
-            inside[chosen] = (some >= piece.first) & (some <= piece.last)
-            value[chosen], rate[chosen] = piece.at(some)
-        length = np.linalg.norm(value[n:, 3:], axis=1, keepdims=True)
-        q, dq = value[n:, 3:] / length, rate[n:, 3:] / length
+        values, rates, inside = self._at(stamps)
+        later_values, later_rates, later_inside = self._at(stamps + round(lag * 1e9))
+        length = np.linalg.norm(later_values[:, 3:], axis=1, keepdims=True)
+        q, dq = later_values[:, 3:] / length, later_rates[:, 3:] / length
         # the vector of 2 dq/dt q*, in which the change of length is of the scalar part alone
         turning = 2 * (q[:, 3:] * dq[:, :3] - dq[:, 3:] * q[:, :3]
                        - np.cross(dq[:, :3], q[:, :3]))
-        return Instants(se3.from_quaternion(value[:n, :3], q), np.hstack([rate[:n, :3], turning]),
-                        inside[:n] & inside[n:])
+        return Instants(se3.from_quaternion(values[:, :3], q), np.hstack([rates[:, :3], turning]),
+                        inside & later_inside)
+
+    def _at(self, stamps: NDArray[np.int64]) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return translation and quaternion (n, 7), their rates, and which are inside (n,)."""
+        values, rates = np.zeros((2, len(stamps), 7))
+        values[:, 6], inside = 1.0, np.zeros(len(stamps), dtype=bool)
+        for piece, nearest in self._by_piece(stamps):
+            values[nearest], rates[nearest] = piece.at(stamps[nearest])
+            inside[nearest] = (stamps[nearest] >= piece.first) & (stamps[nearest] <= piece.last)
+        return values, rates, inside
 
     def std(self, stamps: NDArray[np.int64]) -> Array:
         """Return 1 sigma of the poses at stamps (n,), each axis: (n, 2) in m and rad."""
         std = np.full((len(stamps), 2), np.inf)
-        for piece, chosen in self._by_piece(stamps):
-            std[chosen] = piece.std_at(stamps[chosen])
+        for piece, nearest in self._by_piece(stamps):
+            std[nearest] = piece.std_at(stamps[nearest])
         return std
 
     def _by_piece(self, stamps: NDArray[np.int64]
                   ) -> Iterator[tuple[_Piece, NDArray[np.bool_]]]:
-        # of a stamp in a gap the piece with the nearest end
+        """Yield each piece with the stamps (n,) to which it is the nearest one, if any."""
         middles = np.array([before.last + (after.first - before.last) // 2
                             for before, after in pairwise(self.pieces)], dtype=np.int64)
-        which = np.searchsorted(middles, stamps)
+        index = np.searchsorted(middles, stamps)
         for k, piece in enumerate(self.pieces):
-            if (chosen := which == k).any():
-                yield piece, chosen
+            if (nearest := index == k).any():
+                yield piece, nearest
 
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
     """
-    A spline of translation and quaternion from first to last, with knots at equal intervals.
+    A cubic spline of translation and quaternion, from one stamp to another.
 
-    interval: seconds; coefficients: (intervals + 3, 7); std: (2,) 1 sigma of single poses (m,
-    rad); root: the banded Cholesky factor of the information about coefficients by poses of unit
-    variance.
+    spline: scipy's BSpline of (n, 7) over the seconds since the first stamp
+    std: (2,) 1 sigma of single poses (m, rad)
+    root: the banded Cholesky factor of the information about the coefficients by poses of unit
+        variance
     """
 
     first: int
     last: int
-    interval: float
-    coefficients: Array
+    spline: Any
     std: Array
     root: Array
 
-    def _rows(self, stamps: NDArray[np.int64], rates: bool = False) -> Any:
-        t = np.asarray((np.clip(stamps, self.first, self.last) - self.first) * 1e-9)
-        return _spline_rows(t, self.interval, len(self.coefficients), rates)
+    def _seconds(self, stamps: NDArray[np.int64]) -> Array:
+        """Return the times (n,) of stamps in the spline; outside, that of the next end."""
+        return np.asarray((np.clip(stamps, self.first, self.last) - self.first) * 1e-9)
 
     def at(self, stamps: NDArray[np.int64]) -> tuple[Array, Array]:
         """Return translation and quaternion (n, 7), and rates; outside those of the next end."""
-        return self._rows(stamps) @ self.coefficients, self._rows(stamps, True) @ self.coefficients
+        t = self._seconds(stamps)
+        return self.spline(t), self.spline(t, 1)
 
     def std_at(self, stamps: NDArray[np.int64]) -> Array:
         """Return 1 sigma of positions and rotations, (n, 2)."""
-        rows = self._rows(stamps)
-        parts = (rows[k:k + AT_ONCE] for k in range(0, len(stamps), AT_ONCE))
+        design = self.spline.design_matrix(self._seconds(stamps), self.spline.t, 3, True)
+        parts = (design[k:k + AT_ONCE] for k in range(0, len(stamps), AT_ONCE))
         leverage = [part.multiply(cho_solve_banded((self.root, True), part.T.toarray()).T).sum(
             axis=1) for part in parts]
         return np.asarray(np.sqrt(np.concatenate(leverage).reshape(-1, 1)) * self.std)
-
-
-def _spline_rows(t: Array, interval: float, count: int, rates: bool = False) -> Any:
-    """
-    Return what makes values, or their rates, at times t (n,) of coefficients: sparse (n, count).
-
-    interval: between knots (s), from 0; the last one may be longer or shorter by half.
-    """
-    first = np.minimum((t / interval).astype(np.int64), count - 4)
-    powers = np.vander(t / interval - first, 4, increasing=True)
-    if rates:
-        powers = np.insert(powers[:, :3] * [1, 2, 3], 0, 0.0, axis=1) / interval
-    columns, ends = first[:, None] + np.arange(4), np.arange(0, 4 * len(t) + 1, 4)
-    return csr_array(((powers @ CUBIC).ravel(), columns.ravel(), ends), (len(t), count))
 
 
 def joined(parts: Sequence[Trajectory]) -> Trajectory:
@@ -187,12 +176,12 @@ def _piece_through(stamps: NDArray[np.int64], values: Array) -> _Piece:
     A few poses far from the spline through all are not used; of many, it is the spline that is
     wrong.
     """
-    t, values = (stamps - stamps[0]) * 1e-9, _with_steady_signs(values)
-    spline, off = _smoothed(t, values)
-    near = _near_most(off)
-    if not near.all() and near.mean() > 0.95:
-        spline, _ = _smoothed(t[near], values[near])
-    return _Piece(int(stamps[0]), int(stamps[-1]), *spline)
+    values = _with_steady_signs(values)
+    piece, residuals = _smoothed(stamps, values)
+    fits = _without_outliers(residuals)
+    if not fits.all() and fits.mean() > 0.95:
+        piece, _ = _smoothed(stamps[fits], values[fits])
+    return piece
 
 
 def _with_steady_signs(values: Array) -> Array:
@@ -202,22 +191,29 @@ def _with_steady_signs(values: Array) -> Array:
     return np.hstack([values[:, :3], np.vstack([values[:1, 3:], values[1:, 3:] * signs])])
 
 
-def _near_most(off: Array) -> NDArray[np.bool_]:
-    """Return which poses are off (n, 7) a spline as most are, or less than 1 mm and 5 mrad."""
-    size = np.abs(off) / np.repeat([1e-3, 5e-3 / 2], [3, 4])
+def _without_outliers(residuals: Array) -> NDArray[np.bool_]:
+    """
+    Return which poses are as far from a spline as most are, or less than 1 mm and 5 mrad.
+
+    residuals: (n, 7) of the poses. The first and the last one always are.
+    """
+    size = np.abs(residuals) / np.repeat([1e-3, 5e-3 / 2], [3, 4])
     usual = np.array([robust_std(axis) for axis in size.T])
-    near = (size <= np.maximum(OUTLIER_SCATTERS * usual, 1.0)).all(axis=1)
-    near[[0, -1]] = True
-    return np.asarray(near)
+    fits = (size <= np.maximum(OUTLIER_SCATTERS * usual, 1.0)).all(axis=1)
+    fits[[0, -1]] = True
+    return np.asarray(fits)
 
 
-def _smoothed(t: Array, values: Array) -> tuple[tuple[float, Array, Array, Array], Array]:
+def _smoothed(stamps: NDArray[np.int64], values: Array) -> tuple[_Piece, Array]:
     """
-    Return interval, coefficients, std and root of the best piece, and its residuals (n, 7).
+    Return the least-squares spline through poses (n, 7), and its residuals (n, 7).
 
-    The knots have the least generalised cross-validation error, log(squares / freedom^2), of
-    positions and rotations together.
+    Its knots are at equal intervals, the last one longer or shorter by half at most, and have the
+    least generalised cross-validation error, log(squares / freedom^2), of positions and rotations
+    together.
     """
+    from scipy.interpolate import BSpline  # 0.09 s, only for robots that move
+    t = (stamps - stamps[0]) * 1e-9
     least, best = np.inf, None
     widest = max(KNOT_SPACINGS[0], 2 * t[-1] / (len(t) - 1))  # two poses to each interval
     for interval in (widest, *KNOT_SPACINGS[1:]):
@@ -225,19 +221,21 @@ def _smoothed(t: Array, values: Array) -> tuple[tuple[float, Array, Array, Array
         freedom = len(t) - count
         if best and freedom < len(t) / 3:
             break
-        rows = _spline_rows(t, interval, count)
+        knots = interval * np.arange(-3.0, count + 1)
+        design = BSpline.design_matrix(t, knots, 3, True)
         bends = csr_array(diags([1.0, -2.0, 1.0], [0, 1, 2], (count - 2, count)))
-        information = rows.T @ rows + STIFFNESS * bends.T @ bends
+        information = design.T @ design + STIFFNESS * bends.T @ bends
         root = cholesky_banded([np.append(information.diagonal(k), np.zeros(k))
                                 for k in range(4)], lower=True)
-        coefficients = cho_solve_banded((root, True), rows.T @ values)
-        off = values - rows @ coefficients
+        coefficients = cho_solve_banded((root, True), design.T @ values)
+        residuals = values - design @ coefficients
         # of each axis; a quaternion has half of the angle about three axes
-        squares = off ** 2
+        squares = residuals ** 2
         sums = np.array([squares[:, :3].sum() / 3, squares[:, 3:].sum() * 4 / 3]) + 1e-30
         error = float(np.log(sums / max(freedom, 1) ** 2).sum())
         if error < least + 2 * np.log(0.995):  # nearer knots must be worth 0.5 %
             least = error
-            best = (interval, coefficients, np.sqrt(sums / max(freedom, 1)), root), off
+            best = _Piece(int(stamps[0]), int(stamps[-1]), BSpline(knots, coefficients, 3),
+                          np.sqrt(sums / max(freedom, 1)), root), residuals
     assert best is not None
     return best
