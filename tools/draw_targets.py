@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Draws the targets of docs/start.md: `.venv/bin/python tools/draw_targets.py [FOLDER]`."""
+"""Draws the targets of docs/cell.md: `.venv/bin/python tools/draw_targets.py [FOLDER]`."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence

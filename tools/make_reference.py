@@ -13,9 +13,9 @@ PAGE = Path(__file__).parents[1] / 'docs' / 'reference.md'
 HEAD = """\
 # Every key of the configuration
 
-Made from `handeye_ros/config.py` by `make figures`. A key is a parameter of the node (`ros2 param
-describe /handeye KEY`), a key of the YAML files in `config/`, and one of `--set KEY=VALUE` on the
-command line. Metres, radians and seconds throughout.
+A key is a parameter of the node (`ros2 param describe /handeye KEY`), a key of the YAML files in
+`config/`, and one of `--set KEY=VALUE` on the command line. `make figures` writes this page from
+`handeye_ros/config.py`.
 """
 TABLE = '| key | default | values | what it is |\n|---|---|---|---|\n'
 
@@ -38,7 +38,8 @@ def _rows(found: list[Parameter]) -> Iterator[str]:
     for parameter in found:
         shown = 'none' if parameter.default != parameter.default else 'empty' if (
             parameter.default in ('', ())) else f'`{_yaml(parameter.default)}`'
-        yield f'| `{parameter.key}` | {shown} | {_values(parameter)} | {parameter.description} |\n'
+        description = parameter.description.removesuffix(f' In {parameter.unit}.')
+        yield f'| `{parameter.key}` | {shown} | {_values(parameter)} | {description} |\n'
 
 
 def _yaml(value: object) -> str:
@@ -54,7 +55,7 @@ def _values(parameter: Parameter) -> str:
     elif isinstance(parameter.default, bool):
         values = '`true`, `false`'
     elif parameter.minimum is not None and parameter.maximum is not None:
-        values = f'{parameter.minimum:g} to {parameter.maximum:g}'
+        values = f'{parameter.minimum:g} to {parameter.maximum:g} {parameter.unit}'.rstrip()
     else:
         values = 'a text'
     if not isinstance(parameter.default, tuple):

@@ -211,7 +211,7 @@ def scan(
     std: Annotated[bool, typer.Option(
         '--std', help='Add the 1 sigma of each point (m): calibration, sensor, robot.')] = False,
 ) -> None:
-    """Put profiles into the base: a cloud of points."""
+    """Put profiles into the base frame, as a cloud of points."""
     from handeye_ros.scanning.cloud import require_format, write_cloud
     from handeye_ros.scanning.scan import Scanner, ScanOptions
     require_format(out)

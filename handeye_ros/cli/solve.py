@@ -190,7 +190,7 @@ def compare(
     angles: Angles = '',
     out: OutFile = None,
 ) -> None:
-    """Put the same samples through all estimators."""
+    """Compare the estimators on the same samples."""
     from handeye_ros import compare as comparing
     from handeye_ros.output import write_atomically, yaml_text
     from handeye_ros.results.calibration_file import true_transform

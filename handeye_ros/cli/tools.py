@@ -50,7 +50,7 @@ def kinematics(
         help='Where corrected.urdf, kinematics.yaml and calibration.yaml are written.')
     ] = Path('out/kinematics'),
 ) -> None:
-    """Find the errors of joints and axes, with the transform."""
+    """Estimate the errors of the arm, with the transform."""
     tables = [*filter(is_table, sources)]
     if tables and len(sources) > 1:
         raise typer.BadParameter('give one table only: its column "target" names several '
@@ -97,14 +97,14 @@ def batch(
     verb: Annotated[str, typer.Option(
         callback=one_of(*BATCH_VERBS), help=f'{", ".join(BATCH_VERBS)}.')] = 'solve',
     args: Annotated[str, typer.Option(
-        help='Words of the verb before the bag, such as "sphere --calibration FILE".')] = '',
+        help='Arguments of the verb before the bag, such as "sphere --calibration FILE".')] = '',
     config: ConfigFile = None,
     assignments: Assignments = [],
     scheduler: Annotated[str, typer.Option(
         help='local: one process for each core of this machine; or the address of a Dask '
         'scheduler, such as tcp://host:8786.')] = 'local',
 ) -> None:
-    """Run a verb on many recordings; again: on the new ones."""
+    """Run one command on many recordings, again on new ones."""
     from handeye_ros import batch as batches
     from handeye_ros.output import write_errors_for
     words = batches.words_of(args, config, assignments)
@@ -164,7 +164,7 @@ def simulate(
                                             autocompletion=_scenarios)],
     directory: Annotated[Path, typer.Argument(
         metavar='DIR', help='The folder to make: a bag, or files of measured values.')],
-    seed: Annotated[int, typer.Option(min=0, help='Of all random numbers.')] = 0,
+    seed: Annotated[int, typer.Option(min=0, help='The seed of all random numbers.')] = 0,
     force: Annotated[bool, typer.Option('--force', help='Replace a bag that is there.')] = False,
     listed: Annotated[bool, typer.Option(
         '--list', callback=_print_scenarios, is_eager=True,

@@ -4,7 +4,7 @@
 The state of a running node as plain values, and sentences about it.
 
 Services, /diagnostics, ~/samples, ~/status and the page all report these values, so that they
-agree and use the same sentences. SI units; docs/cell.md documents the fields.
+agree and use the same sentences. SI units; docs/contract.md documents the fields.
 """
 from __future__ import annotations
 

@@ -67,8 +67,8 @@ def items_of(part) -> list:
 
 
 def documented(topic: str, key: str = '') -> set[str]:
-    """Return the keys of a topic by docs/cell.md, or the names told of one of its keys."""
-    page = (ROOT / 'docs' / 'cell.md').read_text(encoding='utf-8')
+    """Return the keys of a topic by docs/contract.md, or the names told of one of its keys."""
+    page = (ROOT / 'docs' / 'contract.md').read_text(encoding='utf-8')
     table = page.split(f'| `~/{topic}` | |\n|---|---|\n', 1)[1].split('\n\n', 1)[0]
     rows = [[re.findall('`([^`]+)`', cell) for cell in row.split('|')[1:3]]
             for row in table.splitlines()]
