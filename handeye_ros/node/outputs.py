@@ -105,7 +105,7 @@ class Outputs:
             '~/next_pose': (PoseStamped, lambda place: pose_stamped(**place, stamp=self._now())),
             '~/calibration': (TransformStamped, lambda one: transform_of(one, self._now())),
             '~/markers': (MarkerArray, lambda _: session_markers(
-                live.copied().stops, live.answer.calibration, self._config))}
+                live.session_copy().stops, live.answer.calibration, self._config))}
         if TFMessage:
             topics['/tf_static'] = TFMessage, lambda one: TFMessage(
                 transforms=[transform_of(one, self._now())])
@@ -133,7 +133,7 @@ class Outputs:
         with self._lock:
             self._closed = True
 
-    def show(self) -> None:
+    def publish_changes(self) -> None:
         """Log a new attempt to take a sample, and publish all changes."""
         with self._lock:
             if self._closed:
@@ -164,13 +164,13 @@ class Outputs:
             points = xyz.astype('<f4', order='C').view([(name, '<f4') for name in 'xyz'])[:, 0]
             self._features.publish(cloud(points, self._live.session.frame_id, sample.stamp))
 
-    def show_current(self) -> None:
+    def publish_current(self) -> None:
         """Publish the current profile with its features, if there is a subscriber."""
         if self._current.get_subscription_count():
             self._current.publish(current_markers(
-                self._live.current(), self._live.answer.calibration, self._config))
+                self._live.current_snapshot(), self._live.answer.calibration, self._config))
 
-    def diagnose(self, state: State) -> None:
+    def publish_diagnostics(self, state: State) -> None:
         """Publish the state on /diagnostics."""
         name = self._node.get_fully_qualified_name().lstrip('/')
         self._diagnostics.publish(DiagnosticArray(header=Header(stamp=self._now()), status=[

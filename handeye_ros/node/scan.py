@@ -54,7 +54,7 @@ class ScanNode(Node):
         config = with_assignments(use_config(calibration), given.set)
         super().__init__('handeye_scan')
         self.config: Config = replace(config, time_offset=0.0)  # the scanner adds it
-        self.messages: dict[str, MessageCount] = {}
+        self.message_counts: dict[str, MessageCount] = {}
         self._sensor = calibration.child_frame
         self._scanner = Scanner(calibration, config, options)
         self._offset = round((config.time_offset + max(self._scanner.lag, 0.0)) * 1e9)

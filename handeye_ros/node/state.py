@@ -140,9 +140,9 @@ def state_of(live: LiveSession, disturbances: Mapping[str, str] = MappingProxyTy
     disturbances: by kind (profile, pose) why no messages arrive, where it is known; of the session
     what else disturbs it.
     """
-    session, config, attempt = live.copied(), live.config, live.attempt
+    session, config, attempt = live.session_copy(), live.config, live.attempt
     review, motion, outside = live.answer.review, session.motion, disturbances.get('session', '')
-    profiles, poses = live.messages['profile'], live.messages['pose']
+    profiles, poses = live.message_counts['profile'], live.message_counts['pose']
     samples = [_sample(stop, session, review.agreements.get(stop.number))
                for stop in session.stops]
     worst = sorted((s for s in samples if s['left_out'] is not None), key=lambda s: -s['left_out'])
@@ -183,7 +183,7 @@ def troubles_of(state: State) -> list[str]:
     return [sentence for sentence in sentences if sentence]
 
 
-def with_trouble(state: State, text: str, success: bool, service: str) -> str:
+def with_troubles(state: State, text: str, success: bool, service: str) -> str:
     """
     Return the message of a service with the current troubles.
 
@@ -248,10 +248,10 @@ def _calibration(answer: LiveAnswer, session: Session) -> State:
     calibration = answer.calibration
     if calibration is None:
         state, note = NONE, ''
-        if answer.solved:
+        if answer.solved_session:
             state, note = WITHDRAWN, '; the transform that was published before is not the answer'
         return {**NO_ANSWER, 'state': state, 'text': f'{answer.why_missing}{note}'}
-    changes, quality = answer.difference(session), calibration.quality
+    changes, quality = answer.changes_since(session), calibration.quality
     return {
         'state': OUTDATED if changes else CURRENT, 'text': summary(calibration) + changes,
         'parent': calibration.parent_frame, 'child': calibration.child_frame,

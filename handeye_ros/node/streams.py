@@ -107,7 +107,7 @@ class Streams:
         self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
         self._last_stamp: int | None = None  # ns, of the last message of profiles
         self._topics = self._topics_of(config)
-        receiver.messages = {topic.messages.kind: topic.messages for topic in self._topics}
+        receiver.message_counts = {topic.messages.kind: topic.messages for topic in self._topics}
         for topic in self._topics:
             self._subscribe(topic)
         self._ended = threading.Event()
@@ -243,7 +243,7 @@ class Streams:
 
     # what disturbs them
 
-    def disturbances(self) -> dict[str, str]:
+    def troubles_by_kind(self) -> dict[str, str]:
         """
         Return what disturbs them, as far as it is known.
 

@@ -80,7 +80,7 @@ class LiveVerification:
         Returns what to do. Raises InputError for the settings, DataError without a calibration.
         """
         live, wanted = self._live, self._live.config.verify
-        live.process_waiting()  # what began before is a sample, or of the part before
+        live.evaluate_waiting()  # what began before is a sample, or of the part before
         before = self.text
         measured = any(isinstance(result, Sample) for result in self._parts[-1].values())
         begins = self.routine is None or (measured and len(self._parts) == self._most_parts)
@@ -113,7 +113,7 @@ class LiveVerification:
         """
         live, routine = self._live, self.routine
         assert routine
-        result = live.result_elsewhere(stop, routine.settings(live.config))
+        result = live.evaluate_in_process(stop, routine.settings(live.config))
         self._parts[-1][stop.stamp] = result
         text = f'{self.text}; {sample_summary(result)}'
         live.attempt = Attempt(f'verification: {text}', replace(stop, result=result))
@@ -132,7 +132,7 @@ class LiveVerification:
             raise DataError('no verification was started: call ~/verify_start, and measure the '
                             'artefact')
         live = self._live
-        live.process_all()
+        live.evaluate_all()
         file = live.config.verify.calibration or live.answer.saved
         return live.run_job(VERIFYING, partial(self._accept, self._parts, file), verification_of,
                             self.routine, [[*part.values()] for part in self._parts],

@@ -159,7 +159,7 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
 
     rows: of the answer, name, value, 1 sigma and unit as in the table of `handeye solve`.
     """
-    current, calibration = live.current(), live.answer.calibration
+    current, calibration = live.current_snapshot(), live.answer.calibration
     return {**state, 'profile': current and _picture(current), 'scene': _scene(live, current),
             'edges': _edges(live),
             'rows': list(table.transform_rows(calibration)) if calibration else [],
@@ -169,7 +169,7 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
 
 def stop_profile(live: LiveSession, number: str) -> dict[str, Any]:
     """Return a profile of a stop with its features; raises InputError for unknown stops."""
-    for stop in live.copied().stops:
+    for stop in live.session_copy().stops:
         if str(stop.number) == number:
             return _picture(stop_snapshot(stop, live.config))
     raise InputError(f'there is no stop {number}')
@@ -185,7 +185,7 @@ def _edges(live: LiveSession) -> dict[int, str]:
     answer = live.answer.review.answer
     if answer.solution is None:
         return {}
-    number = {one.stamp: stop.number for stop in live.copied().stops if stop.sample
+    number = {one.stamp: stop.number for stop in live.session_copy().stops if stop.sample
               for one in stop.sample.station_samples}
     shown = edges_used(answer.solution.problem)
     return {number.get(answer.samples[i].stamp, 0): edges
@@ -203,8 +203,8 @@ def _scene(live: LiveSession, current: Any) -> dict[str, Any]:
     config, advice = live.config, live.answer.review.advice
     solution = live.answer.review.answer.solution if advice.sigmas else None
     X = solution.estimate.X if solution else np.eye(4)
-    pose, aim = live.pose, advice.next.T_base_flange if advice.next else None
-    view = [live.answer.seen, *([current.points] if current else [])]
+    pose, aim = live.last_pose, advice.next.T_base_flange if advice.next else None
+    view = [live.answer.view, *([current.points] if current else [])]
 
     def as_rows(T_base_flange: Array | None) -> Any:
         return None if T_base_flange is None else rounded(
@@ -215,7 +215,7 @@ def _scene(live: LiveSession, current: Any) -> dict[str, Any]:
         'round': config.target.type == 'sphere',
         'view': rounded(extremes(np.concatenate(view))), 'live': as_rows(pose),
         'stations': [{'number': stop.number, 'T': as_rows(stop.sample.T_base_flange)}
-                     for stop in live.copied().stops if stop.sample],
+                     for stop in live.session_copy().stops if stop.sample],
         'next': as_rows(aim),
         'aim': None if pose is None or aim is None else _motion_to(pose, aim),
         'move': advice.move and _move(advice.move),
