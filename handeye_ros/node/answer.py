@@ -231,7 +231,7 @@ class LiveAnswer:
         """Write the answer; return the message. Raises DataError without one, InputError."""
         live, calibration = self._live, self.require_calibration()
         live.retry_storing()
-        written = exports.save_all(calibration, live.folders.own(live.config),
+        written = exports.save_all(calibration, live.folders.locked_folder(live.config),
                                    live.config.save.formats)
         self.saved = str(written.files[0])
         note = (f'; {COMPUTING} again: save it again after that'

@@ -18,8 +18,8 @@ Threads:
 - `worker` makes all other changes, one after the other;
 - those of ROS (node.py) and of the page (page/server.py) pass a function to `call_on_worker` and
   wait for its result; what they only show, they read from any thread.
-Processes: two (pool.py). They evaluate stops, for which the worker waits, and make reviews,
-answers and verifications, for which it does not (`run_job`).
+Processes: two (pool.py), each with a thread that waits for it. They evaluate stops, for which the
+worker waits, and make reviews, answers and verifications, for which it does not (`run_job`).
 Locks: `lock` guards what messages change, and is held for one message or one copy. Another, in
 outputs.py, keeps the node from publishing after its end.
 """
@@ -54,7 +54,7 @@ from handeye_ros.errors import (
 )
 from handeye_ros.frames import mount_poses
 from handeye_ros.node.answer import ANSWER_KEYS, LiveAnswer, SAMPLE_KEYS, settings_of
-from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended, trim_memory
+from handeye_ros.node.pool import Pool, PoolEndedError, trim_memory
 from handeye_ros.node.state import Attempt, MessageCount
 from handeye_ros.node.verification import LiveVerification
 from handeye_ros.results.scene import StopSnapshot
@@ -217,7 +217,7 @@ class LiveSession:
         def finish(job: Future[Any]) -> None:
             self.running_jobs.remove(name)
             try:
-                accepted.set_result(accept(result_or_ended(job)))
+                accepted.set_result(accept(job.result()))
             except Exception as error:
                 accepted.set_exception(error)
                 if not (name and isinstance(error, DataError | InputError)):
@@ -371,7 +371,7 @@ class LiveSession:
         """Return what a stop gives, evaluated in another process."""
         self.running_jobs.append(EVALUATING)
         try:
-            return self.pool.run(result_of, stop.trimmed(config), config)
+            return self.pool.submit(result_of, stop.trimmed(config), config).result()
         except (PoolEndedError, InputError) as error:  # its file is gone; or its process, then
             return Reject(stop.stamp, str(error))  # the stop itself will be stored
         finally:

@@ -95,7 +95,7 @@ class HandeyeNode(Node):
     @property
     def state(self) -> State:
         """Return the current state of the session."""
-        return state_of(self.live, self.streams.troubles_by_kind())
+        return state_of(self.live, self.streams.graph_troubles())
 
     # what is published
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 import hashlib
 import json
@@ -26,7 +25,7 @@ from handeye_ros.config import Config
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node import answer as answers
 from handeye_ros.node import live as lives
-from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended
+from handeye_ros.node.pool import Pool, PoolEndedError
 from handeye_ros.node.state import (
     MessageCount,
     sample_count,
@@ -466,11 +465,11 @@ def test_nobody_waits_for_a_solve_or_a_verdict() -> None:
 
 def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(
         monkeypatch: pytest.MonkeyPatch) -> None:
-    def ended(*_: object) -> None:
-        raise PoolEndedError
-
-    live = new()
-    monkeypatch.setattr(live.pool, 'run', ended)
+    live, ended = new(), Future()
+    ended.set_exception(PoolEndedError())
+    submit = live.pool.submit
+    monkeypatch.setattr(live.pool, 'submit', lambda function, *args: (
+        ended if function is result_of else submit(function, *args)))
     feed(live, items_of(PARTS[0]))
     state = state_of(live)
     assert len(state['samples']) >= 7 and sample_count(state) == 0
@@ -484,7 +483,7 @@ def test_an_answer_whose_process_ended_is_computed_again(monkeypatch: pytest.Mon
     live, ended = fed(), Future()
     text = computed(live)
     live.remove_last_sample()
-    ended.set_exception(BrokenProcessPool())
+    ended.set_exception(PoolEndedError())
     monkeypatch.setattr(live.pool, 'submit', lambda *args: ended)
     update(live)
     assert 'ended before it had an answer' in state_of(live)['session']['trouble'], 'of the review'
@@ -532,7 +531,7 @@ def test_of_two_answers_the_one_that_was_asked_for_last_stays(
 def test_a_recomputation_whose_process_is_killed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     live, ended = fed(), Future()
     computed(live)
-    ended.set_exception(BrokenProcessPool())
+    ended.set_exception(PoolEndedError())
     monkeypatch.setattr(live.pool, 'submit', lambda *args: ended)
     changed(live, noise__sensor=5e-5)
     assert 'ended before it had an answer' in state_of(live)['session']['trouble']
@@ -652,32 +651,41 @@ def pool() -> Pool:
 
 
 def test_it_answers_and_refuses_in_another_process(pool: Pool) -> None:
-    assert pool.run(divmod, 7, 2) == (3, 1) and pool.run(os.getpid) != os.getpid()
-    assert pool.run(os.nice, 0) == os.nice(0) + 5
+    assert pool.submit(divmod, 7, 2).result() == (3, 1)
+    assert pool.submit(os.getpid).result() != os.getpid()
+    assert pool.submit(os.nice, 0).result() == os.nice(0) + 5
     with pytest.raises(DataError) as refusal:
-        pool.run(pipeline.calibrate, [], [], Config())
+        pool.submit(pipeline.calibrate, [], [], Config()).result()
     with pytest.raises(DataError) as here:
         pipeline.calibrate([], [], Config())
     assert str(refusal.value) == str(here.value)
     with pytest.raises(ZeroDivisionError):
-        pool.run(divmod, 1, 0)
+        pool.submit(divmod, 1, 0).result()
 
 
 def test_one_that_was_killed_is_started_again_once_for_a_call(pool: Pool) -> None:
-    os.kill(pool.run(os.getpid), signal.SIGKILL)
-    assert pool.run(divmod, 7, 2) == (3, 1)
+    os.kill(pool.submit(os.getpid).result(), signal.SIGKILL)
+    assert pool.submit(divmod, 7, 2).result() == (3, 1)
     with pytest.raises(PoolEndedError, match='ended before it had an answer'):
-        pool.run(os._exit, 1)
-    with pytest.raises(PoolEndedError):
-        result_or_ended(pool.submit(os._exit, 1))
-    assert pool.run(divmod, 7, 2) == (3, 1)
+        pool.submit(os._exit, 1).result()
+    assert pool.submit(divmod, 7, 2).result() == (3, 1)
+
+
+def test_one_that_is_killed_disturbs_no_other_call(pool: Pool, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / 'pipe')
+    reading = pool.submit(Path.read_text, tmp_path / 'pipe')
+    with (tmp_path / 'pipe').open('w') as pipe:  # once the other process reads it
+        with pytest.raises(PoolEndedError):
+            pool.submit(os._exit, 1).result()
+        pipe.write('read by one process to the end')
+    assert reading.result(PATIENCE) == 'read by one process to the end'
 
 
 PARENT = """
 import os, sys, time
 from handeye_ros.node.pool import Pool
 if __name__ == '__main__':
-    print(Pool().run(os.getpid), flush=True)
+    print(Pool().submit(os.getpid).result(), flush=True)
     time.sleep(60)
 """
 
