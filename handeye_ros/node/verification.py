@@ -150,7 +150,8 @@ class LiveVerification:
         content = plain_values(
             result, (live.config.profile_topic, live.config.pose_origin[0]),
             Path(file).expanduser() if file else None)
-        saved = exports.write({name: yaml_text(content)}, live.folders.locked_folder(live.config), {name})
+        folder = live.folders.locked_folder(live.config)
+        saved = exports.write({name: yaml_text(content)}, folder, {name})
         self.verdict = sentence(content)
         text = f'{self.verdict}; {saved}'
         if result.verdict not in ('pass', 'fail'):

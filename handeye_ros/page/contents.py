@@ -136,8 +136,8 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     return {'sessions': [path.name for path in sessions], 'session': current,
             'previous': previous, 'settings': [{
                 'key': key, 'value': values[key], 'description': parameters[key].description,
-                'choices': choices.get(key, list(parameters[key].choices))}
-                for key in PAGE_SETTINGS]}
+                'choices': choices.get(key, list(parameters[key].choices))
+            } for key in PAGE_SETTINGS]}
 
 
 def _file(live: LiveSession, name: str) -> tuple[str, str]:

@@ -4,7 +4,7 @@
 Serves the page: static files, a stream of events, and one request for each button.
 
 aiohttp runs in its own thread and event loop, and what the node is asked runs in a pool of others:
-no request and no slow browser delays the node. The state is collected at most RATE times a second,
+no request and no slow browser delays the node. The state is collected at most EVENT_RATE times a second,
 and only while a browser is connected.
 
 Pages of other sites in the same browser are refused by Origin and Sec-Fetch-Site. A page for this
@@ -127,7 +127,7 @@ class PageServer:
         return await asyncio.get_running_loop().run_in_executor(self._pool, function, values)
 
     async def _current_event(self) -> str:
-        """Return the state as JSON, which all browsers share, at most EVENT_RATE times a second."""
+        """Return the state as JSON, collected for all browsers at once."""
         if time.monotonic() - self._collected >= 1 / EVENT_RATE:
             self._collected = time.monotonic()
             try:  # in another pool: not behind requests that take long
