@@ -68,7 +68,7 @@ class PageSource:
 def page_source(node: HandeyeNode) -> PageSource:
     """Return content and actions of the page for a node."""
     actions: dict[str, Action] = {
-        **{name: partial(_call, node, name) for name in PAGE_SERVICES},
+        **{name: partial(_call_service, node, name) for name in PAGE_SERVICES},
         'remove_last_sample': partial(_remove_last, node),
         'exclude': partial(_exclude, node), 'set': partial(_set, node),
         'open': lambda values: (True, node.open_session(str(values.get('session'))))}
@@ -79,7 +79,7 @@ def page_source(node: HandeyeNode) -> PageSource:
     return PageSource(lambda: contents(node.state, node.live), actions, queries)
 
 
-def _call(node: HandeyeNode, name: str, values: Mapping[str, Any]) -> tuple[bool, str]:
+def _call_service(node: HandeyeNode, name: str, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Call a service; it takes no values."""
     return node.call_service(name)
 
@@ -133,11 +133,11 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
                 if path.name != current]
     has_just_begun = len(live.session.stops) <= FEW_STOPS
     previous = read_session(sessions[0]).sample_count if sessions and has_just_begun else 0
+    settings = [{'key': key, 'value': values[key], 'description': parameters[key].description,
+                 'choices': choices.get(key, list(parameters[key].choices))}
+                for key in PAGE_SETTINGS]
     return {'sessions': [path.name for path in sessions], 'session': current,
-            'previous': previous, 'settings': [{
-                'key': key, 'value': values[key], 'description': parameters[key].description,
-                'choices': choices.get(key, list(parameters[key].choices))
-            } for key in PAGE_SETTINGS]}
+            'previous': previous, 'settings': settings}
 
 
 def _file(live: LiveSession, name: str) -> tuple[str, str]:
@@ -249,7 +249,7 @@ def _target(solution: Solution, config: Config) -> Mapping[str, Any]:
     in_sensor = np.insert(anchors, 1, 0.0, axis=1)  # (x, range) as (x, 0, range)
     points = se3.apply(problem.poses @ estimate.X, in_sensor[:, None])[:, 0]
     outline = outline_of(problem.target.describe(estimate.state, solution.target_std),
-                      config.target.size, points)
+                         config.target.size, points)
     ball = outline.ball and (rounded(outline.ball[0]), outline.ball[1])
     return {'edges': [rounded(line) for line in outline.edges], 'ball': ball,
             'outline': [rounded(line) for line in outline.outline], 'spots': rounded(points)}

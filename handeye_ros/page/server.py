@@ -4,8 +4,8 @@
 Serves the page: static files, a stream of events, and one request for each button.
 
 aiohttp runs in its own thread and event loop, and what the node is asked runs in a pool of others:
-no request and no slow browser delays the node. The state is collected at most EVENT_RATE times a second,
-and only while a browser is connected.
+no request and no slow browser delays the node. The state is collected at most EVENT_RATE times a
+second, and only while a browser is connected.
 
 Pages of other sites in the same browser are refused by Origin and Sec-Fetch-Site. A page for this
 machine alone asks for no token, and refuses foreign host names that point to this machine by Host.
