@@ -463,6 +463,19 @@ def test_nobody_waits_for_a_solve_or_a_verdict() -> None:
         answer.result(PATIENCE)
 
 
+def test_a_stop_that_takes_long_is_told_meanwhile() -> None:
+    told = []
+
+    class Telling(Inline):
+        def submit(self, function, *args) -> Future:
+            told.append(state_of(live)['session']['working'])
+            return super().submit(function, *args)
+
+    live = new(pool=Telling())
+    feed(live, items_of(PARTS[0]))
+    assert 'a stop is evaluated' in told and state_of(live)['session']['working'] == ''
+
+
 def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(
         monkeypatch: pytest.MonkeyPatch) -> None:
     live, ended = new(), Future()
