@@ -52,14 +52,6 @@ class Inputs(NamedTuple):
     samples: Sequence[tuple[int, Sample | None]]
 
 
-class Job(NamedTuple):
-    """A review that was begun; is_requested: whether for the answer, message: about that."""
-
-    inputs: Inputs
-    is_requested: bool
-    message: Future[str]
-
-
 @dataclass(frozen=True, eq=False)
 class Review:
     """
@@ -117,8 +109,10 @@ class LiveAnswer:
         self.review = review_of(Session(config), config, self.view, with_cause=False)
         self.calibration: Calibration | None = None
         self.why_missing, self.saved, self.is_wanted = why, '', False
-        self._last_job: Job | None = None
-        self._requested: Inputs | None = None  # of the last job that was requested
+        # of the last review that was begun, and of the last one that was requested as an answer
+        self._last: Inputs | None = None
+        self._requested: Inputs | None = None
+        self._message = Future[str]()  # about the answer requested last
 
     def changes_since(self, session: Session) -> str:
         """Return in words how the samples of a session differ from those of the answer, or ''."""
@@ -149,7 +143,7 @@ class LiveAnswer:
         where there is no answer; after a DataError the previous answer is withdrawn. An answer is
         not computed again from the same samples and settings.
         """
-        live, job = self._live, self._last_job
+        live = self._live
         live.retry_storing()
         self.is_wanted = True
         try:
@@ -158,15 +152,15 @@ class LiveAnswer:
         except HandeyeError as error:
             self._refuse(error)
             raise
-        if job and job.is_requested and job.inputs == self._inputs():
-            is_running = not job.message.done()
-            if is_running or (self.calibration and not job.message.exception()):
-                return job.message
+        message = self._message
+        if self._last is self._requested and self._last == self._inputs():
+            if not message.done() or (self.calibration and not message.exception()):
+                return message
         return self._begin_review(is_requested=True)
 
     def review_if_changed(self) -> None:
         """Begin the review, if samples or settings have changed."""
-        inputs, last = self._inputs(), self._last_job and self._last_job.inputs
+        inputs, last = self._inputs(), self._last
         if not self._live.running_jobs and inputs != last:
             other_settings = not last or inputs.answer_settings != last.answer_settings
             self._begin_review(is_requested=self.is_wanted and other_settings)
@@ -185,13 +179,13 @@ class LiveAnswer:
         if snapshot := live.current_snapshot():
             self.view = extremes(np.concatenate([self.view, snapshot.points]))
         session = live.session_copy().without_messages(config)
-        if is_requested:
-            self._requested = inputs
+        self._last = inputs
         message = live.run_job(
             COMPUTING if is_requested else '',
             partial(self._accept, inputs, session, is_requested),
             review_of, session, config, self.view, is_requested or self.calibration is not None)
-        self._last_job = Job(inputs, is_requested, message)
+        if is_requested:
+            self._requested, self._message = inputs, message
         return message
 
     def _accept(self, inputs: Inputs, session: Session, is_requested: bool, review: Review) -> str:
@@ -201,7 +195,7 @@ class LiveAnswer:
         Raises DataError for a refusal.
         """
         live, answer = self._live, review.answer
-        if self._last_job and inputs is self._last_job.inputs:  # others may be ready later
+        if inputs is self._last:  # others may be ready later
             self.review = review
         if not is_requested:
             return ''

@@ -43,7 +43,7 @@ from handeye_ros.bags.session_files import (
     StoredSession,
 )
 from handeye_ros.config import Config, SamplesConfig
-from handeye_ros.data import AnyProfile, Array, Feature, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
 from handeye_ros.errors import (
     DataError,
     FeatureError,
@@ -281,15 +281,13 @@ class LiveSession:
                         if poses and poses[0].stamp <= profile.stamp <= poses[-1].stamp]
         if len(poses) < 2 or not profiles:
             return None
-        features: tuple[Feature, ...] = ()
-        reason = ''
         try:
             profile = profiles[-1].read(config.profile)
-            features = features_of(profile, config)
+            features, reason = features_of(profile, config), ''
         except UnusableMessageError:
             return None
         except FeatureError as error:
-            reason = str(error)
+            features, reason = (), str(error)
         T_base_flange, = interpolate(poses, [profile.stamp])
         return StopSnapshot(0, profile.stamp, mount_poses(T_base_flange, config), profile.points,
                             features, reason)
