@@ -116,7 +116,7 @@ def work(output_dir: Path, acknowledge: int) -> None:
                                          OutputFolders())
     live = LiveSession(config, OutputFolders(), Inline(), lambda: None)
     if found:
-        live.open(found, config)
+        live.open_session(found, config)
     rng, start = random.Random(), time.time_ns()
     while True:
         start += 2 * NS

@@ -72,9 +72,9 @@ class OutputFolders:
     """
 
     def __init__(self, namespace: str = '/') -> None:
-        """Own no folder yet."""
+        """Lock no folder yet."""
         self._namespace = namespace
-        self._own: dict[Path, int] = {}  # their locks
+        self._locks: dict[Path, int] = {}
 
     def parent(self, config: Config) -> Path:
         """Return the folder above the folders of names, absolute."""
@@ -86,13 +86,13 @@ class OutputFolders:
         """Return the folder of the name, absolute; raises BadValueError."""
         return self.parent(config) / folder_name(config)
 
-    def own(self, config: Config) -> Path:
+    def locked_folder(self, config: Config) -> Path:
         """Return the folder of the name, for results; raises InputError if another node has it."""
         folder = self.folder(config)
-        if folder not in self._own:
+        if folder not in self._locks:
             with write_errors_for(folder):
                 folder.mkdir(parents=True, exist_ok=True)
-                self._own[folder] = _locked(
+                self._locks[folder] = _locked(
                     folder, f'another running node saves its results in {folder}: set name or '
                     'output_dir of this one, so that neither replaces those of the other')
         return folder
@@ -178,16 +178,16 @@ class SessionFiles:
 
         joints: stamps (ns) and serialised JointState messages. Raises UnwritableError.
         """
-        seen = stop.load(config)
-        joints = [one for one in joints if seen.start <= one[0] <= seen.end]
-        file = self.add_event(STOP, config, seen, joints)
+        loaded = stop.load(config)
+        joints = [(stamp, data) for stamp, data in joints if loaded.start <= stamp <= loaded.end]
+        file = self.add_event(STOP, config, loaded, joints)
         return replace(stop, poses=stop.poses[-1:], profiles=(),
                        reader=partial(load_stop, file, stop.stamp))
 
     def add_event(self, kind: str, config: Config, stop: Stop = NO_STOP,
                   joints: Sequence[tuple[int, bytes]] = ()) -> Path:
         """
-        Write an event; return its file.
+        Write an event into a file of its own, and sync it; return the file.
 
         kind: STOP, for a stop that was evaluated, with what was seen there; REMOVED, for its
         sample, with its number; CONFIGURED, for new settings. Raises UnwritableError.
@@ -195,7 +195,7 @@ class SessionFiles:
         if self.path is None:
             where = f'a folder of the session in {self._parent(config)} (output_dir)'
             with write_errors_for(where):
-                self.path, self._lock = self._begun(config)
+                self.path, self._lock = self._make_folder(config)
         folder = self.path
         with write_errors_for(folder):
             if not folder.is_dir():
@@ -217,13 +217,13 @@ class SessionFiles:
         other.add_event(CONFIGURED, config)  # so that `last` names it
         return other
 
-    def _begun(self, config: Config) -> tuple[Path, int]:
+    def _make_folder(self, config: Config) -> tuple[Path, int]:
         """Make the folder of a new session, named after the time; return it and its lock."""
         folder = self._parent(config) / datetime.now(UTC).strftime(FOLDER_NAME_FORMAT)
         missing = [above for above in folder.parents if not above.exists()]
         folder.mkdir(parents=True)
-        for made in (folder, *missing):
-            sync(made.parent)
+        for created in (folder, *missing):
+            sync(created.parent)
         return folder, _locked(folder, f'another node has begun {folder}')
 
 
@@ -232,14 +232,18 @@ def _write_metadata(folder: Path) -> None:
         write_metadata(folder, files_of(folder))
 
 
-def _locked(folder: Path, taken: str) -> int:
-    """Lock a folder until the process ends; taken: the refusal if another has. OSError."""
+def _locked(folder: Path, refusal: str) -> int:
+    """
+    Lock a folder until the process ends; return the file descriptor that holds the lock.
+
+    Raises InputError with the refusal if another process has locked it, OSError.
+    """
     lock = os.open(folder / LOCK_FILE, os.O_RDONLY | os.O_CREAT, 0o644)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         os.close(lock)
-        raise InputError(taken) from error
+        raise InputError(refusal) from error
     return lock
 
 
@@ -247,14 +251,15 @@ def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int,
               ) -> list[Raw]:
     """Return the messages of an event, in the order of their times."""
     # a driver may publish no stamp: the time of the record holds it
-    seen = [replace(profile, stamp=profile.stamp - config.offset_ns) for profile in stop.profiles]
-    messages = [raw_of(item, config, 'f8') for item in (*stop.poses, *seen)]
+    profiles = [replace(profile, stamp=profile.stamp - config.offset_ns)
+                for profile in stop.profiles]
+    messages = [raw_of(item, config, 'f8') for item in (*stop.poses, *profiles)]
     messages += [Raw(full_name(config.joint_topic), JOINTS_TYPE, *joint) for joint in joints]
-    values = {'event': kind, 'number': stop.number, 'began': stop.stamp,
-              'taken': stop.sample is not None, 'refused': stop.final_reason}
+    settings = {'config': flatten(replace(config, session=''))}
+    outcome = {'event': kind, 'number': stop.number, 'began': stop.stamp,
+               'taken': stop.sample is not None, 'refused': stop.final_reason}
     end = stop.end if stop.poses else time.time_ns()
-    for topic, content in ((CONFIGURATION_TOPIC, {'config': flatten(replace(config, session=''))}),
-                           (OUTCOME_TOPIC, values)):
+    for topic, content in ((CONFIGURATION_TOPIC, settings), (OUTCOME_TOPIC, outcome)):
         text = json.dumps({'format': f'{FORMAT}{NEWEST}', **content})
         messages.append(Raw(topic, STRING_TYPE, end, string_cdr(text)))
     return sorted(messages, key=lambda message: message.log_time)
@@ -341,16 +346,18 @@ def _event_of(file: Path) -> tuple[str, Config, Stop]:
     texts = {raw.topic: message_of(STRING_TYPE, raw.data).data
              for raw in _read_file(file, (CONFIGURATION_TOPIC, OUTCOME_TOPIC))}
     try:
-        values, content = json.loads(texts[OUTCOME_TOPIC]), json.loads(texts[CONFIGURATION_TOPIC])
-        for form in (values['format'], content['format']):
-            require_format(file, form, FORMAT)
-        known = flatten(Config())
-        settings = {key: value for key, value in content['config'].items() if key in known}
-        stamp, refused = int(values['began']), str(values['refused'])
-        stop = Stop(stamp, reader=partial(load_stop, file, stamp), number=int(values['number']),
-                    result=NOT_EVALUATED if values['taken'] else
-                    Reject(stamp, refused, final=bool(refused)))
-        return str(values['event']), with_values(Config(), settings, str(file)), stop
+        outcome = json.loads(texts[OUTCOME_TOPIC])
+        configuration = json.loads(texts[CONFIGURATION_TOPIC])
+        for content in (outcome, configuration):
+            require_format(file, content['format'], FORMAT)
+        known_keys = flatten(Config())
+        settings = {key: value for key, value in configuration['config'].items()
+                    if key in known_keys}  # those of older versions may be gone
+        stamp, refusal = int(outcome['began']), str(outcome['refused'])
+        stop = Stop(stamp, reader=partial(load_stop, file, stamp), number=int(outcome['number']),
+                    result=NOT_EVALUATED if outcome['taken'] else
+                    Reject(stamp, refusal, final=bool(refusal)))
+        return str(outcome['event']), with_values(Config(), settings, str(file)), stop
     except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
         raise InputError(f'{file} holds an event that is not understood ({error!r})') from error
 
@@ -366,9 +373,10 @@ def settings_and_session(overrides: Mapping[str, Any], folders: OutputFolders
     path = Path(config.session).expanduser().absolute() if config.session else None
     if config.session == LAST_SESSION:
         is_named = 'name' in overrides or 'target.type' in overrides
-        named = [folders.folder(config)] if is_named else folders.parent(config).glob('*')
-        newest = [session for folder in named for session in islice(sessions_in(folder), 1)]
-        path = max(newest, key=_last_use, default=None)
+        parents = [folders.folder(config)] if is_named else folders.parent(config).glob('*')
+        newest_of_each = [session for parent in parents
+                          for session in islice(sessions_in(parent), 1)]
+        path = max(newest_of_each, key=_last_use, default=None)
     if path is None:
         return config, None
     stored = read_session(path)

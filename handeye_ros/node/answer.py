@@ -8,15 +8,15 @@ it is asked for, and from then on again whenever settings change that affect it.
 """
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TYPE_CHECKING
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 from handeye_ros import pipeline
 from handeye_ros.config import Config, flatten, recorded
-from handeye_ros.data import Array, Calibration
+from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.guidance.advice import Advice, advise
 from handeye_ros.guidance.view import extremes
@@ -41,7 +41,15 @@ ANSWER_KEYS = (*SAMPLE_KEYS, 'calibration_type', 'noise.', 'limits.', 'samples.'
                'sampling.min_crossing_angle')
 COMPUTING = 'the calibration is computed'
 
-MadeFrom = tuple[object, ...]  # settings first, see LiveAnswer._made_from
+
+class Inputs(NamedTuple):
+    """What a review is made from: equal where it would be the same again."""
+
+    answer_settings: Mapping[str, Any]
+    session: Session
+    guidance_settings: Mapping[str, Any]
+    # by number: a stop that goes on gives another sample of the same number
+    samples: Sequence[tuple[int, Sample | None]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,18 +67,19 @@ class Review:
     advised: int
 
 
-def review_of(session: Session, config: Config, seen: Array, asked: bool) -> Review:
+def review_of(session: Session, config: Config, view: Array, with_cause: bool) -> Review:
     """
     Return what follows from the samples of a session.
 
-    seen: see advise; asked: whether somebody waits for the answer, or has one: then the cause of a
-    refusal is searched in the stops.
+    view: visible points (k, 2) at the ends of the field of view; with_cause: whether the cause of
+    a refusal is searched in the stops, which takes long: where somebody waits for the answer, or
+    has one.
     """
     answer = pipeline.answer_samples(session.samples, session.rejects, config, session.frame_id,
-                                     session if asked else None)
+                                     session if with_cause else None)
     in_order = sorted(session.samples, key=lambda sample: sample.stamp)
     failed = [stop.pose for stop in session.stops if stop.poses and not stop.sample]
-    return Review(advise(in_order, config, answer, seen, failed), answer,
+    return Review(advise(in_order, config, answer, view, failed), answer,
                   agreements(session, answer, config),
                   max((stop.number for stop in session.stops if stop.sample), default=0))
 
@@ -79,33 +88,36 @@ class LiveAnswer:
     """
     The answer of a running session; its methods are for the worker (see live.py).
 
+    review: of the samples, the last one
     calibration: the last answer that was not refused
-    solved: the session that it was computed from, also of one that is withdrawn
+    solved_session: that it was computed from, also of one that is withdrawn
     why_missing: why there is none
     saved: the file of the answer, '' before it is saved
     is_wanted: whether somebody has asked for it: then other settings compute it again
-    seen: visible points (k, 2) at the ends of the field of view
+    view: visible points (k, 2) at the ends of the field of view
     """
 
     def __init__(self, live: LiveSession) -> None:
         """Start without an answer."""
         self._live = live
-        self.solved: Session | None = None
+        self.solved_session: Session | None = None
         self.forget('no calibration has been computed yet')
 
     def forget(self, why: str) -> None:
         """Begin anew with other samples; why: there is no answer any more."""
-        config, self.seen = self._live.config, np.zeros((0, 2))
-        self.review = review_of(Session(config), config, self.seen, asked=False)
+        config, self.view = self._live.config, np.zeros((0, 2))
+        self.review = review_of(Session(config), config, self.view, with_cause=False)
         self.calibration: Calibration | None = None
         self.why_missing, self.saved, self.is_wanted = why, '', False
-        # the last computation: of which samples and settings, whether asked for, its message
-        self._last: tuple[MadeFrom, bool, Future[str]] | None = None
-        self._asked: MadeFrom = ()  # of the last one that was asked for
+        # of the last review that was begun, and of the last one that was requested as an answer
+        self._last: Inputs | None = None
+        self._requested: Inputs | None = None
+        self._message = Future[str]()  # about the answer requested last
 
-    def difference(self, session: Session) -> str:
-        """Return how the samples of a session differ from those of the answer, or ''."""
-        now, before = (_used_numbers(one) for one in (session, self.solved or session))
+    def changes_since(self, session: Session) -> str:
+        """Return in words how the samples of a session differ from those of the answer, or ''."""
+        now = _used_numbers(session)
+        before = _used_numbers(self.solved_session or session)
         changes = ' and '.join(
             f'{len(numbers)} {what}'
             for numbers, what in ((before - now, 'removed'), (now - before, 'added')) if numbers)
@@ -119,9 +131,9 @@ class LiveAnswer:
             raise DataError(f'there is no calibration to {use}: call ~/compute_calibration first, '
                             'and check that it succeeds')
         config, provenance = self._live.config, self.calibration.provenance
-        values = {**provenance['config'], **recorded(config)}
+        settings = {**provenance['config'], **recorded(config)}
         return replace(self.calibration, name=folder_name(config),
-                       provenance={**provenance, 'config': values})
+                       provenance={**provenance, 'config': settings})
 
     def compute_calibration(self) -> Future[str]:
         """
@@ -135,71 +147,71 @@ class LiveAnswer:
         live.retry_storing()
         self.is_wanted = True
         try:
-            live.process_all()
-            live.copied().require_any_stop()
+            live.evaluate_all()
+            live.session_copy().require_any_stop()
         except HandeyeError as error:
             self._refuse(error)
             raise
-        if self._last and self._last[:2] == (self._made_from(), True):
-            message = self._last[2]
+        message = self._message
+        if self._last is self._requested and self._last == self._inputs():
             if not message.done() or (self.calibration and not message.exception()):
                 return message
-        return self._begin_review(asked=True)
+        return self._begin_review(is_requested=True)
 
     def review_if_changed(self) -> None:
         """Begin the review, if samples or settings have changed."""
-        now, last = self._made_from(), self._last and self._last[0]
-        if not self._live.running and now != last:
-            self._begin_review(asked=self.is_wanted and (last is None or now[0] != last[0]))
+        inputs, last = self._inputs(), self._last
+        if not self._live.running_jobs and inputs != last:
+            other_settings = not last or inputs.answer_settings != last.answer_settings
+            self._begin_review(is_requested=self.is_wanted and other_settings)
 
-    def _made_from(self) -> MadeFrom:
-        """Return settings and samples, of which review and answer are made."""
+    def _inputs(self) -> Inputs:
+        """Return what a review would be made from now."""
         config, session = self._live.config, self._live.session
-        # a stop that goes on gives another sample of the same number
-        return (values_of(config, ANSWER_KEYS), session, values_of(config, ('guidance.',)),
-                [(stop.number, stop.sample) for stop in session.stops])
+        return Inputs(settings_of(config, ANSWER_KEYS), session,
+                      settings_of(config, ('guidance.',)),
+                      [(stop.number, stop.sample) for stop in session.stops])
 
-    def _begin_review(self, asked: bool) -> Future[str]:
-        """Begin the review; return the future of the message. asked: whether for the answer."""
-        live = self._live
+    def _begin_review(self, is_requested: bool) -> Future[str]:
+        """Begin the review, which answers too if requested; return the future of the message."""
+        live, inputs = self._live, self._inputs()
         config = live.session.with_base(live.config)
-        if current := live.current():
-            self.seen = extremes(np.concatenate([self.seen, current.points]))
-        session = live.copied().without_messages(config)
-        made_from = self._made_from()
-        self._asked = made_from if asked else self._asked
+        if snapshot := live.current_snapshot():
+            self.view = extremes(np.concatenate([self.view, snapshot.points]))
+        session = live.session_copy().without_messages(config)
+        self._last = inputs
         message = live.run_job(
-            COMPUTING if asked else '', partial(self._accept, made_from, session, asked),
-            review_of, session, config, self.seen, asked or self.calibration is not None)
-        self._last = made_from, asked, message
+            COMPUTING if is_requested else '',
+            partial(self._accept, inputs, session, is_requested),
+            review_of, session, config, self.view, is_requested or self.calibration is not None)
+        if is_requested:
+            self._requested, self._message = inputs, message
         return message
 
-    def _accept(self, made_from: MadeFrom, session: Session, asked: bool,
-                review: Review) -> str:
+    def _accept(self, inputs: Inputs, session: Session, is_requested: bool, review: Review) -> str:
         """
-        Put the review and, if it was asked for, the answer; return the message about that.
+        Take over a review and, if requested, its answer; return the message about that.
 
         Raises DataError for a refusal.
         """
         live, answer = self._live, review.answer
-        if self._last and made_from is self._last[0]:  # others may be ready later
+        if inputs is self._last:  # others may be ready later
             self.review = review
-        if asked and made_from[1] is not live.session:
+        if not is_requested:
+            return ''
+        if inputs.session is not live.session:
             raise DataError('the samples were cleared while the calibration was computed, so '
                             'there is no answer: take new samples')
-        if not asked:
-            return ''
-        is_newest = made_from is self._asked
+        is_newest = inputs is self._requested
         if answer.refusal and is_newest:
             self._refuse(answer.refusal)
         calibration = answer.require_calibration()
-        if not is_newest:  # the answer is the one that was asked for later
-            return summary(calibration)
-        inputs = [{'topic': live.config.profile_topic}, {'topic': live.config.pose_origin[0]},
-                  {'session': live.path}]
-        self.calibration = dated(replace(
-            calibration, provenance={**calibration.provenance, 'inputs': inputs}))
-        self.solved, self.why_missing, self.saved = session, '', ''
+        if is_newest:  # else the answer is the one that was requested later
+            sources = [{'topic': live.config.profile_topic},
+                       {'topic': live.config.pose_origin[0]}, {'session': live.path}]
+            self.calibration = dated(replace(
+                calibration, provenance={**calibration.provenance, 'inputs': sources}))
+            self.solved_session, self.why_missing, self.saved = session, '', ''
         return summary(calibration)
 
     def _refuse(self, error: HandeyeError) -> None:
@@ -213,23 +225,23 @@ class LiveAnswer:
         """Write the answer; return the message. Raises DataError without one, InputError."""
         live, calibration = self._live, self.require_calibration()
         live.retry_storing()
-        written = exports.save_all(calibration, live.folders.own(live.config),
+        written = exports.save_all(calibration, live.folders.locked_folder(live.config),
                                    live.config.save.formats)
         self.saved = str(written.files[0])
         note = (f'; {COMPUTING} again: save it again after that'
-                if COMPUTING in live.running else '')
-        return f'{written}{self.difference(live.copied())}{note}'
+                if COMPUTING in live.running_jobs else '')
+        return f'{written}{self.changes_since(live.session_copy())}{note}'
 
 
 def summary(calibration: Calibration) -> str:
     """Return the transform with its 1 sigma, and the residuals, in words."""
     quality = calibration.quality
-    values = [f'{value} ± {std}' for _, value, std, _ in transform_rows(calibration)]
+    numbers = [f'{value} ± {std}' for _, value, std, _ in transform_rows(calibration)]
     moving = calibration.provenance.get('config', {}).get('sampling.mode') == 'moving'
     used = count_of(quality.samples_used, 'profile' if moving else 'sample')
     warned = ''.join(f'; {text}' for text in calibration.provenance.get('warnings', ()))
     return (f'{calibration.child_frame} in {calibration.parent_frame}: x, y, z = '
-            f'{", ".join(values[:3])} mm; roll, pitch, yaw = {", ".join(values[3:])} degrees; '
+            f'{", ".join(numbers[:3])} mm; roll, pitch, yaw = {", ".join(numbers[3:])} degrees; '
             f'residual {quality.residual_rms * 1e3:.3f} mm '
             f'RMS, left out {quality.holdout_rms * 1e3:.3f} mm; {used} used, '
             f'{quality.samples_rejected} not used{warned}; save it with ~/save_calibration')
@@ -241,7 +253,7 @@ def _used_numbers(session: Session) -> set[int]:
             if stop.sample and not session.excludes(stop)}
 
 
-def values_of(config: Config, keys: tuple[str, ...]) -> dict[str, Any]:
+def settings_of(config: Config, keys: tuple[str, ...]) -> dict[str, Any]:
     """Return the settings of keys and of whole sections, whose names end in a dot."""
     return {key: value for key, value in flatten(config).items()
             if key in keys or f'{key.partition(".")[0]}.' in keys}

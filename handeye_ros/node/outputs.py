@@ -66,17 +66,18 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 METRES_PER_WIDTH = 1e-3  # m for each unit of width of the scene, of a text of its height
 
 
-class _Latched:
+class _LatchedTopic:
     """A topic that keeps its last message for late subscribers, until it is withdrawn."""
 
-    def __init__(self, node: Node, name: str, kind: Any, message: Callable[[Any], Any]) -> None:
-        """Advertise the topic; message: makes one of a content."""
-        self._node, self._message, self._content = node, message, None
-        self._advertise = partial(node.create_publisher, kind, name, LATCHED_QOS,
+    def __init__(self, node: Node, name: str, message_type: Any, to_message: Callable[[Any], Any]
+                 ) -> None:
+        """Advertise the topic; to_message: returns the message of a content."""
+        self._node, self._to_message, self._content = node, to_message, None
+        self._advertise = partial(node.create_publisher, message_type, name, LATCHED_QOS,
                                   event_callbacks=NO_CALLBACKS)
         self._publisher = self._advertise()
 
-    def show(self, content: Any) -> None:
+    def publish_if_changed(self, content: Any) -> None:
         """
         Publish a content that is not the last one.
 
@@ -88,7 +89,7 @@ class _Latched:
                 self._node.destroy_publisher(self._publisher)
                 self._publisher = self._advertise()
             else:
-                self._publisher.publish(self._message(content))
+                self._publisher.publish(self._to_message(content))
 
 
 class Outputs:
@@ -98,21 +99,26 @@ class Outputs:
         """Advertise all topics."""
         self._node, self._live = node, live
         self._lock, self._closed = threading.Lock(), False
-        self._attempt: Attempt | None = None  # the last one in the log
+        self._logged_attempt: Attempt | None = None
+
+        def transform(calibration: Calibration) -> TransformStamped:
+            return transform_of(calibration, self._now())
+
         text = String, lambda content: String(data=content)
         topics: dict[str, tuple[Any, Callable[[Any], Any]]] = {
             '~/samples': text, '~/status': text, '~/guidance': text,
-            '~/next_pose': (PoseStamped, lambda place: pose_stamped(**place, stamp=self._now())),
-            '~/calibration': (TransformStamped, lambda one: transform_of(one, self._now())),
+            '~/next_pose': (PoseStamped, lambda pose: pose_stamped(**pose, stamp=self._now())),
+            '~/calibration': (TransformStamped, transform),
             '~/markers': (MarkerArray, lambda _: session_markers(
-                live.copied().stops, live.answer.calibration, self._config))}
+                live.session_copy().stops, live.answer.calibration, self._config))}
         if TFMessage:
-            topics['/tf_static'] = TFMessage, lambda one: TFMessage(
-                transforms=[transform_of(one, self._now())])
+            topics['/tf_static'] = TFMessage, lambda calibration: TFMessage(
+                transforms=[transform(calibration)])
         else:
             node.get_logger().warning('tf2_msgs is not installed: the transform is published on '
                                       f'~/calibration only, not on /tf_static; {INSTALL_TF2}')
-        self._latched = {name: _Latched(node, name, *of) for name, of in topics.items()}
+        self._latched_topics = {name: _LatchedTopic(node, name, message_type, to_message)
+                                for name, (message_type, to_message) in topics.items()}
         self._current = node.create_publisher(MarkerArray, '~/current', 1)
         self._features = node.create_publisher(PointCloud2, '~/features', 10)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
@@ -133,29 +139,31 @@ class Outputs:
         with self._lock:
             self._closed = True
 
-    def show(self) -> None:
+    def publish_changes(self) -> None:
         """Log a new attempt to take a sample, and publish all changes."""
         with self._lock:
             if self._closed:
                 return
-            state, answer = state_of(self._live), self._live.answer.calibration
-            self._show_attempt(self._live.attempt)
+            state, calibration = state_of(self._live), self._live.answer.calibration
+            self._log_attempt(self._live.attempt)
             samples, guidance = json.dumps(samples_message(state)), state['guidance']
             contents = {
                 '~/samples': samples, '~/status': json.dumps(status_message(state)),
-                '~/calibration': answer, '/tf_static': answer, '~/markers': (samples, answer),
+                '~/calibration': calibration, '/tf_static': calibration,
+                '~/markers': (samples, calibration),
                 '~/guidance': guidance['text'],
                 '~/next_pose': guidance['translation'] and {
                     'translation': guidance['translation'], 'rotation': guidance['rotation'],
                     'frame_id': self._config.base_frame}}
-            for name, topic in self._latched.items():
-                topic.show(contents[name])
+            for name, topic in self._latched_topics.items():
+                topic.publish_if_changed(contents[name])
 
-    def _show_attempt(self, attempt: Attempt | None) -> None:
+    def _log_attempt(self, attempt: Attempt | None) -> None:
         """Log an attempt once, and publish the features of its sample in the sensor frame."""
-        if attempt is None or attempt is self._attempt:
+        if attempt is None or attempt is self._logged_attempt:
             return
-        self._attempt, sample, log = attempt, attempt.stop.sample, self._node.get_logger()
+        sample, log = attempt.stop.sample, self._node.get_logger()
+        self._logged_attempt = attempt
         if sample is None:
             log.warning(attempt.text)
         else:
@@ -164,25 +172,25 @@ class Outputs:
             points = xyz.astype('<f4', order='C').view([(name, '<f4') for name in 'xyz'])[:, 0]
             self._features.publish(cloud(points, self._live.session.frame_id, sample.stamp))
 
-    def show_current(self) -> None:
+    def publish_current(self) -> None:
         """Publish the current profile with its features, if there is a subscriber."""
         if self._current.get_subscription_count():
             self._current.publish(current_markers(
-                self._live.current(), self._live.answer.calibration, self._config))
+                self._live.current_snapshot(), self._live.answer.calibration, self._config))
 
-    def diagnose(self, state: State) -> None:
+    def publish_diagnostics(self, state: State) -> None:
         """Publish the state on /diagnostics."""
         name = self._node.get_fully_qualified_name().lstrip('/')
         self._diagnostics.publish(DiagnosticArray(header=Header(stamp=self._now()), status=[
             DiagnosticStatus(
-                name=f'{name}: {part}', hardware_id=state['name'], level=level, message=text,
+                name=f'{name}: {part}', hardware_id=state['name'], level=level, message=message,
                 values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
-            for part, level, text, values in _statuses(state)]))
+            for part, level, message, values in _statuses(state)]))
 
 
 def _statuses(state: State) -> Iterator[tuple[str, bytes, str, dict[str, object]]]:
     """
-    Yield name, level, message and values of each status.
+    Yield name, level, message and values of each status of /diagnostics.
 
     Levels: ERROR if no usable message of a kind was ever received, or a published answer was
     withdrawn; WARN if the operator should check.
@@ -204,9 +212,9 @@ def _statuses(state: State) -> Iterator[tuple[str, bytes, str, dict[str, object]
         'last attempt': attempt['text'] if attempt else 'none yet',
         'malformed messages': sum(stream['malformed'] for stream in streams),
         'last malformed': '; '.join(filter(None, (stream['reason'] for stream in streams)))}
-    answer = state['calibration']
-    level = {CURRENT: OK, NONE: OK, WITHDRAWN: ERROR}.get(answer['state'], WARN)
-    yield 'calibration', level, answer['text'], {'state': answer['state']}
+    status = state['calibration']
+    level = {CURRENT: OK, NONE: OK, WITHDRAWN: ERROR}.get(status['state'], WARN)
+    yield 'calibration', level, status['text'], {'state': status['state']}
 
 
 # messages
@@ -222,16 +230,17 @@ def transform_of(calibration: Calibration, stamp: Time) -> TransformStamped:
 def transform_stamped(translation: Iterable[float], rotation: Iterable[float], parent: str,
                       child: str, stamp: Time) -> TransformStamped:
     """Return a transform (x y z in m, quaternion x y z w) of a child frame in its parent."""
-    return TransformStamped(
-        header=Header(stamp=stamp, frame_id=parent), child_frame_id=child, transform=Transform(
-            translation=_made(Vector3, translation), rotation=_made(Quaternion, rotation)))
+    transform = Transform(translation=_xyz_message(Vector3, translation),
+                          rotation=_xyz_message(Quaternion, rotation))
+    return TransformStamped(header=Header(stamp=stamp, frame_id=parent), child_frame_id=child,
+                            transform=transform)
 
 
 def pose_stamped(translation: Iterable[float], rotation: Iterable[float], frame_id: str,
                  stamp: Time) -> PoseStamped:
     """Return a pose (x y z in m, quaternion x y z w) in a frame."""
     return PoseStamped(header=Header(stamp=stamp, frame_id=frame_id), pose=Pose(
-        position=_made(Point, translation), orientation=_made(Quaternion, rotation)))
+        position=_xyz_message(Point, translation), orientation=_xyz_message(Quaternion, rotation)))
 
 
 def time_message(stamp: int) -> Time:
@@ -250,20 +259,21 @@ def cloud(points: NDArray[Any], frame_id: str, stamp: int) -> PointCloud2:
         data=array('B', points.tobytes()))
 
 
-def session_markers(evaluated: Iterable[Stop], calibration: Calibration | None, config: Config
+def session_markers(stops: Iterable[Stop], calibration: Calibration | None, config: Config
                     ) -> MarkerArray:
     """Return the flanges of samples with their numbers and, with an answer, its scene."""
-    stops = [StopSnapshot(stop.number, sample.stamp, mount_poses(sample.T_base_flange, config),
-                          np.empty((0, 2)), sample.features)
-             for stop in evaluated if (sample := stop.sample)]
+    snapshots = [
+        StopSnapshot(stop.number, sample.stamp, mount_poses(sample.T_base_flange, config),
+                     np.empty((0, 2)), sample.features)
+        for stop in stops if (sample := stop.sample)]
+    flanges = [snapshot.T_mount[:3, 3] for snapshot in snapshots]
     parts: list[dict[str, Any]] = [
-        {'name': 'numbers', 'color': FLANGE_COLOUR, 'width': 12.0, 'text': str(stop.number),
-         'points': [stop.T_mount[:3, 3]]} for stop in stops]
-    if stops:
-        parts.append({'name': 'flanges', 'color': FLANGE_COLOUR, 'width': 6.0,
-                      'points': [stop.T_mount[:3, 3] for stop in stops]})
+        {'name': 'numbers', 'color': FLANGE_COLOUR, 'width': 12.0, 'text': str(snapshot.number),
+         'points': [flange]} for snapshot, flange in zip(snapshots, flanges, strict=True)]
+    if flanges:
+        parts.append({'name': 'flanges', 'color': FLANGE_COLOUR, 'width': 6.0, 'points': flanges})
     if calibration:
-        parts += scene(calibration, stops, config)['parts']
+        parts += scene(calibration, snapshots, config)['parts']
     return _markers(parts, config)
 
 
@@ -272,10 +282,10 @@ def current_markers(current: StopSnapshot | None, calibration: Calibration | Non
     """Return the current profile and its features, placed by the answer."""
     if current is None or calibration is None:
         return _markers([], config)
-    T = current.T_mount @ calibration.T_flange_sensor
+    T_target_sensor = current.T_mount @ calibration.T_flange_sensor
     points = current.points[np.isfinite(current.points).all(axis=1)]
     return _markers([{'name': name, 'color': color, 'width': width,
-                      'points': se3.apply(T, in_sensor(plane, config))}
+                      'points': se3.apply(T_target_sensor, in_sensor(plane, config))}
                      for name, color, width, plane in (
                          ('profile', LASER_COLOUR, 1.5, points),
                          ('feature', SEEN_COLOUR, 6.0, in_plane(current.features))) if len(plane)],
@@ -287,9 +297,9 @@ def _markers(parts: Iterable[Mapping[str, Any]], config: Config) -> MarkerArray:
     markers = [Marker(action=Marker.DELETEALL)]
     for part in parts:
         red, green, blue = (int(part['color'][k:k + 2], 16) / 255 for k in (1, 3, 5))
-        points = [_made(Point, point) for point in part.get('line', part.get('points'))]
+        points = [_xyz_message(Point, point) for point in part.get('line', part.get('points'))]
         marker = Marker(ns=part['name'], color=ColorRGBA(r=red, g=green, b=blue, a=1.0),
-                        scale=_made(Vector3, 3 * [METRES_PER_WIDTH * part['width']]))
+                        scale=_xyz_message(Vector3, 3 * [METRES_PER_WIDTH * part['width']]))
         if 'text' in part:
             marker.type, marker.text = Marker.TEXT_VIEW_FACING, part['text']
             marker.pose.position, = points
@@ -302,6 +312,6 @@ def _markers(parts: Iterable[Mapping[str, Any]], config: Config) -> MarkerArray:
     return MarkerArray(markers=markers)
 
 
-def _made(kind: Any, values: Iterable[float]) -> Any:
-    """Return a message of the fields x, y, z (and w)."""
-    return kind(**dict(zip('xyzw', map(float, values))))  # noqa: B905 - three or four
+def _xyz_message(message_type: Any, values: Iterable[float]) -> Any:
+    """Return a message with the fields x, y, z (and w)."""
+    return message_type(**dict(zip('xyzw', map(float, values))))  # noqa: B905 - three or four

@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Two processes for long computations.
+Two processes for long computations, each with a thread of the node that waits for it.
 
 Python runs one thread at a time: solves and the evaluation of stops would slow down streams and
 services. A process is started when it is first needed, and again after it has ended.
@@ -9,13 +9,8 @@ services. A process is started when it is first needed, and again after it has e
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import (
-    CancelledError,
-    Future,
-    ProcessPoolExecutor,
-)
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
 import ctypes
 import multiprocessing
 import os
@@ -41,26 +36,21 @@ class PoolEndedError(HandeyeError):
                          'of memory?): call the service again; this restarts the process')
 
 
-def result_or_ended(future: Future[Result]) -> Result:
-    """Return the result of a future; raises its exception, PoolEndedError if there is none."""
-    try:
-        return future.result()
-    except (BrokenProcessPool, CancelledError) as error:
-        raise PoolEndedError from error
-
-
 class Pool:
-    """Runs functions of modules in other processes."""
+    """Runs functions of modules in other processes; one that is killed disturbs no other."""
 
     def __init__(self) -> None:
         """Start no process yet."""
         # a node that ends at once leaves the semaphores of its processes to Python's tracker: it
         # removes them, and nobody needs to hear of it
         sys.warnoptions.append('ignore::UserWarning:multiprocessing.resource_tracker')
-        self._executor = self._new()
+        self._of_thread = threading.local()
+        self._threads = ThreadPoolExecutor(PROCESS_COUNT, 'pool', self._use_new_process)
 
-    def _new(self) -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(PROCESS_COUNT, multiprocessing.get_context('spawn'), _begin)
+    def _use_new_process(self) -> None:
+        """Give this thread a process of its own."""
+        self._of_thread.process = ProcessPoolExecutor(
+            1, multiprocessing.get_context('spawn'), _initialise_process)
 
     def start(self) -> None:
         """Let the processes finish their imports before they are needed."""
@@ -68,27 +58,25 @@ class Pool:
             self.submit(trim_memory)
 
     def submit(self, function: Callable[..., Result], *args: Any) -> Future[Result]:
-        """Return the future of a call, for result_or_ended."""
-        try:
-            return self._executor.submit(_call, function, args)
-        except BrokenProcessPool:
-            self._executor = self._new()
-            return self._executor.submit(_call, function, args)
-
-    def run(self, function: Callable[..., Result], *args: Any) -> Result:
         """
-        Return the result of a function; raises its exceptions.
+        Return the future of a call, which the next process makes that is free.
 
-        If the process is killed, another one tries; raises PoolEndedError if it is killed too.
+        If that is killed, another one tries; the future raises PoolEndedError if it is killed too.
         """
-        with suppress(PoolEndedError):
-            return result_or_ended(self.submit(function, *args))
-        return result_or_ended(self.submit(function, *args))
+        return self._threads.submit(self._call, function, args)
+
+    def _call(self, function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
+        for _ in range(2):
+            try:
+                return self._of_thread.process.submit(call_and_trim, function, args).result()
+            except BrokenProcessPool:
+                self._use_new_process()
+        raise PoolEndedError
 
 
-def _begin() -> None:
-    """Prepare the process: it ends with the node, even if that is killed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal is for the node
+def _initialise_process() -> None:
+    """Let the process end with the node, even if that is killed, and leave Ctrl-C to it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(NICE_VALUE)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
@@ -100,7 +88,8 @@ def _end_with_parent() -> None:
     os._exit(0)
 
 
-def _call(function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
+def call_and_trim(function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
+    """Return what a function returns, without the memory that it needed."""
     try:
         return function(*args)
     finally:

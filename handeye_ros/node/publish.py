@@ -34,13 +34,13 @@ def publisher(paths: Sequence[Path]) -> Node:
                              'sensor once')
         calibrations[calibration.child_frame] = calibration
     node = Node('handeye_publish')
-    stamp, found = node.get_clock().now().to_msg(), calibrations.values()
+    stamp = node.get_clock().now().to_msg()
     # in one message: a latched topic keeps only the last
-    node.create_publisher(TFMessage, '/tf_static', LATCHED_QOS).publish(
-        TFMessage(transforms=[transform_of(one, stamp) for one in found]))
-    for one in found:
-        node.get_logger().info(f'{one.child_frame} in {one.parent_frame} is on /tf_static '
-                               f'(calibration {one.name})')
+    node.create_publisher(TFMessage, '/tf_static', LATCHED_QOS).publish(TFMessage(
+        transforms=[transform_of(calibration, stamp) for calibration in calibrations.values()]))
+    for frame, calibration in calibrations.items():
+        node.get_logger().info(f'{frame} in {calibration.parent_frame} is on /tf_static '
+                               f'(calibration {calibration.name})')
     return node
 
 

@@ -39,14 +39,14 @@ def replay(bag: Path, rate: float = 1.0, timeout: float = 5.0) -> None:
     if not (math.isfinite(rate) and rate > 0):
         raise InputError(f'the rate is {rate:g}, expected a number above 0')
     reader = Reader(bag)
-    received = list(reader.messages())
+    recorded = list(reader.messages())
     for warning in reader.warnings:
         print(warning, file=sys.stderr)
     with ros():
         node = Node('handeye_replay')
         clock = node.create_publisher(Clock, '/clock', 10)
         publishers = _publishers(node, reader.types)
-        messages = sorted((m for m in received if m.topic in publishers),
+        messages = sorted((message for message in recorded if message.topic in publishers),
                           key=lambda message: message.log_time)
         if not messages:
             raise InputError(f'{bag} holds no messages of a type that is installed here')
@@ -67,12 +67,12 @@ def replay(bag: Path, rate: float = 1.0, timeout: float = 5.0) -> None:
 def _publishers(node: Node, topics: Mapping[str, str]) -> dict[str, Publisher]:
     """Return a publisher for each topic with an installed type; report the others."""
     publishers = {}
-    for topic, kind in topics.items():
-        package, _, name = kind.replace('/msg/', '/').partition('/')
+    for topic, type_name in topics.items():
+        package, _, name = type_name.replace('/msg/', '/').partition('/')
         try:
             message_type = getattr(import_module(f'{package}.msg'), name)
         except (AttributeError, ImportError):
-            print(f'{topic} is left out: {kind} is not installed', file=sys.stderr)
+            print(f'{topic} is left out: {type_name} is not installed', file=sys.stderr)
             continue
         qos = LATCHED_TREE if topic == '/tf_static' else QoSProfile(depth=1000)
         publishers[topic] = node.create_publisher(message_type, topic, qos)

@@ -47,31 +47,32 @@ KEPT_PROFILES = 4000  # may wait for a pose; the oldest are dropped first
 class ScanNode(Node):
     """Takes profiles and poses, and publishes points."""
 
-    def __init__(self, given: argparse.Namespace) -> None:
+    def __init__(self, arguments: argparse.Namespace) -> None:
         """Subscribe; raises InputError for arguments, and poses on /tf without tf2_msgs."""
-        options = ScanOptions.of_texts(given.range, given.incidence, given.voxel, given.std)
-        calibration = read_calibration(file_of(given.calibration))
-        config = with_assignments(use_config(calibration), given.set)
+        options = ScanOptions.of_texts(arguments.range, arguments.incidence, arguments.voxel,
+                                       arguments.std)
+        calibration = read_calibration(file_of(arguments.calibration))
+        config = with_assignments(use_config(calibration), arguments.set)
         super().__init__('handeye_scan')
         self.config: Config = replace(config, time_offset=0.0)  # the scanner adds it
-        self.messages: dict[str, MessageCount] = {}
+        self.message_counts: dict[str, MessageCount] = {}
         self._sensor = calibration.child_frame
         self._scanner = Scanner(calibration, config, options)
         self._offset = round((config.time_offset + max(self._scanner.lag, 0.0)) * 1e9)
         self._lock = Lock()  # of the two streams
         self._profiles: deque[Profile] = deque(maxlen=KEPT_PROFILES)
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_POSES)
-        self._dropped = 0
+        self._reported_dropped = 0
         self._points = self.create_publisher(PointCloud2, '~/points', 10)
         self.create_timer(CLOUD_PERIOD, self._publish_ready)
         Streams(self, self)
 
     def add_profile(self, profile: RawProfile) -> None:
         """Keep the points of a profile until its pose is known."""
-        seen = returns_of(profile)
+        returns = returns_of(profile)
         if doubt := wrong_sensor(profile.frame_id, self._sensor):
             self.get_logger().warning(doubt, throttle_duration_sec=WARNING_PERIOD)
-        self._keep(self._profiles, seen)
+        self._append(self._profiles, returns)
 
     def add_poses(self, poses: Sequence[TimedPose]) -> None:
         """Keep poses; raises UnusableMessageError for those in another frame."""
@@ -81,33 +82,35 @@ class ScanNode(Node):
                 raise UnusableMessageError(
                     f'PoseStamped message not used: it is given in "{pose.parent_frame}", but '
                     f'robot_base_frame is "{self.config.base_frame}"')
-            self._keep(self._poses, pose)
+            self._append(self._poses, pose)
 
-    def _keep(self, kept: deque[Any], item: Profile | TimedPose) -> None:
-        """Keep an item; if the clock was set back, without those before."""
+    def _append(self, buffer: deque[Any], item: Profile | TimedPose) -> None:
+        """Append an item; if the clock was set back, without those before."""
         with self._lock:
-            if kept and kept[-1].stamp - item.stamp > REORDER_TIME:
-                kept.clear()
-            kept.append(item)
+            if buffer and buffer[-1].stamp - item.stamp > REORDER_TIME:
+                buffer.clear()
+            buffer.append(item)
 
     def _publish_ready(self) -> None:
         """Publish the points of profiles older than the last pose."""
         with self._lock:
             latest = self._poses[-1].stamp if self._poses else 0
-            ready = [p for p in self._profiles if p.stamp + self._offset <= latest]
+            ready = [profile for profile in self._profiles
+                     if profile.stamp + self._offset <= latest]
             if not ready:
                 return
             for profile in ready:
                 self._profiles.remove(profile)
             span = latest - ready[0].stamp - self._offset + POSES_AROUND
             poses = [pose for pose in self._poses if abs(latest - pose.stamp) <= span]
-        track = trajectory_of(poses, self.config.sampling.max_pose_gap)
-        points = self._scanner.points(ready, track)
-        lost = self._scanner.count.without_pose
-        if lost > self._dropped:
-            self._dropped = lost
-            self.get_logger().warning(f'{lost} profiles without a pose before and after them were '
-                                      'dropped so far', throttle_duration_sec=WARNING_PERIOD)
+        trajectory = trajectory_of(poses, self.config.sampling.max_pose_gap)
+        points = self._scanner.points(ready, trajectory)
+        dropped = self._scanner.count.without_pose
+        if dropped > self._reported_dropped:
+            self._reported_dropped = dropped
+            self.get_logger().warning(
+                f'{dropped} profiles without a pose before and after them were dropped so far',
+                throttle_duration_sec=WARNING_PERIOD)
         if len(points):
             self._points.publish(cloud(points, self._scanner.frame, ready[-1].stamp))
 
@@ -121,8 +124,8 @@ def main() -> int:
     parser.add_argument('--incidence', type=float, default=90.0, metavar='DEGREES')
     parser.add_argument('--voxel', default='0', metavar='EDGE')
     parser.add_argument('--std', action='store_true')
-    given = parser.parse_args(own_arguments())
-    return exit_code(lambda: spin(lambda: ScanNode(given)))
+    arguments = parser.parse_args(own_arguments())
+    return exit_code(lambda: spin(lambda: ScanNode(arguments)))
 
 
 if __name__ == '__main__':

@@ -102,14 +102,16 @@ class MessageCount:
         arrive; or ''.
         """
         kind, count, recent = self.kind, self.count, [*self._recent]
-        sentences, age, sent = [], self.silence, len(recent)
-        last = len([*takewhile(MALFORMED.__eq__, reversed(recent))])
-        bad, lost = recent.count(MALFORMED), recent.count(LOST)
-        if last >= BAD_IN_A_ROW or bad >= max(BAD_IN_A_ROW, BAD_SHARE * (sent - lost)):
-            which = f'the last {last}' if last >= BAD_IN_A_ROW else f'{bad} of the last {sent}'
+        sentences, age, total = [], self.silence, len(recent)
+        in_a_row = len([*takewhile(MALFORMED.__eq__, reversed(recent))])
+        malformed, lost = recent.count(MALFORMED), recent.count(LOST)
+        if in_a_row >= BAD_IN_A_ROW or (
+                malformed >= max(BAD_IN_A_ROW, BAD_SHARE * (total - lost))):
+            which = (f'the last {in_a_row}' if in_a_row >= BAD_IN_A_ROW else
+                     f'{malformed} of the last {total}')
             sentences.append(f'{which} {kind}s cannot be used; the last reason: {self.reason}')
-        if lost > BAD_SHARE * sent:
-            sentences.append(f'{lost} of the last {sent} {kind}s were lost on their way: let the '
+        if lost > BAD_SHARE * total:
+            sentences.append(f'{lost} of the last {total} {kind}s were lost on their way: let the '
                              'driver publish them reliably, with a queue for as many as come at '
                              'once, or fewer or smaller ones')
         if not sentences and age >= SILENCE_TIME:
@@ -120,7 +122,7 @@ class MessageCount:
                 'trouble': '; '.join(sentences)}
 
 
-def _clocks(profiles: MessageCount, poses: MessageCount) -> str:
+def _clock_trouble(profiles: MessageCount, poses: MessageCount) -> str:
     """Return a sentence if the clocks of profiles and poses differ, '' otherwise."""
     if not profiles.stamp or not poses.stamp or max(profiles.silence, poses.silence) > FRESH_TIME:
         return ''
@@ -133,39 +135,37 @@ def _clocks(profiles: MessageCount, poses: MessageCount) -> str:
             'other does')
 
 
-def state_of(live: LiveSession, disturbances: Mapping[str, str] = MappingProxyType({})) -> State:
-    """
-    Return the state of a running node.
-
-    disturbances: by kind (profile, pose) why no messages arrive, where it is known; of the session
-    what else disturbs it.
-    """
-    session, config, attempt = live.copied(), live.config, live.attempt
-    review, motion, outside = live.answer.review, session.motion, disturbances.get('session', '')
-    profiles, poses = live.messages['profile'], live.messages['pose']
+def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxyType({})) -> State:
+    """Return the state of a running node; graph_troubles: as in streams.py, '' unless known."""
+    session, config, attempt = live.session_copy(), live.config, live.attempt
+    review, motion = live.answer.review, session.motion
+    graph_trouble = graph_troubles.get('session', '')
+    profiles, poses = live.message_counts['profile'], live.message_counts['pose']
     samples = [_sample(stop, session, review.agreements.get(stop.number))
                for stop in session.stops]
-    worst = sorted((s for s in samples if s['left_out'] is not None), key=lambda s: -s['left_out'])
+    compared = [sample for sample in samples if sample['left_out'] is not None]
+    worst_first = sorted(compared, key=lambda sample: -sample['left_out'])
     late, conflict = ' and '.join(session.late), session.conflict
     troubles = (
-        outside, str(conflict or ''),
+        graph_trouble, str(conflict or ''),
         'all samples are of the first: ~/clear_samples begins anew with the frame of now'
         if conflict and conflict.reason == 'two_frames' and session.samples else '',
         late and f'{late} are dropped, as their stamps are older than those before; if they stay '
         'so, sampling goes on with them', str(session.unusable_poses or ''),
         # of two publishers stamps that seem to be of two clocks follow
-        '' if outside else _clocks(profiles, poses), session.unasked, *live.troubles.values())
+        '' if graph_trouble else _clock_trouble(profiles, poses),
+        session.unasked, *live.troubles.values())
     return {
         'name': folder_name(config),
-        'profiles': profiles.state(config.profile_topic, disturbances.get('profile', '')),
-        'poses': poses.state(config.pose_origin[0], disturbances.get('pose', '')),
+        'profiles': profiles.state(config.profile_topic, graph_troubles.get('profile', '')),
+        'poses': poses.state(config.pose_origin[0], graph_troubles.get('pose', '')),
         'motion': {
             'standing': session.is_standing,
             'text': motion.sentence if motion else 'too few poses have come to measure it'},
         'session': {'path': live.path, 'mode': config.sampling.mode, 'working': live.working,
                     'trouble': '; '.join(filter(None, troubles)),
                     'notes': [*session.warnings, *live.warnings]},
-        'samples': samples, 'worst': [sample['number'] for sample in worst],
+        'samples': samples, 'worst': [sample['number'] for sample in worst_first],
         'review': '' if review.answer.solution else str(review.answer.refusal),
         'attempt': attempt and {'accepted': attempt.stop.sample is not None,
                                 'number': attempt.stop.number, 'text': attempt.text},
@@ -183,7 +183,7 @@ def troubles_of(state: State) -> list[str]:
     return [sentence for sentence in sentences if sentence]
 
 
-def with_trouble(state: State, text: str, success: bool, service: str) -> str:
+def with_troubles(state: State, text: str, success: bool, service: str) -> str:
     """
     Return the message of a service with the current troubles.
 
@@ -248,10 +248,10 @@ def _calibration(answer: LiveAnswer, session: Session) -> State:
     calibration = answer.calibration
     if calibration is None:
         state, note = NONE, ''
-        if answer.solved:
+        if answer.solved_session:
             state, note = WITHDRAWN, '; the transform that was published before is not the answer'
         return {**NO_ANSWER, 'state': state, 'text': f'{answer.why_missing}{note}'}
-    changes, quality = answer.difference(session), calibration.quality
+    changes, quality = answer.changes_since(session), calibration.quality
     return {
         'state': OUTDATED if changes else CURRENT, 'text': summary(calibration) + changes,
         'parent': calibration.parent_frame, 'child': calibration.child_frame,

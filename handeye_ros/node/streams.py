@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""What comes in: the subscriptions of a node, the thread that reads them, what disturbs them."""
+"""What comes in: the subscriptions of a node, and the thread that reads them."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
@@ -67,13 +67,15 @@ class _Topic:
     """
     A topic that is read.
 
+    received: the count of its messages; several topics of poses share one
+    receive: called with each serialised message
     key: of the configuration, which names it: it should have one publisher; '' for those that may
         have several
-    publishers: what is known of them
-    number: of the last message, as its publisher counts them
+    publishers: rclpy's TopicEndpointInfo of each, as of LOOK_PERIOD ago at most
+    last_number: of the last message, as its publisher counts them
     """
 
-    messages: MessageCount
+    received: MessageCount
     type: str
     name: str
     receive: Callable[[bytes], None]
@@ -81,7 +83,7 @@ class _Topic:
     key: str = ''
     subscription: Any = None
     publishers: Sequence[Any] = ()
-    number: int = 0
+    last_number: int = 0
 
 
 class Streams:
@@ -103,15 +105,15 @@ class Streams:
         """
         self._node, self._receiver, self._add_joints = node, receiver, add_joints
         config, self._group = receiver.config, NoExecutor()
-        self._reader = ProfileReader(config.profile)
+        self._profile_reader = ProfileReader(config.profile)
         self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
         self._last_stamp: int | None = None  # ns, of the last message of profiles
         self._topics = self._topics_of(config)
-        receiver.messages = {topic.messages.kind: topic.messages for topic in self._topics}
+        receiver.message_counts = {topic.received.kind: topic.received for topic in self._topics}
         for topic in self._topics:
             self._subscribe(topic)
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._drain_all, name='drain', daemon=True)
+        self._thread = threading.Thread(target=self._read_until_end, name='drain', daemon=True)
         self._thread.start()
 
     def _topics_of(self, config: Config) -> list[_Topic]:
@@ -122,16 +124,22 @@ class Streams:
         if self._add_joints and not config.kinematics:
             topics.append(_Topic(MessageCount('joint state'), JOINTS_TYPE, config.joint_topic,
                                  partial(_on_joints, self._add_joints), BEST_EFFORT_QOS))
-        for name, key, kind, read in pose_topics(config, self._tracker):
-            if kind == TF_TYPE and not TFMessage:
+        for name, key, message_type, read_poses in pose_topics(config, self._tracker):
+            if message_type == TF_TYPE and not TFMessage:
                 raise InputError('pose_source is tf, but tf2_msgs is not installed: '
                                  f'{INSTALL_TF2}; or publish the poses on pose_topic')
             qos = {'/tf': BEST_EFFORT_QOS, '/tf_static': LATCHED_TREE}.get(name, RELIABLE_QOS)
-            topics.append(_Topic(poses, kind, name, partial(self._on_poses, read), qos, key))
+            topics.append(_Topic(poses, message_type, name, partial(self._on_poses, read_poses),
+                                 qos, key))
         if len({self._full_name(topic.name) for topic in topics}) < len(topics):
             raise InputError('two of profile_topic, pose_topic and joint_topic are the same: each '
                              'needs its own')
         return topics
+
+    def _subscribe(self, topic: _Topic) -> None:
+        topic.subscription = self._node.create_subscription(
+            MESSAGES[topic.type], topic.name, topic.receive, topic.qos, callback_group=self._group,
+            raw=True, event_callbacks=NO_CALLBACKS)
 
     def stop(self) -> None:
         """Read no more messages."""
@@ -140,16 +148,11 @@ class Streams:
         for topic in self._topics:
             self._node.destroy_subscription(topic.subscription)
 
-    def _subscribe(self, topic: _Topic) -> None:
-        topic.subscription = self._node.create_subscription(
-            MESSAGES[topic.type], topic.name, topic.receive, topic.qos, callback_group=self._group,
-            raw=True, event_callbacks=NO_CALLBACKS)
-
     def names_other_topics(self, config: Config) -> bool:
         """Return whether settings name other topics than these; raises InputError."""
         keys = ('profile_topic', 'pose_source', 'pose_topic', 'joint_topic', 'kinematics')
-        now = self._receiver.config
-        return any(getattr(config, key) != getattr(now, key) for key in keys) and bool(
+        current = self._receiver.config
+        return any(getattr(config, key) != getattr(current, key) for key in keys) and bool(
             self._topics_of(config))
 
     def _full_name(self, topic: str) -> str:
@@ -167,23 +170,23 @@ class Streams:
 
     # the thread
 
-    def _drain_all(self) -> None:
+    def _read_until_end(self) -> None:
         """Read all topics repeatedly until the end."""
-        looked = 0.0
+        last_look = 0.0
         with suppress(InvalidHandle):  # a node that ends destroys what is read
             while self._node.context.ok() and not self._ended.is_set():
-                most = 0
+                most_read = 0
                 try:
-                    most = max(map(self._drain, self._topics))
-                    if time.monotonic() - looked > LOOK_PERIOD:
-                        looked = time.monotonic()
+                    most_read = max(map(self._read_messages, self._topics))
+                    if time.monotonic() - last_look > LOOK_PERIOD:
+                        last_look = time.monotonic()
                         self._match_reliability()
                 except RCLError as error:  # also at its end
                     if self._node.context.ok():
                         self._node.get_logger().warning(
                             f'the topics cannot be read now: {error}',
                             throttle_duration_sec=WARNING_PERIOD)
-                if most < MOST_AT_ONCE:
+                if most_read < MOST_AT_ONCE:
                     time.sleep(READ_PERIOD)
 
     def _match_reliability(self) -> None:
@@ -193,44 +196,44 @@ class Streams:
             offered = {info.qos_profile.reliability for info in topic.publishers}
             qos = BEST_EFFORT_QOS if BEST_EFFORT_QOS.reliability in offered else RELIABLE_QOS
             if offered and qos is not topic.qos:
-                old, topic.qos, topic.number = topic.subscription, qos, 0
+                old_subscription = topic.subscription
+                topic.qos, topic.last_number = qos, 0
                 self._subscribe(topic)
-                self._node.destroy_subscription(old)
+                self._node.destroy_subscription(old_subscription)
 
-    def _drain(self, topic: _Topic) -> int:
+    def _read_messages(self, topic: _Topic) -> int:
         """Read at most MOST_AT_ONCE messages of a topic; return how many."""
-        handle, log = topic.subscription.handle, self._node.get_logger()
-        message_type = MESSAGES[topic.type]
+        handle, message_type = topic.subscription.handle, MESSAGES[topic.type]
         with handle:
             for count in range(MOST_AT_ONCE):
-                received = handle.take_message(message_type, True)
-                if not received:
+                taken = handle.take_message(message_type, True)
+                if not taken:
                     return count
-                data, info = received
+                data, info = taken
                 number = info['publication_sequence_number'] or 0
-                if len(topic.publishers) == 1 and 0 < topic.number < number:
-                    topic.messages.add_lost(number - topic.number - 1)
-                topic.number = number
+                if len(topic.publishers) == 1 and 0 < topic.last_number < number:
+                    topic.received.add_lost(number - topic.last_number - 1)
+                topic.last_number = number
                 try:
                     topic.receive(data)
                 except Exception as error:  # noqa: BLE001 - the streams must continue
                     reason = sentence_and_log(f'the reading of {topic.name}', error)
-                    topic.messages.add_malformed(reason)
-                    log.warning(reason, throttle_duration_sec=WARNING_PERIOD)
+                    topic.received.add_malformed(reason)
+                    self._node.get_logger().warning(reason, throttle_duration_sec=WARNING_PERIOD)
         return MOST_AT_ONCE
 
     def _on_profile(self, data: bytes) -> None:
         config = self._receiver.config
-        if self._reader.config != config.profile:
-            self._reader = ProfileReader(config.profile)
-        profile = self._stamped(self._reader.take(data))
+        if self._profile_reader.config != config.profile:
+            self._profile_reader = ProfileReader(config.profile)
+        profile = self._stamped(self._profile_reader.take(data))
         message = replace(profile, stamp=profile.stamp + config.offset_ns)
         for profile_part in split(message, self._last_stamp, config.profile):
             self._receiver.add_profile(profile_part)
         self._last_stamp = message.stamp
 
-    def _on_poses(self, read: Callable[[bytes], Iterable[TimedPose]], data: bytes) -> None:
-        self._receiver.add_poses([self._stamped(pose) for pose in read(data)])
+    def _on_poses(self, read_poses: Callable[[bytes], Iterable[TimedPose]], data: bytes) -> None:
+        self._receiver.add_poses([self._stamped(pose) for pose in read_poses(data)])
 
     def _stamped(self, item: Stamped) -> Stamped:
         """Return an item; without a stamp it gets the time of receipt."""
@@ -241,50 +244,50 @@ class Streams:
             throttle_duration_sec=WARNING_PERIOD)
         return replace(item, stamp=self._node.get_clock().now().nanoseconds)
 
-    # what disturbs them
+    # what the graph of ROS tells about them
 
-    def disturbances(self) -> dict[str, str]:
+    def graph_troubles(self) -> dict[str, str]:
         """
-        Return what disturbs them, as far as it is known.
+        Return what is wrong with publishers and nodes, as far as it is known.
 
-        By kind (profile, pose) why no messages arrive; of the session: several publishers of a
-        topic, and a second node.
+        By kind (profile, pose): why no messages arrive; session: several publishers of a topic,
+        and a second node of this name.
         """
-        found, sentences, node = {'pose': self._tracker.missing()}, [], self._node
+        troubles, sentences, node = {'pose': self._tracker.missing()}, [], self._node
         for topic in [topic for topic in self._topics if topic.key]:
-            kind, name = topic.messages.kind, self._full_name(topic.name)
+            kind, name = topic.received.kind, self._full_name(topic.name)
             types = {info.topic_type for info in topic.publishers}
-            found[kind] = '' if topic.messages.count or topic.qos is RELIABLE_QOS else (
+            troubles[kind] = '' if topic.received.count or topic.qos is RELIABLE_QOS else (
                 'its driver publishes with best effort: large messages may all get lost; '
                 'publish reliably')
             if topic.type not in types:
                 others = ', '.join([other for other in self.topics_of(topic.type)
                                     if other != name][:MOST_LISTED])  # its own has just begun
-                found[kind] = (
+                troubles[kind] = (
                     f'it carries {", ".join(sorted(types))}, expected {topic.type}' if types else
                     f'{name} has no publisher') + (
                     f'; {topic.type} is on {others}: set {topic.key}' if others else '')
-            names = sorted(f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+            nodes = sorted(f'{info.node_namespace.rstrip("/")}/{info.node_name}'
                            for info in topic.publishers)
-            if len(names) > 1:
+            if len(nodes) > 1:
                 sentences.append(
-                    f'{len(names)} publishers send {kind}s on {name} '
-                    f'({", ".join(names[:MOST_LISTED])}): let only one publish')
-        own_name = (node.get_name(), node.get_namespace())
-        if node.get_node_names_and_namespaces().count(own_name) > 1:
+                    f'{len(nodes)} publishers send {kind}s on {name} '
+                    f'({", ".join(nodes[:MOST_LISTED])}): let only one publish')
+        this_node = (node.get_name(), node.get_namespace())
+        if node.get_node_names_and_namespaces().count(this_node) > 1:
             sentences.append(
                 f'there are two nodes {node.get_fully_qualified_name()}: both take samples, and '
                 'either may answer; end one, or rename it (-r __node:=other)')
         note = ['one that was killed is listed for 20 s more'] if sentences else []
-        return {**found, 'session': '; '.join(sentences + note)}
+        return {**troubles, 'session': '; '.join(sentences + note)}
 
     def topics_of(self, message_type: str) -> list[str]:
         """Return the topics with publishers of a message type, without those of this node."""
-        own = f'{self._node.get_fully_qualified_name()}/'
-        return sorted(name for name, types in self._node.get_topic_names_and_types()
-                      if message_type in types and not name.startswith(own)
+        node, private_prefix = self._node, f'{self._node.get_fully_qualified_name()}/'
+        return sorted(name for name, types in node.get_topic_names_and_types()
+                      if message_type in types and not name.startswith(private_prefix)
                       and any(info.topic_type == message_type
-                              for info in self._node.get_publishers_info_by_topic(name)))
+                              for info in node.get_publishers_info_by_topic(name)))
 
 
 def _on_joints(add_joints: Callable[[int, bytes], None], data: bytes) -> None:

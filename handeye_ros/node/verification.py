@@ -38,8 +38,8 @@ def verification_of(routine: Routine, parts: Sequence[Sequence[Sample | Reject]]
     Raises InputError for settings that do not fit, DataError for too few samples.
     """
     config = settings_for(routine, config, len(parts))
-    samples = [[one for one in part if isinstance(one, Sample)] for part in parts]
-    rejects = [one for part in parts for one in part if isinstance(one, Reject)]
+    samples = [[result for result in part if isinstance(result, Sample)] for part in parts]
+    rejects = [result for part in parts for result in part if isinstance(result, Reject)]
     return verify(routine, stations_of(routine, samples, calibration, config), calibration,
                   rejects)
 
@@ -79,20 +79,20 @@ class LiveVerification:
 
         Returns what to do. Raises InputError for the settings, DataError without a calibration.
         """
-        live, wanted = self._live, self._live.config.verify
-        live.process_waiting()  # what began before is a sample, or of the part before
-        before = self.text
+        live, settings = self._live, self._live.config.verify
+        live.evaluate_waiting()  # what began before is a sample, or of the part before
+        progress_before = self.text
         measured = any(isinstance(result, Sample) for result in self._parts[-1].values())
         begins = self.routine is None or (measured and len(self._parts) == self._most_parts)
         if begins:
-            if not wanted.routine:
+            if not settings.routine:
                 raise InputError('verify.routine is not set, so there is nothing to measure: set '
                                  'it to the artefact under the sensor (docs/measure.md)')
-            routine = routine_of(wanted.routine)
+            routine = routine_of(settings.routine)
             if routine.in_passes:
                 raise InputError(f'{routine.name} is scanned in passes: record a bag of each, and '
                                  f'call "handeye verify {routine.name}" with them')
-            most_parts = routine.recordings_for(len(wanted.lengths))[-1]  # raises InputError
+            most_parts = routine.recordings_for(len(settings.lengths))[-1]  # raises InputError
             self._calibration()  # raises where there is none
         with live.lock:
             live.end_stops()
@@ -101,7 +101,8 @@ class LiveVerification:
             self.routine, self._most_parts, self._parts = routine, most_parts, [{}]
         elif measured:
             self._parts = [*self._parts, {}]
-        dropped = f'; what was measured before is dropped ({before})' if begins and before else ''
+        dropped = (f'; what was measured before is dropped ({progress_before})'
+                   if begins and progress_before else '')
         return (f'{self.text}; move on, and stop with other tilts: what begins from now on '
                 f'counts, until ~/verify_result{dropped}')
 
@@ -113,7 +114,7 @@ class LiveVerification:
         """
         live, routine = self._live, self.routine
         assert routine
-        result = live.result_elsewhere(stop, routine.settings(live.config))
+        result = live.evaluate_in_process(stop, routine.settings(live.config))
         self._parts[-1][stop.stamp] = result
         text = f'{self.text}; {sample_summary(result)}'
         live.attempt = Attempt(f'verification: {text}', replace(stop, result=result))
@@ -132,7 +133,7 @@ class LiveVerification:
             raise DataError('no verification was started: call ~/verify_start, and measure the '
                             'artefact')
         live = self._live
-        live.process_all()
+        live.evaluate_all()
         file = live.config.verify.calibration or live.answer.saved
         return live.run_job(VERIFYING, partial(self._accept, self._parts, file), verification_of,
                             self.routine, [[*part.values()] for part in self._parts],
@@ -149,7 +150,8 @@ class LiveVerification:
         content = plain_values(
             result, (live.config.profile_topic, live.config.pose_origin[0]),
             Path(file).expanduser() if file else None)
-        saved = exports.write({name: yaml_text(content)}, live.folders.own(live.config), {name})
+        folder = live.folders.locked_folder(live.config)
+        saved = exports.write({name: yaml_text(content)}, folder, {name})
         self.verdict = sentence(content)
         text = f'{self.verdict}; {saved}'
         if result.verdict not in ('pass', 'fail'):

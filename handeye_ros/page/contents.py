@@ -43,8 +43,9 @@ PAGE_SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', '
 FEW_STOPS = 3  # of a session that has just begun, perhaps by itself; as in page.js
 
 State = Mapping[str, Any]  # of handeye_ros.node.state
-Act = Callable[[Mapping[str, Any]], tuple[bool, str]]
-Read = Callable[[Mapping[str, str]], Any]
+# the two kinds of functions of a PageSource
+Action = Callable[[Mapping[str, Any]], tuple[bool, str]]
+Query = Callable[[Mapping[str, str]], Any]
 
 
 @dataclass(frozen=True)
@@ -60,32 +61,32 @@ class PageSource:
     """
 
     state: Callable[[], Mapping[str, Any]]
-    actions: Mapping[str, Act]
-    queries: Mapping[str, Read] = field(default_factory=dict)
+    actions: Mapping[str, Action]
+    queries: Mapping[str, Query] = field(default_factory=dict)
 
 
-def source(node: HandeyeNode) -> PageSource:
+def page_source(node: HandeyeNode) -> PageSource:
     """Return content and actions of the page for a node."""
-    actions: dict[str, Act] = {
-        **{name: partial(_call, node, name) for name in PAGE_SERVICES},
+    actions: dict[str, Action] = {
+        **{name: partial(_call_service, node, name) for name in PAGE_SERVICES},
         'remove_last_sample': partial(_remove_last, node),
         'exclude': partial(_exclude, node), 'set': partial(_set, node),
         'open': lambda values: (True, node.open_session(str(values.get('session'))))}
-    queries: dict[str, Read] = {
+    queries: dict[str, Query] = {
         'stop': lambda values: stop_profile(node.live, values.get('number', '')),
         'cell': lambda values: _cell(node),
         'file': lambda values: _file(node.live, values.get('name', ''))}
     return PageSource(lambda: contents(node.state, node.live), actions, queries)
 
 
-def _call(node: HandeyeNode, name: str, values: Mapping[str, Any]) -> tuple[bool, str]:
+def _call_service(node: HandeyeNode, name: str, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Call a service; it takes no values."""
     return node.call_service(name)
 
 
 def _remove_last(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Remove the last sample; number: of that which the person has seen as the last."""
-    last = max((s['number'] for s in node.state['samples'] if s['taken']), default=None)
+    last = max((stop['number'] for stop in node.state['samples'] if stop['taken']), default=None)
     if last and values.get('number', last) != last:
         return False, f'the last sample is {last} now: look at it before you remove it'
     return node.call_service('remove_last_sample')
@@ -93,13 +94,14 @@ def _remove_last(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, st
 
 def _exclude(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Leave out a sample, or bring it back."""
-    number, out = values.get('number'), values.get('out') is True
-    if type(number) is not int or number not in {s['number'] for s in node.state['samples']}:
+    number, leave_out = values.get('number'), values.get('out') is True
+    known_numbers = {stop['number'] for stop in node.state['samples']}
+    if type(number) is not int or number not in known_numbers:
         return False, f'there is no sample {str(number)[:20]}'
-    numbers = {*node.live.config.samples.exclude} - {number} | ({number} if out else set())
-    refusal = node.set_values({'samples.exclude': sorted(numbers)})
+    excluded = {*node.live.config.samples.exclude} - {number} | ({number} if leave_out else set())
+    refusal = node.set_values({'samples.exclude': sorted(excluded)})
     return not refusal, refusal or (
-        f'sample {number} is left out' if out else f'sample {number} is back')
+        f'sample {number} is left out' if leave_out else f'sample {number} is back')
 
 
 def _set(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
@@ -109,9 +111,9 @@ def _set(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
         if key not in PAGE_SETTINGS:
             return False, f'{key[:40]} is not set by the page'
         config = configuration.with_assignments(config, [f'{key}={text}'])
-    after = configuration.flatten(config)
-    refusal = node.set_values({key: after[key] for key in values})
-    return not refusal, refusal or ', '.join(f'{key} is {after[key]}' for key in values)
+    settings = configuration.flatten(config)
+    refusal = node.set_values({key: settings[key] for key in values})
+    return not refusal, refusal or ', '.join(f'{key} is {settings[key]}' for key in values)
 
 
 def _cell(node: HandeyeNode) -> dict[str, Any]:
@@ -121,29 +123,30 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     previous: of a session that has just begun, the number of samples in the session before.
     """
     live = node.live
-    values, known = configuration.flatten(live.config), {
-        parameter.key: parameter for parameter in configuration.parameters()}
+    values = configuration.flatten(live.config)
+    parameters = {parameter.key: parameter for parameter in configuration.parameters()}
     choices = {'profile_topic': node.streams.topics_of(CLOUD_TYPE),
                'pose_topic': node.streams.topics_of(POSE_TYPE), 'verify.routine': [
                    name for name, routine in ROUTINES.items() if not routine.in_passes]}
     current = Path(live.path).name
     sessions = [path for path in sessions_in(live.folders.folder(live.config))
                 if path.name != current]
-    goes_on = sessions and len(live.session.stops) <= FEW_STOPS
-    previous = read_session(sessions[0]).sample_count if goes_on else 0
+    has_just_begun = len(live.session.stops) <= FEW_STOPS
+    previous = read_session(sessions[0]).sample_count if sessions and has_just_begun else 0
+    settings = [{'key': key, 'value': values[key], 'description': parameters[key].description,
+                 'choices': choices.get(key, list(parameters[key].choices))}
+                for key in PAGE_SETTINGS]
     return {'sessions': [path.name for path in sessions], 'session': current,
-            'previous': previous, 'settings': [{
-                'key': key, 'value': values[key], 'description': known[key].description,
-                'choices': choices.get(key, list(known[key].choices))} for key in PAGE_SETTINGS]}
+            'previous': previous, 'settings': settings}
 
 
 def _file(live: LiveSession, name: str) -> tuple[str, str]:
     """Return name and text of a file of the answer; raises HandeyeError without one."""
     calibration = live.answer.require_calibration()
     if name == exports.REPORT_FILE:
-        return name, live.pool.run(_report, calibration, live.path)
-    form = exports.format_of(name)
-    return form.file_name(calibration), form.text(calibration)
+        return name, live.pool.submit(_report, calibration, live.path).result()
+    file_format = exports.format_of(name)
+    return file_format.file_name(calibration), file_format.text(calibration)
 
 
 def _report(calibration: Calibration, session: str) -> str:
@@ -159,8 +162,8 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
 
     rows: of the answer, name, value, 1 sigma and unit as in the table of `handeye solve`.
     """
-    current, calibration = live.current(), live.answer.calibration
-    return {**state, 'profile': current and _picture(current), 'scene': _scene(live, current),
+    snapshot, calibration = live.current_snapshot(), live.answer.calibration
+    return {**state, 'profile': snapshot and _picture(snapshot), 'scene': _scene(live, snapshot),
             'edges': _edges(live),
             'rows': list(table.transform_rows(calibration)) if calibration else [],
             'verification': {'running': live.verification.text,
@@ -169,15 +172,15 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
 
 def stop_profile(live: LiveSession, number: str) -> dict[str, Any]:
     """Return a profile of a stop with its features; raises InputError for unknown stops."""
-    for stop in live.copied().stops:
+    for stop in live.session_copy().stops:
         if str(stop.number) == number:
             return _picture(stop_snapshot(stop, live.config))
     raise InputError(f'there is no stop {number}')
 
 
-def _picture(seen: StopSnapshot) -> dict[str, Any]:
+def _picture(snapshot: StopSnapshot) -> dict[str, Any]:
     """Return a profile with its features, or why it has none."""
-    return {**profile_picture(seen.points, seen.features), 'reason': seen.reason}
+    return {**profile_picture(snapshot.points, snapshot.features), 'reason': snapshot.reason}
 
 
 def _edges(live: LiveSession) -> dict[int, str]:
@@ -185,14 +188,15 @@ def _edges(live: LiveSession) -> dict[int, str]:
     answer = live.answer.review.answer
     if answer.solution is None:
         return {}
-    number = {one.stamp: stop.number for stop in live.copied().stops if stop.sample
-              for one in stop.sample.station_samples}
-    shown = edges_used(answer.solution.problem)
-    return {number.get(answer.samples[i].stamp, 0): edges
-            for i, edges in zip(answer.solution.used.tolist(), shown, strict=True)}
+    number_by_stamp = {sample.stamp: stop.number
+                       for stop in live.session_copy().stops if stop.sample
+                       for sample in stop.sample.station_samples}
+    used, edges_of_used = answer.solution.used.tolist(), edges_used(answer.solution.problem)
+    return {number_by_stamp.get(answer.samples[station].stamp, 0): edges
+            for station, edges in zip(used, edges_of_used, strict=True)}
 
 
-def _scene(live: LiveSession, current: Any) -> dict[str, Any]:
+def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
     """
     Return poses (rows of T (3, 4)) in the frame of the fixed target, and the target.
 
@@ -202,30 +206,30 @@ def _scene(live: LiveSession, current: Any) -> dict[str, Any]:
     """
     config, advice = live.config, live.answer.review.advice
     solution = live.answer.review.answer.solution if advice.sigmas else None
-    X = solution.estimate.X if solution else np.eye(4)
-    pose, aim = live.pose, advice.next.T_base_flange if advice.next else None
-    view = [live.answer.seen, *([current.points] if current else [])]
+    T_flange_sensor = solution.estimate.X if solution else np.eye(4)
+    pose, next_pose = live.last_pose, advice.next.T_base_flange if advice.next else None
+    view = [live.answer.view, *([snapshot.points] if snapshot else [])]
 
     def as_rows(T_base_flange: Array | None) -> Any:
         return None if T_base_flange is None else rounded(
-            (mount_poses(T_base_flange, config) @ X)[:3])
+            (mount_poses(T_base_flange, config) @ T_flange_sensor)[:3])
 
     return {
         'known': solution is not None, 'range_sign': config.profile.range_sign,
         'round': config.target.type == 'sphere',
         'view': rounded(extremes(np.concatenate(view))), 'live': as_rows(pose),
         'stations': [{'number': stop.number, 'T': as_rows(stop.sample.T_base_flange)}
-                     for stop in live.copied().stops if stop.sample],
-        'next': as_rows(aim),
-        'aim': None if pose is None or aim is None else _motion_to(pose, aim),
+                     for stop in live.session_copy().stops if stop.sample],
+        'next': as_rows(next_pose),
+        'aim': None if pose is None or next_pose is None else _motion_to(pose, next_pose),
         'move': advice.move and _move(advice.move),
         **(_target(solution, config) if solution else {'edges': [], 'outline': []})}
 
 
-def _motion_to(T_base_flange: Array, aim: Array) -> dict[str, Any]:
+def _motion_to(T_base_flange: Array, T_base_next: Array) -> dict[str, Any]:
     """Return the motion to a pose: m along the axes of the base, rad about those of the flange."""
-    turn = se3.log_rotation(T_base_flange[:3, :3].T @ aim[:3, :3])
-    shift = aim[:3, 3] - T_base_flange[:3, 3]
+    turn = se3.log_rotation(T_base_flange[:3, :3].T @ T_base_next[:3, :3])
+    shift = T_base_next[:3, 3] - T_base_flange[:3, 3]
     return {'shift': rounded(shift), 'turn': rounded(turn),
             'distance': float(np.linalg.norm(shift)), 'angle': float(np.linalg.norm(turn))}
 
@@ -244,8 +248,8 @@ def _target(solution: Solution, config: Config) -> Mapping[str, Any]:
     anchors = np.array([anchor_of(problem, i) for i in range(len(problem.poses))])
     in_sensor = np.insert(anchors, 1, 0.0, axis=1)  # (x, range) as (x, 0, range)
     points = se3.apply(problem.poses @ estimate.X, in_sensor[:, None])[:, 0]
-    form = outline_of(problem.target.describe(estimate.state, solution.target_std),
-                      config.target.size, points)
-    ball = form.ball and (rounded(form.ball[0]), form.ball[1])
-    return {'edges': [rounded(line) for line in form.edges], 'ball': ball,
-            'outline': [rounded(line) for line in form.outline], 'spots': rounded(points)}
+    outline = outline_of(problem.target.describe(estimate.state, solution.target_std),
+                         config.target.size, points)
+    ball = outline.ball and (rounded(outline.ball[0]), outline.ball[1])
+    return {'edges': [rounded(line) for line in outline.edges], 'ball': ball,
+            'outline': [rounded(line) for line in outline.outline], 'spots': rounded(points)}

@@ -4,8 +4,8 @@
 Serves the page: static files, a stream of events, and one request for each button.
 
 aiohttp runs in its own thread and event loop, and what the node is asked runs in a pool of others:
-no request and no slow browser delays the node. The state is collected at most RATE times a second,
-and only while a browser is connected.
+no request and no slow browser delays the node. The state is collected at most EVENT_RATE times a
+second, and only while a browser is connected.
 
 Pages of other sites in the same browser are refused by Origin and Sec-Fetch-Site. A page for this
 machine alone asks for no token, and refuses foreign host names that point to this machine by Host.
@@ -35,7 +35,7 @@ from typing import Any, TYPE_CHECKING
 from aiohttp import web
 from handeye_ros.errors import BadValueError, HandeyeError, InputError, sentence_and_log
 from handeye_ros.output import write_errors_for
-from handeye_ros.page.contents import Act, PageSource, Read, source
+from handeye_ros.page.contents import Action, page_source, PageSource, Query
 
 if TYPE_CHECKING:
     from handeye_ros.node.node import HandeyeNode
@@ -62,7 +62,7 @@ def serve(node: HandeyeNode) -> None:
     config, log = node.live.config, node.get_logger()
     try:
         token_file = node.live.folders.parent(config) / '.page_token'
-        page = PageServer(source(node), config.page.address, config.page.port, token_file)
+        page = PageServer(page_source(node), config.page.address, config.page.port, token_file)
     except InputError as error:
         log.warning(f'there is no page: {error}')
         return
@@ -116,18 +116,18 @@ class PageServer:
         app.router.add_get('/events', self._events)
         for file in ASSET_FILES:
             app.router.add_get(f'/{file}', partial(_asset, file, 200))
-        for name, read in self._source.queries.items():
-            app.router.add_get(f'/read/{name}', partial(self._read, read))
-        for name, act in self._source.actions.items():
-            app.router.add_post(f'/act/{name}', partial(self._act, act))
+        for name, query in self._source.queries.items():
+            app.router.add_get(f'/read/{name}', partial(self._answer_query, query))
+        for name, action in self._source.actions.items():
+            app.router.add_post(f'/act/{name}', partial(self._run_action, action))
         return app
 
-    async def _of_node(self, function: Callable[[Any], Any], values: Mapping[str, Any]) -> Any:
-        """Return what the node answers, which may take long."""
+    async def _call_node(self, function: Callable[[Any], Any], values: Mapping[str, Any]) -> Any:
+        """Return what a function of the node returns, which may take long."""
         return await asyncio.get_running_loop().run_in_executor(self._pool, function, values)
 
-    async def _current(self) -> str:
-        """Return the state as an event, which all browsers share."""
+    async def _current_event(self) -> str:
+        """Return the state as JSON, collected for all browsers at once."""
         if time.monotonic() - self._collected >= 1 / EVENT_RATE:
             self._collected = time.monotonic()
             try:  # in another pool: not behind requests that take long
@@ -171,7 +171,7 @@ class PageServer:
         with suppress(TimeoutError, ConnectionError):
             await response.prepare(request)
             while True:
-                if event := await self._current():
+                if event := await self._current_event():
                     await asyncio.wait_for(response.write(f'data: {event}\n\n'.encode()),
                                            CLIENT_TIMEOUT)
                 await asyncio.sleep(1 / EVENT_RATE)
@@ -185,14 +185,14 @@ class PageServer:
                             max_age=COOKIE_AGE)
         return response
 
-    async def _read(self, read: Read, request: web.Request) -> web.StreamResponse:
-        answer = await self._of_node(read, request.query)
+    async def _answer_query(self, query: Query, request: web.Request) -> web.StreamResponse:
+        answer = await self._call_node(query, request.query)
         if isinstance(answer, tuple):
             return web.Response(text=answer[1], headers={
                 'Content-Disposition': f'attachment; filename="{answer[0]}"'})
         return web.json_response(text=json_text(answer))
 
-    async def _act(self, act: Act, request: web.Request) -> web.StreamResponse:
+    async def _run_action(self, action: Action, request: web.Request) -> web.StreamResponse:
         if request.content_type != 'application/json':
             return _sentence(415, 'expected application/json')
         try:
@@ -203,7 +203,7 @@ class PageServer:
             values = None
         if not isinstance(values, dict):
             return _sentence(400, 'expected a JSON object')
-        success, message = await self._of_node(act, values)
+        success, message = await self._call_node(action, values)
         return web.json_response({'success': success, 'message': message})
 
 

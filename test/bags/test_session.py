@@ -53,7 +53,7 @@ def feed(live: LiveSession, recording=SPHERE, stops: int = 99) -> LiveSession:
             live.add_profile(item)
         if any(map(live.session.is_done, live.to_evaluate.values())):  # not while it stands
             update(live)
-        if len(live.copied().stops) >= stops:
+        if len(live.session_copy().stops) >= stops:
             break
     return live
 
@@ -89,7 +89,7 @@ def test_what_was_received_is_stored_byte_for_byte(tmp_path: Path) -> None:
     recording = read(with_layout(tmp_path / 'bag', tmp_path, POINTS['scancontrol']), SPHERE.config)
     live = feed(stored(tmp_path), recording, stops=2)
     sent = {profile.stamp: profile.fetch() for profile in recording.profiles}
-    for stop in live.copied().stops:
+    for stop in live.session_copy().stops:
         seen = stop.load(live.config)
         assert seen.profiles
         assert all(p.fetch() == sent[p.stamp] for p in seen.profiles)
@@ -190,12 +190,13 @@ def test_another_session_is_opened_with_what_it_excludes_or_not_at_all(tmp_path:
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
     try:
         with pytest.raises(InputError, match='cannot write'):
-            live.open(found, config)
+            live.open_session(found, config)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert (live.path, sample_count(state_of(live)), live.config.samples.exclude) == (path, 0, ())
-    assert live.open(found, config) == (f'continuing with 3 samples of {before}; noise.sensor is '
-                                        f'4e-05 now, was {found.config.noise.sensor}')
+    assert live.open_session(found, config) == (
+        f'continuing with 3 samples of {before}; noise.sensor is 4e-05 now, was '
+        f'{found.config.noise.sensor}')
     assert [s['number'] for s in state_of(live)['samples'] if s['excluded']] == [2]
     assert read_session(before).config == live.config
     live.files.close()
@@ -211,7 +212,7 @@ def test_clearing_begins_another_session_and_keeps_the_one_before(tmp_path: Path
     assert f'they are kept in {before}' in live.clear_samples()
     assert len(read_session(before).stops) == 2
     assert next(sessions_in(tmp_path / 'sphere')) == Path(live.path) != before
-    assert again(live).copied().stops == ()
+    assert again(live).session_copy().stops == ()
 
 
 def test_last_is_the_newest_of_the_name_or_of_all(tmp_path: Path) -> None:
@@ -230,6 +231,7 @@ def test_last_is_the_newest_of_the_name_or_of_all(tmp_path: Path) -> None:
 
 def test_a_full_disk_is_a_refusal_and_goes_on_where_there_is_room_again(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=2)
+    before = live.config
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
     try:
@@ -237,9 +239,11 @@ def test_a_full_disk_is_a_refusal_and_goes_on_where_there_is_room_again(tmp_path
         state = state_of(live)
         assert sample_count(state) == 2 and 'cannot write' in state['session']['trouble']
         assert 'File too large' in state['samples'][2]['text']
-        changed(live, noise__sensor=4e-5)
-        changed(live, sampling__min_points=21)  # extracts again
-        assert sample_count(state_of(live)) == 2, 'what is used is stored'
+        for setting in ({'noise__sensor': 4e-5}, {'sampling__min_points': 21}):
+            with pytest.raises(InputError, match='cannot write'):
+                changed(live, **setting)
+        assert live.config == before, 'what is used is stored'
+        changed(live, output_dir=str(tmp_path / 'other'))  # where the next session is
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert len(read_session(Path(live.path)).stops) == 2
@@ -262,13 +266,14 @@ def test_a_folder_that_vanishes_is_a_refusal_and_may_come_back(tmp_path: Path) -
     assert not folder.exists()
     with pytest.raises(InputError, match='its folder is gone .* for a new session$'):
         live.remove_last_sample()
-    changed(live, noise__sensor=4e-5)
+    with pytest.raises(InputError, match='its folder is gone'):
+        changed(live, noise__sensor=4e-5)
     (tmp_path / 'away').rename(folder)
     with pytest.raises(DataError):  # too few
         computed(live)
     update(live)
     kept = read_session(folder)
-    assert (sorted(kept.stops), kept.config.noise.sensor) == ([1, 2, 3], 4e-5)
+    assert (sorted(kept.stops), kept.config) == ([1, 2, 3], replace(live.config, session=''))
     state = state_of(live)
     assert (sample_count(state), state['session']['trouble']) == (2, '')  # 3 is as 1
     shutil.rmtree(folder)
@@ -307,7 +312,7 @@ def test_a_session_without_its_last_metadata_is_whole(tmp_path: Path) -> None:
     other = again(live)
     with AnyReader([folder]) as reader:
         counts = {c.topic: c.msgcount for c in reader.connections}
-    assert counts['/handeye_ros/session/outcome'] == 3 == len(other.copied().stops)
+    assert counts['/handeye_ros/session/outcome'] == 3 == len(other.session_copy().stops)
 
 
 def test_what_is_no_session_is_reported(tmp_path: Path) -> None:

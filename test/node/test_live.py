@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 import hashlib
 import json
@@ -26,7 +25,7 @@ from handeye_ros.config import Config
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node import answer as answers
 from handeye_ros.node import live as lives
-from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended
+from handeye_ros.node.pool import Pool, PoolEndedError
 from handeye_ros.node.state import (
     MessageCount,
     sample_count,
@@ -109,7 +108,7 @@ def test_each_stop_that_waits_for_an_answer_is_told() -> None:
     for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
         feed_one(live, item)
     computed(live)
-    assert {stop.number for stop in live.copied().stops} <= told
+    assert {stop.number for stop in live.session_copy().stops} <= told
 
 
 def test_what_the_streams_dropped_is_told_with_the_answer() -> None:
@@ -145,7 +144,7 @@ def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording() -> No
 
 
 def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
-    began = [stop.stamp for stop in fed().copied().stops]
+    began = [stop.stamp for stop in fed().session_copy().stops]
     poses = [replace(p, translation=p.translation + [0.0, 5e-3, 0.0])
              if began[3] <= p.stamp < began[4] else p for p in SPHERE.poses]
     live = fed(recording=replace(SPHERE, poses=tuple(poses)))
@@ -184,9 +183,9 @@ def test_settings_that_change_while_the_end_of_a_stop_waits_lose_none_of_its_pro
                 waited = True
                 live.configure(replace(other, output_dir=live.config.output_dir))
             update(live)
-    live.ask(live.process_all)
+    live.call_on_worker(live.evaluate_all)
     whole = fed(other)
-    whole.ask(whole.process_all)
+    whole.call_on_worker(whole.evaluate_all)
     assert waited and [sample.profiles for sample in live.session.samples] == [
         sample.profiles for sample in whole.session.samples]
 
@@ -194,15 +193,16 @@ def test_settings_that_change_while_the_end_of_a_stop_waits_lose_none_of_its_pro
 @pytest.mark.parametrize(('before', 'lost'), [(4.8, 4), (-4.8, 4), (0.02, 0), (-0.02, 0)])
 def test_a_time_offset_that_changes_during_a_stop_holds_for_that_too(
         before: float, lost: int) -> None:
-    live, began = new(set_to(SPHERE.config, time_offset=before)), fed().copied().stops[3].stamp
+    live = new(set_to(SPHERE.config, time_offset=before))
+    began = fed().session_copy().stops[3].stamp
     received = {profile.stamp: profile.points for profile in SPHERE.profiles}
     for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
         if live.config.time_offset and item.stamp > began + 0.8e9:
             changed(live, time_offset=0.0)
         shift = live.config.offset_ns if hasattr(item, 'points') else 0
         feed_one(live, replace(item, stamp=item.stamp + shift))
-    live.ask(live.process_all)
-    stops = live.copied().stops
+    live.call_on_worker(live.evaluate_all)
+    stops = live.session_copy().stops
     assert [bool(stop.sample) for stop in stops] == [False] * lost + [True] * (len(stops) - lost)
     for profile in [one for stop in stops for one in stop.load(live.config).profiles]:
         points = profile.read(live.config.profile).points
@@ -255,14 +255,14 @@ def test_another_frame_after_the_samples_is_told_and_they_are_computed(kind: str
     assert computed(live).startswith(f'{answer}; dropped a {kind} of frame')
     assert save in computed(live) and sample_count(state_of(live)) == count
     with pytest.raises(InputError, match='two frames'):
-        live.ask(live.take_sample)
+        live.call_on_worker(live.take_sample)
 
 
 def test_cleared_samples_leave_no_joint_values_and_no_view_of_another_sensor() -> None:
     live, wide = fed(), fed()
-    wide.answer.seen = np.array([[-0.5, 0.5], [0.5, 0.5]])  # by another sensor
+    wide.answer.view = np.array([[-0.5, 0.5], [0.5, 0.5]])  # by another sensor
     wide.add_joints(SPHERE.poses[0].stamp, b'')
-    wide.ask(wide.clear_samples)
+    wide.call_on_worker(wide.clear_samples)
     assert not wide.joints
     feed(wide, [*SPHERE.poses, *SPHERE.profiles])
     assert wide.answer.review.advice.sigmas == live.answer.review.advice.sigmas
@@ -296,7 +296,7 @@ def test_stops_of_one_pose_are_one_sample_where_other_settings_revive_them() -> 
     assert sample_count(state_of(live)) == 0
     changed(live, sampling__min_points=20)
     assert sample_count(state_of(live)) == sample_count(state_of(once))
-    assert sample_count(state_of(live)) == len(live.copied().stops) / 2
+    assert sample_count(state_of(live)) == len(live.session_copy().stops) / 2
 
 
 def test_a_retaken_stop_has_a_new_number_and_outdates_the_answer() -> None:
@@ -339,7 +339,7 @@ def test_one_pass_alone_has_a_review() -> None:
     end = bag.poses[0].stamp + 23 * 10**8
     live = fed(config, replace(SPHERE, profiles=tuple(p for p in bag.profiles if p.stamp < end),
                                poses=tuple(p for p in bag.poses if p.stamp < end)))
-    live.ask(live.process_all)
+    live.call_on_worker(live.evaluate_all)
     update(live)
     assert [sample['taken'] for sample in state_of(live)['samples']] == [True]
     assert not state_of(live)['review'] and not live.troubles
@@ -404,7 +404,7 @@ def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
             live.add_poses([pose])
     assert any('stops, the oldest that waited for profiles' in note
                for note in state_of(live)['session']['notes'])
-    session = live.copied()
+    session = live.session_copy()
     session.keep_waiting(0)
     assert len(session.remaining()) <= 1, 'the current one'
 
@@ -434,40 +434,55 @@ def test_nobody_waits_for_a_solve_or_a_verdict() -> None:
     computed(live)
     gate.open.clear()
     changed(live, noise__sensor=5e-5)  # else it is not computed again
-    answer = live.ask(live.answer.compute_calibration)
+    answer = live.call_on_worker(live.answer.compute_calibration)
     assert live.working == 'the calibration is computed'
-    assert ' taken again, ' in live.ask(live.take_sample)
-    assert live.ask(live.remove_last_sample).startswith('removed sample ')
-    assert live.ask(live.answer.save_calibration).endswith('again: save it again after that')
+    assert ' taken again, ' in live.call_on_worker(live.take_sample)
+    assert live.call_on_worker(live.remove_last_sample).startswith('removed sample ')
+    saved = live.call_on_worker(live.answer.save_calibration)
+    assert saved.endswith('again: save it again after that')
     gate.open.set()
     assert answer.result(PATIENCE).startswith('laser in flange')
-    live.ask(live.verification.verify_start)
+    live.call_on_worker(live.verification.verify_start)
     for item in sorted(items_of(PARTS[1]), key=lambda item: item.stamp):
         feed_one(live, item)
     gate.open.clear()
-    result = live.ask(live.verification.verify_result)
+    result = live.call_on_worker(live.verification.verify_result)
     assert 'verified' in live.working
     # the verification goes on until it has an answer, and stops count for it
-    assert live.ask(live.take_sample).startswith('sphere: ')
-    live.ask(live.verification.verify_start)  # another one, which the result does not end
+    assert live.call_on_worker(live.take_sample).startswith('sphere: ')
+    # another one, which the result does not end
+    live.call_on_worker(live.verification.verify_start)
     gate.open.set()
     assert result.result(PATIENCE).startswith('sphere: PASS, ')
     assert live.verification.text.startswith('sphere: 0 usable stops')
     gate.open.clear()
-    answer = live.ask(live.answer.compute_calibration)
-    live.ask(live.clear_samples)
+    answer = live.call_on_worker(live.answer.compute_calibration)
+    live.call_on_worker(live.clear_samples)
     gate.open.set()
     with pytest.raises(DataError, match='cleared while the calibration was computed'):
         answer.result(PATIENCE)
 
 
+def test_a_stop_that_takes_long_is_told_meanwhile() -> None:
+    told = []
+
+    class Telling(Inline):
+        def submit(self, function, *args) -> Future:
+            told.append(state_of(live)['session']['working'])
+            return super().submit(function, *args)
+
+    live = new(pool=Telling())
+    feed(live, items_of(PARTS[0]))
+    assert 'a stop is evaluated' in told and state_of(live)['session']['working'] == ''
+
+
 def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(
         monkeypatch: pytest.MonkeyPatch) -> None:
-    def ended(*_: object) -> None:
-        raise PoolEndedError
-
-    live = new()
-    monkeypatch.setattr(live.pool, 'run', ended)
+    live, ended = new(), Future()
+    ended.set_exception(PoolEndedError())
+    submit = live.pool.submit
+    monkeypatch.setattr(live.pool, 'submit', lambda function, *args: (
+        ended if function is result_of else submit(function, *args)))
     feed(live, items_of(PARTS[0]))
     state = state_of(live)
     assert len(state['samples']) >= 7 and sample_count(state) == 0
@@ -481,7 +496,7 @@ def test_an_answer_whose_process_ended_is_computed_again(monkeypatch: pytest.Mon
     live, ended = fed(), Future()
     text = computed(live)
     live.remove_last_sample()
-    ended.set_exception(BrokenProcessPool())
+    ended.set_exception(PoolEndedError())
     monkeypatch.setattr(live.pool, 'submit', lambda *args: ended)
     update(live)
     assert 'ended before it had an answer' in state_of(live)['session']['trouble'], 'of the review'
@@ -512,13 +527,13 @@ def test_a_review_that_is_ready_late_does_not_replace_a_newer_one(
 def test_of_two_answers_the_one_that_was_asked_for_last_stays(
         monkeypatch: pytest.MonkeyPatch) -> None:
     live = fed()
-    live.ask(live.process_all)
+    live.call_on_worker(live.evaluate_all)
     jobs, submit = [], live.pool.submit
     monkeypatch.setattr(live.pool, 'submit', lambda *args: jobs.append((Future(), args))
                         or jobs[-1][0])
-    first = live.ask(live.answer.compute_calibration)
+    first = live.call_on_worker(live.answer.compute_calibration)
     live.remove_last_sample()
-    second = live.ask(live.answer.compute_calibration)
+    second = live.call_on_worker(live.answer.compute_calibration)
     for future, args in reversed(jobs):
         future.set_result(submit(*args).result())
     assert first.result(PATIENCE) != second.result(PATIENCE)
@@ -529,7 +544,7 @@ def test_of_two_answers_the_one_that_was_asked_for_last_stays(
 def test_a_recomputation_whose_process_is_killed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     live, ended = fed(), Future()
     computed(live)
-    ended.set_exception(BrokenProcessPool())
+    ended.set_exception(PoolEndedError())
     monkeypatch.setattr(live.pool, 'submit', lambda *args: ended)
     changed(live, noise__sensor=5e-5)
     assert 'ended before it had an answer' in state_of(live)['session']['trouble']
@@ -540,11 +555,11 @@ def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.Mo
     live.start()
     monkeypatch.setattr(answers, 'extremes', lambda points: 1 / 0)
     changed = threading.Event()
-    live.ask(lambda: live.configure(set_to(live.config, noise__sensor=4e-5)))
+    live.call_on_worker(lambda: live.configure(set_to(live.config, noise__sensor=4e-5)))
     while 'ZeroDivisionError' not in state_of(live)['session']['trouble']:
         changed.wait(0.01)
     monkeypatch.undo()
-    live.ask(lambda: live.configure(set_to(live.config, noise__sensor=3e-5)))
+    live.call_on_worker(lambda: live.configure(set_to(live.config, noise__sensor=3e-5)))
     while state_of(live)['session']['trouble']:
         changed.wait(0.01)
 
@@ -558,7 +573,7 @@ def test_a_pose_that_arrives_does_not_mix_with_the_one_before() -> None:
 
     live, first = new(), SPHERE.poses[0]
     live._poses = Arriving([first])
-    assert np.array_equal(live.pose, se3.from_quaternion(first.translation, first.quaternion))
+    assert np.array_equal(live.last_pose, se3.from_quaternion(first.translation, first.quaternion))
 
 
 # -- verification
@@ -582,7 +597,7 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
         live.verification.verify_start()
     feed(live, items_of(PARTS[0]))
     computed(live)
-    before = [stop.number for stop in live.copied().stops]
+    before = [stop.number for stop in live.session_copy().stops]
     changed(live, verify__routine='tooth', verify__lengths=(0.015, 0.005))
     with pytest.raises(InputError, match='call "handeye verify tooth"'):
         live.verification.verify_start()
@@ -594,7 +609,7 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
     feed(live, items_of(PARTS[1]))
     text = verdict(live)
     assert text.startswith('sphere: PASS, 6 stations; radius ')
-    assert [stop.number for stop in live.copied().stops] == before
+    assert [stop.number for stop in live.session_copy().stops] == before
     assert state_of(live)['calibration']['state'] == 'current'
     written = Path(live.folders.folder(live.config)) / 'verification_sphere.yaml'
     assert str(written) in text
@@ -649,32 +664,41 @@ def pool() -> Pool:
 
 
 def test_it_answers_and_refuses_in_another_process(pool: Pool) -> None:
-    assert pool.run(divmod, 7, 2) == (3, 1) and pool.run(os.getpid) != os.getpid()
-    assert pool.run(os.nice, 0) == os.nice(0) + 5
+    assert pool.submit(divmod, 7, 2).result() == (3, 1)
+    assert pool.submit(os.getpid).result() != os.getpid()
+    assert pool.submit(os.nice, 0).result() == os.nice(0) + 5
     with pytest.raises(DataError) as refusal:
-        pool.run(pipeline.calibrate, [], [], Config())
+        pool.submit(pipeline.calibrate, [], [], Config()).result()
     with pytest.raises(DataError) as here:
         pipeline.calibrate([], [], Config())
     assert str(refusal.value) == str(here.value)
     with pytest.raises(ZeroDivisionError):
-        pool.run(divmod, 1, 0)
+        pool.submit(divmod, 1, 0).result()
 
 
 def test_one_that_was_killed_is_started_again_once_for_a_call(pool: Pool) -> None:
-    os.kill(pool.run(os.getpid), signal.SIGKILL)
-    assert pool.run(divmod, 7, 2) == (3, 1)
+    os.kill(pool.submit(os.getpid).result(), signal.SIGKILL)
+    assert pool.submit(divmod, 7, 2).result() == (3, 1)
     with pytest.raises(PoolEndedError, match='ended before it had an answer'):
-        pool.run(os._exit, 1)
-    with pytest.raises(PoolEndedError):
-        result_or_ended(pool.submit(os._exit, 1))
-    assert pool.run(divmod, 7, 2) == (3, 1)
+        pool.submit(os._exit, 1).result()
+    assert pool.submit(divmod, 7, 2).result() == (3, 1)
+
+
+def test_one_that_is_killed_disturbs_no_other_call(pool: Pool, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / 'pipe')
+    reading = pool.submit(Path.read_text, tmp_path / 'pipe')
+    with (tmp_path / 'pipe').open('w') as pipe:  # once the other process reads it
+        with pytest.raises(PoolEndedError):
+            pool.submit(os._exit, 1).result()
+        pipe.write('read by one process to the end')
+    assert reading.result(PATIENCE) == 'read by one process to the end'
 
 
 PARENT = """
 import os, sys, time
 from handeye_ros.node.pool import Pool
 if __name__ == '__main__':
-    print(Pool().run(os.getpid), flush=True)
+    print(Pool().submit(os.getpid).result(), flush=True)
     time.sleep(60)
 """
 

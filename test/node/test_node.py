@@ -20,7 +20,7 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 from command import handeye, PATIENCE  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped, TransformStamped  # noqa: E402
 from handeye_ros.bags.session_files import OutputFolders  # noqa: E402
-from handeye_ros.node.node import declare  # noqa: E402
+from handeye_ros.node.node import declare_settings  # noqa: E402
 from handeye_ros.node.outputs import current_markers, session_markers  # noqa: E402
 from live_sessions import computed, feed, new  # noqa: E402
 from live_sessions import SPHERE as CELL  # noqa: E402
@@ -216,10 +216,10 @@ def test_samples_and_the_profile_of_now_lie_on_the_target() -> None:
     middle = CELL.poses[len(CELL.poses) // 2].stamp
     items = [*CELL.poses, *CELL.profiles]
     feed(live, [item for item in items if item.stamp < middle])
-    current = live.current()
+    current = live.current_snapshot()
     assert current
     feed(live, [item for item in items if item.stamp >= middle])
-    stops = live.copied().stops
+    stops = live.session_copy().stops
     before = session_markers(stops, None, CELL.config)
     assert before.markers[0].action == Marker.DELETEALL
     assert {marker.ns for marker in before.markers[1:]} == {'flanges', 'numbers'}
@@ -245,7 +245,7 @@ def declared(*arguments: str):
     rclpy.init(args=['--ros-args', *arguments], context=context)
     node = Node('declared', context=context)  # no second /handeye for the tests that follow
     try:
-        return declare(node, OutputFolders())[0]
+        return declare_settings(node, OutputFolders())[0]
     finally:
         node.destroy_node()
         rclpy.shutdown(context=context)

@@ -46,7 +46,7 @@ def new(config: Config = SPHERE.config, pool: Pool | None = None,
             {'output_dir': config.output_dir, 'session': config.session}, folders)
     live = LiveSession(config, folders, pool or Inline(), changed)
     if stored:
-        live.open(stored, config)
+        live.open_session(stored, config)
     return live
 
 
@@ -72,10 +72,10 @@ def feed_one(live: LiveSession, item) -> None:
 
 def update(live: LiveSession) -> None:
     """Let a session that was not started do what is due."""
-    while live.ask(live.process_next):
+    while live.call_on_worker(live.evaluate_next):
         pass
-    live.ask(live.answer.review_if_changed)
-    live.ask(lambda: None)  # the review has been put
+    live.call_on_worker(live.answer.review_if_changed)
+    live.call_on_worker(lambda: None)  # the review has been put
 
 
 def changed(live: LiveSession, **values: object) -> None:
@@ -85,12 +85,12 @@ def changed(live: LiveSession, **values: object) -> None:
 
 def computed(live: LiveSession) -> str:
     """Return what the session says of a new answer."""
-    return live.ask(live.answer.compute_calibration).result()
+    return live.call_on_worker(live.answer.compute_calibration).result()
 
 
 def verdict(live: LiveSession) -> str:
     """Return the verdict of the verification that is running."""
-    return live.ask(live.verification.verify_result).result()
+    return live.call_on_worker(live.verification.verify_result).result()
 
 
 def later(items, seconds: int):
