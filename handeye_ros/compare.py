@@ -68,15 +68,15 @@ class ComparedStations:
     estimate: Estimate
     noise: Noise
 
-    over = FIELD_TEXT
+    field_text = FIELD_TEXT
 
     def __len__(self) -> int:
         """Return the number of stations."""
         return len(self.samples)
 
     @property
-    def axes(self) -> Array:
-        """Return T_sensor_plane (4, 4), of the sensor plane in which X and field are."""
+    def T_sensor_plane(self) -> Array:
+        """Return (4, 4): the plane in which X and field are, in the frame of the sensor."""
         return T_sensor_plane(self.config)
 
     def field(self) -> Array:
@@ -241,14 +241,14 @@ class Comparison:
 
     used, rejected: number of stations given to every estimator, and of the others
     refusal: why the answer of the target's own method is none, or None
-    over: region of the errors, in words
+    field_text: the points over which errors are told, in words
     """
 
     rows: tuple[Row, ...]
     used: int
     rejected: int
     refusal: DataError | None
-    over: str
+    field_text: str
 
 
 def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
@@ -314,18 +314,18 @@ def _compared(target: str, own: Callable[[], Own], count: int, T_true: Array | N
         every, errors, seconds = np.arange(len(given)), {}, time.perf_counter() - start
         if T_true is not None:
             errors = {f'error_{name}': value for name, value in asdict(
-                errors_against(X, T_true @ given.axes, given.field())).items()}
+                errors_against(X, T_true @ given.T_sensor_plane, given.field())).items()}
         left_out = None
         if folds and estimator.refit:
             left_out = _left_out(given, estimator, min(folds, len(given)), progress)
-        return Row(estimator.name, seconds, X @ se3.inverse(given.axes), '',
+        return Row(estimator.name, seconds, X @ se3.inverse(given.T_sensor_plane), '',
                    rms(given.residuals(X, every, every)), left_out, **errors)
 
     rows = [replace(row(first), seconds=seconds)]
     for estimator in others:
         progress(estimator.name)
         rows.append(row(estimator))
-    return Comparison(tuple(rows), len(given), count - len(given), refusal, given.over)
+    return Comparison(tuple(rows), len(given), count - len(given), refusal, given.field_text)
 
 
 def _left_out(given: Given, estimator: Estimator, folds: int, progress: Progress) -> float | None:
@@ -361,7 +361,7 @@ def tables(comparison: Comparison) -> RenderableType:
     legend = ('residual: RMS of what the first method minimises, with each transform, the target '
               'fitted to it; left out: of samples the estimator was not given')
     if with_errors:
-        legend += f'\nerror: against truth.yaml; mapped: RMS over {comparison.over}'
+        legend += f'\nerror: against truth.yaml; mapped: RMS over {comparison.field_text}'
     return Group(Text(title), transforms, figures, Text(legend))
 
 

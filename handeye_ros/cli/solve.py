@@ -83,7 +83,8 @@ def solve(
     if T_true is not None:
         errors = errors_against(calibration.T_flange_sensor, T_true,
                                 given.table.field() if given.table else None)
-        typer.echo(table.error_sentence(errors, *([given.table.over] if given.table else [])))
+        region = given.table.field_text if given.table else 'the field of view'
+        typer.echo(table.error_sentence(errors, region))
     typer.echo(saved)
 
 

@@ -60,7 +60,7 @@ def test_wrong_points_are_left_out(count: int, wrong: int) -> None:
         T, points = pairs(seed, count, wrong)
         found = solve(points)
         assert np.flatnonzero(~found.used).tolist() == list(range(wrong))
-        assert found.off[:wrong].min() > 5 * found.residual_rms
+        assert found.residuals[:wrong].min() > 5 * found.residual_rms
         assert found.residual_rms < found.holdout_rms < 1e-3
 
 
@@ -172,7 +172,7 @@ def test_what_of_the_tracker_cannot_carry_an_answer_is_refused() -> None:
             ({'face_d': parts['face_c'] + 1e-3 * np.ones(3)}, 'check which face is which'),
             ({'arc': parts['arc'][order]}, 'the points of the arc go back and forth'),
             ({'line': parts['line'][order]}, 'the points of the line go back and forth'),
-            ({'face_c': wrong}, 'most rows of face_c contradict')):
+            ({'face_c': wrong}, 'most of all face_c of row')):
         with pytest.raises(DataError, match=words):
             tracked(replace(measured, parts=parts | change))
 
