@@ -335,7 +335,7 @@ class PosePairs(PairedRows):
                 f'the flange written as {name}', f'set target.angles to {name}' + (
                     '' if names == columns else f' and name the columns {", ".join(names)}'),
                 self.from_table(table.renamed(dict(zip(columns, names, strict=True))),
-                        with_values(self.config, {'target.angles': name})))
+                                with_values(self.config, {'target.angles': name})))
 
     def require_determined(self) -> None:
         """Raise DataError for few poses, and for poses that turn about one axis or none."""
