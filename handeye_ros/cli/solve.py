@@ -135,7 +135,7 @@ def report(
     bag: Annotated[NoPath, typer.Option(
         metavar='BAG', help='The recording or session; if not given, the one that the calibration '
         'names.')] = None,
-    out: Annotated[NoPath, File(help='if not given, report.html beside the calibration.')] = None,
+    out: Annotated[NoPath, File(help='If not given, report.html beside the calibration.')] = None,
 ) -> None:
     """Show a calibration or verification in one HTML file."""
     from handeye_ros.output import html_file, write_atomically
