@@ -287,15 +287,13 @@ def _travel(T: Array) -> Array:
     Raises DataError for another motion than along a line, without a turn.
     """
     turn = float(np.max(se3.angle(T[:, :3, :3] @ T[0, :3, :3].T)))
-    if turn > LARGEST_SWEEP_TURN:
-        raise DataError(f'the flange turns by {degrees(turn)} during the sweep; move P3 alone')
     moved = (T[:, :3, 3] - T[0, :3, 3]) @ T[0, :3, :3]
-    aside = float(np.sqrt((moved[:, :2] ** 2).sum(axis=1).mean()))
-    if np.ptp(moved[:, 2]) < SMALLEST_TRAVEL or aside > LARGEST_ASIDE:
+    along, aside = np.ptp(moved[:, 2]), rms(np.linalg.norm(moved[:, :2], axis=1))
+    if turn > LARGEST_SWEEP_TURN or aside > LARGEST_ASIDE or along < SMALLEST_TRAVEL:
         raise DataError(
-            f'the flange moves {np.ptp(moved[:, 2]) * 1e3:.1f} mm along its z, and '
-            f'{aside * 1e3:.2f} mm aside; move P3 alone, over ball and block; the flange frame '
-            'has z along P3')
+            f'in the sweep the flange moves {along * 1e3:.1f} mm along its z and '
+            f'{aside * 1e3:.2f} mm aside, and turns by {degrees(turn)}: move P3 alone, over ball '
+            'and block; the flange frame has z along P3')
     return np.asarray(moved[1:, 2])
 
 

@@ -184,8 +184,8 @@ def test_a_sweep_that_is_none_is_refused() -> None:
     aside = [replace(pose, translation=pose.translation[[1, 0, 2]]) for pose in cell.poses]
     late = [replace(pose, stamp=pose.stamp + 10 ** 12) for pose in cell.poses]
     for profiles, poses, words in (
-            (cell.profiles, turned, 'the flange turns by'),
-            (cell.profiles, aside, 'mm aside; move P3 alone'),
+            (cell.profiles, turned, 'mm aside, and turns by'),
+            (cell.profiles, aside, 'mm aside, and turns by .*: move P3 alone'),
             (cell.profiles[:50], cell.poses, 'profiles show the block'),
             (cell.profiles[80:], cell.poses, '0 profiles show the ball'),
             (cell.profiles, late, 'no profile lies within the time of the poses')):
