@@ -167,7 +167,8 @@ class PairedRows(TableProblem):
             variances = self.likeliest_variances(fit.state, fit.used, typical)
             fit, whiten = self.fit_with_variances(fit.state, variances)
         residuals = _lengths(self.linearised(fit.state)[0])
-        left_out = _lengths(np.linalg.solve(whiten[fit.used], fit.left_out[..., None])[..., 0])
+        left_out = _lengths(np.asarray(np.linalg.solve(
+            whiten[fit.used], fit.left_out[..., None])[..., 0]))
         (residual_rms, angle_rms), (holdout_rms, holdout_angle_rms) = (
             np.sqrt((lengths ** 2).mean(axis=0)).tolist()
             for lengths in (residuals[fit.used], left_out))
