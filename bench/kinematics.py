@@ -221,7 +221,7 @@ def shown(name: str, rng: np.random.Generator, share: int, other: cells.Cell | N
     samples = [Sample(k, pose, found, 30)
                for k, (pose, found) in enumerate(zip(T, features, strict=True))]
     method, q = target_for(config), robot.inverse(T)
-    poses = mount_poses(arm_of(robot.urdf()).forward(q), config)
+    poses = mount_poses(arm_of(robot.URDF).forward(q), config)
     problem = Problem(method, poses, method.observe(samples), config)
     return cell, Source(Session(config), samples, problem, q)
 
@@ -236,7 +236,7 @@ def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
     for each in names:
         cell, source = shown(each, rng, len(names), cell)
         sources.append(source)
-    start = fit_of_sources(sources, arm_of(robot.urdf()))
+    start = fit_of_sources(sources, arm_of(robot.URDF))
     used = np.concatenate([np.arange(len(one.q)) < 0.75 * len(one.q) for one in start.measured])
     fit = with_estimated_weights(replace(start, used=used))
     outcome = solve(fit, start.q[used], LIMIT, lambda joints: fit.residual_rms)

@@ -323,10 +323,10 @@ def _compared(target: str, solve_own: Callable[[], OwnAnswer], count: int, T_tru
         every, errors, left_out = np.arange(len(data)), {}, None
         if T_true is not None:
             errors = {f'error_{name}': value for name, value in asdict(
-                errors_against(X, T_true @ data.axes, data.field())).items()}
+                errors_against(X, T_true @ data.T_sensor_plane, data.field())).items()}
         if folds and estimator.refit:
             left_out = _left_out(data, estimator, min(folds, len(data)), progress)
-        return Row(estimator.name, seconds, X @ se3.inverse(data.axes), '',
+        return Row(estimator.name, seconds, X @ se3.inverse(data.T_sensor_plane), '',
                    rms(data.residuals(X, every, every)), left_out, **errors)
 
     seconds = time.perf_counter() - start
@@ -341,7 +341,7 @@ def _compared(target: str, solve_own: Callable[[], OwnAnswer], count: int, T_tru
             rows.append(Row(estimator.name, time.perf_counter() - start, failure=str(error)))
         else:
             rows.append(row(estimator, X, time.perf_counter() - start))
-    return Comparison(tuple(rows), len(data), count - len(data), refusal, data.over)
+    return Comparison(tuple(rows), len(data), count - len(data), refusal, data.field_text)
 
 
 def _left_out(data: ComparedData, estimator: Estimator, folds: int, progress: Progress

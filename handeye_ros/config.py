@@ -88,21 +88,22 @@ class Parameter:
         return tuple(self._one(item, kind) for item in items)
 
     def _one(self, value: Any, kind: type[Any]) -> Any:
-        """Return one value of a type, as plain Python."""
+        """Return one value of a type, as plain Python; raises BadValueError."""
         plain, low, high = _plain(value, kind), self.minimum, self.maximum
-        good, expected = type(plain) is kind, f'a value of type {kind.__name__}'
+        accepted, expected = type(plain) is kind, f'a value of type {kind.__name__}'
         if self.choices:
-            good &= plain in self.choices
+            accepted &= plain in self.choices
             expected = f'one of {", ".join(map(str, self.choices))}'
         elif low is not None and high is not None:
-            good = good and low <= plain <= high
+            accepted = accepted and low <= plain <= high
             whole = 'whole ' if kind is int else ''
             expected = f'a {whole}number from {low:g} to {high:g} {self.unit}'.rstrip()
-        elif good and kind is str:
-            good = plain.isprintable() and plain == plain.strip() and (plain or not self.default)
-            such = f' such as {self.default}' if self.default else ''
-            expected = f'a text{such} without control characters, or blanks around it'
-        if not good:
+        elif accepted and kind is str:
+            accepted = plain.isprintable() and plain == plain.strip() and (
+                plain or not self.default)
+            example = f' such as {self.default}' if self.default else ''
+            expected = f'a text{example} without control characters, or blanks around it'
+        if not accepted:
             raise BadValueError(self.key, value, expected)
         return plain
 
@@ -111,8 +112,8 @@ def _plain(value: Any, kind: type[Any]) -> Any:
     """Return a value in a type that it stands for, such as the text 3e-5 (no number in YAML)."""
     if kind is str and value is None:
         return ''
-    known: tuple[type, ...] = {int: (Integral,), float: (Real, str)}.get(kind, ())
-    if isinstance(value, known) and not isinstance(value, bool):
+    convertible: tuple[type, ...] = {int: (Integral,), float: (Real, str)}.get(kind, ())
+    if isinstance(value, convertible) and not isinstance(value, bool):
         with suppress(ValueError, OverflowError):
             return kind(value)
     return value
@@ -129,17 +130,17 @@ class Section:
 
     def __post_init__(self) -> None:
         """Raise BadValueError for a value that its key does not take."""
-        for name, parameter in _own(type(self)).items():  # type: ignore[arg-type]
+        for name, parameter in _parameters_of(type(self)).items():  # type: ignore[arg-type]
             value = getattr(self, name)
             if value is not parameter.default:
                 object.__setattr__(self, name, parameter.checked(value))
 
 
 @cache
-def _own(section: Any) -> dict[str, Parameter]:
-    """Return the keys of a section by their names in it; a section inside is one of them."""
-    first = section.__name__.removesuffix('Config').lower()  # of the dotted keys
-    return {item.name: Parameter(f'{first}.{item.name}'.lstrip('.'), item.default,
+def _parameters_of(section: Any) -> dict[str, Parameter]:
+    """Return the keys of a class of sections by field, those that are sections included."""
+    prefix = section.__name__.removesuffix('Config').lower()
+    return {item.name: Parameter(f'{prefix}.{item.name}'.lstrip('.'), item.default,
                                  **item.metadata)
             for item in fields(section) if item.name != 'record'}
 
@@ -436,9 +437,9 @@ class Config(Section):
 def parameters() -> tuple[Parameter, ...]:
     """Return every key, in their order."""
     return tuple(chain.from_iterable(
-        _own(type(p.default)).values() if isinstance(  # type: ignore[arg-type]
+        _parameters_of(type(p.default)).values() if isinstance(  # type: ignore[arg-type]
             p.default, Section) else [p]
-        for p in _own(Config).values()))
+        for p in _parameters_of(Config).values()))
 
 
 def flatten(config: Config) -> dict[str, Any]:
@@ -542,28 +543,29 @@ def load(path: Path | str, config: Config | None = None) -> Config:
     """
     Return a configuration (default: the defaults) with the values of a ROS parameter file.
 
-    They are those of the patterns for every node, and of our node's name in any namespace, also in
-    a dump of the node (`ros2 param dump`). Raises InputError, also for a file without any.
+    Those of the sections for all nodes (`/**`), then those for a node of our name in any
+    namespace, also as `ros2 param dump` writes them. Raises InputError, also for a file without
+    such a section.
     """
     path = path_of('path', path)
     sections: dict[str, dict[str, Any]] = {}  # by the full name of the node
     for names, value in _values(read_yaml(path)):
         if 'ros__parameters' in (names if value == {} else names[:-1]):
-            first = names.index('ros__parameters')
+            place = names.index('ros__parameters')
             section = sections.setdefault(
-                ''.join(f'/{name.strip("/")}' for name in names[:first]), {})
-            if names[first + 1:]:
-                section['.'.join(names[first + 1:])] = value
-    general = [node for node in sections if node.split('/')[-1] in ('*', '**')]
-    own = [node for node in sections if node.split('/')[-1] == NODE_NAME]
-    if not general and not own:
+                ''.join(f'/{name.strip("/")}' for name in names[:place]), {})
+            if names[place + 1:]:
+                section['.'.join(names[place + 1:])] = value
+    for_all = [node for node in sections if node.split('/')[-1] in ('*', '**')]
+    for_ours = [node for node in sections if node.split('/')[-1] == NODE_NAME]
+    if not for_all and not for_ours:
         raise InputError(f'{path} holds the parameters of {", ".join(sections) or "no node"}, and '
                          f'none of them is "{NODE_NAME}": give the calibration a section "/**:" '
                          'or of that name, below it "ros__parameters:", below it the keys')
-    if len(own) > 1:
-        raise InputError(f'{path} holds the parameters of {", ".join(own)}: keep those of one '
-                         f'"{NODE_NAME}"')
-    values = {key: value for node in (*general, *own) for key, value in sections[node].items()
+    if len(for_ours) > 1:
+        raise InputError(f'{path} holds the parameters of {", ".join(for_ours)}: keep those of '
+                         f'one "{NODE_NAME}"')
+    values = {key: value for node in (*for_all, *for_ours) for key, value in sections[node].items()
               if not key.startswith(EVERY_NODES)}
     return with_values(config or Config(), values, str(path))
 
@@ -577,24 +579,28 @@ def _values(content: Any, names: tuple[str, ...] = ()) -> Iterator[tuple[tuple[s
         yield from _values(value, (*names, str(name)))
 
 
-# -- units: plain numbers of a command are SI, `0.3mm`, `5 deg` say one
+# -- lengths and angles with a unit, such as 0.3mm and 5 deg; plain numbers are SI
 
 
 def in_si(text: str, unit: str) -> str:
-    """Return a text with its numbers that have a unit, as 20mm, in m, rad or s; others as is."""
+    """
+    Return a text with its numbers that have a unit, as 20mm, converted; all else is as before.
+
+    unit: m, rad or s, into which they are converted; of another one none is.
+    """
     factors = {'m': METRES, 'rad': RADIANS, 's': SECONDS}.get(unit, {})
     if factors:
         text = re.sub('[\u00b5\u03bc]', 'u', text)  # µm, in the two ways that a micro is written
-    return WITH_UNIT.sub(lambda found: repr(float(found[1]) * factors[found[2]])
-                         if found[2] in factors else found[0], text)
+    return WITH_UNIT.sub(lambda match: repr(float(match[1]) * factors[match[2]])
+                         if match[2] in factors else match[0], text)
 
 
 def parse_length(text: str, option: str, usual: float, least: float = -math.inf) -> float:
     """
     Return a length in metres; raises BadValueError.
 
-    usual: a number without a unit above it is refused: it was probably meant in millimetres;
-    least: -inf also allows inf and -inf, no limit.
+    option: for the message; usual: a larger number without a unit is refused, as it was probably
+    meant in millimetres; least: -inf also allows inf and -inf, no limit.
     """
     plain = in_si(text, 'm')
     try:

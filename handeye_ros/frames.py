@@ -70,7 +70,7 @@ def axes_across(direction: Array, frame: str) -> str:
 
 
 def wrong_sensor(frame: str, sensor: str) -> str:
-    """Return in words that profiles are of another frame than that of a calibration, else ''."""
+    """Return a warning if profiles are of another frame than a calibration's sensor, else ''."""
     if frame in ('', sensor):
         return ''
     return (f'the profiles are of the frame "{frame}", and the calibration is of "{sensor}": '

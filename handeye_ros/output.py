@@ -30,7 +30,7 @@ def folder_name(config: Config) -> str:
 
 
 def time_of(stamp: int) -> str:
-    """Return a stamp (ns) as ISO 8601; empty if it is not of a wall clock."""
+    """Return the time of a stamp (ns) as ISO 8601, '' for one that is of no wall clock."""
     if stamp < EARLIEST_STAMP:
         return ''
     return datetime.fromtimestamp(stamp * 1e-9, UTC).isoformat(timespec='seconds')
@@ -51,7 +51,7 @@ def csv_text(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
 
 
 class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
-    """Writes numpy values as plain ones, and a value that is there twice twice."""
+    """Writes YAML with numpy values as plain ones, and without anchors for repeated values."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
@@ -88,7 +88,11 @@ def write_errors_for(path: object) -> Iterator[None]:
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
-    """Give a temporary file that replaces another when the block ends without an error."""
+    """
+    Give a temporary file that takes the place of a path when the block ends without an error.
+
+    Raises UnwritableError, also for an OSError within the block.
+    """
     temporary = path.parent / f'.{path.name}.{os.getpid()}.tmp'
     with write_errors_for(path):
         path.parent.mkdir(parents=True, exist_ok=True)

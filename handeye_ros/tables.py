@@ -33,7 +33,7 @@ SPELLINGS = {'degree': 'deg', '°': 'deg', 'radian': 'rad', 'radians': 'rad', 'm
              'metres': 'm', 'meter': 'm', 'meters': 'm', 'millimetres': 'mm',
              'millimeters': 'mm', 'µm': 'um'}
 LARGEST_VALUE = 1e6  # m or rad: more is a mistake
-_HEADER = re.compile(r'\s*([\w.:/-]+)\s*(?:\[\s*(\w+|°)\s*\])?\s*')
+_HEADER = re.compile(r'\s*([\w.:/-]+)\s*(?:\[\s*(\w+|°)\s*\])?\s*')  # name [unit]
 
 
 class TableError(InputError):
@@ -44,7 +44,11 @@ class TableError(InputError):
 
 
 class Table:
-    """The columns of a file: by name, each with its unit ('' without one) and its texts."""
+    """
+    The columns of a CSV file.
+
+    columns: by name, the unit ('' without one) and the text of each row
+    """
 
     def __init__(self, path: Path) -> None:
         """Read a CSV file; commas or semicolons separate the values. Raises TableError."""
@@ -61,11 +65,11 @@ class Table:
             raise TableError(path, f'cannot be read as CSV: {error}') from error
         units = dict[str, str]()
         for cell in header:
-            found = _HEADER.fullmatch(cell)
-            if not found:
+            match = _HEADER.fullmatch(cell)
+            if not match:
                 raise TableError(path, f'cannot read the column header "{cell}"; expected a name '
                                  'with its unit, such as base_x [mm]')
-            units[found[1]] = SPELLINGS.get(found[2], found[2] or '')
+            units[match[1]] = SPELLINGS.get(match[2], match[2] or '')
         if len(units) != len(header):
             raise TableError(path, 'two columns have the same name')
         if not rows:
@@ -117,24 +121,24 @@ class Table:
         """
         notation = self.notation(prefix, angles)
         names, axes = notation.columns(prefix), _axes(prefix)
-        fitting = [name for name, other in NOTATIONS.items()
-                   if self.columns.keys() >= {*other.columns(prefix)}]
-        if fitting and not self.columns.keys() >= {*names}:
+        readable = [name for name, other in NOTATIONS.items()
+                    if self.columns.keys() >= {*other.columns(prefix)}]
+        if readable and not self.columns.keys() >= {*names}:
             raise TableError(self.path, f'has no columns {", ".join(names)}; it has those that '
-                             f'--angles {" or ".join(fitting)} reads, of the flange only')
+                             f'--angles {" or ".join(readable)} reads, of the flange only')
         self._require([*axes, *names])
         kind = ANGLE if notation.angle else NUMBER
         length, unit = (notation.length, notation.angle) if angles else ('', '')
         numbers = self.values(names, kind, unit) / UNITS[kind][notation.angle]
-        off = np.abs(np.linalg.norm(numbers, axis=1) - 1.0)
-        if kind == NUMBER and off.max() > QUATERNION_TOLERANCE:
-            raise TableError(self.path, f'row {int(np.argmax(off)) + 1}: {prefix}_q... is no '
-                             'unit quaternion')
+        length_errors = np.abs(np.linalg.norm(numbers, axis=1) - 1.0)
+        if kind == NUMBER and length_errors.max() > QUATERNION_TOLERANCE:
+            raise TableError(self.path, f'row {int(np.argmax(length_errors)) + 1}: {prefix}_q... '
+                             'is no unit quaternion')
         return se3.transform(notation.rotation(numbers).as_matrix(),
                              self.values(axes, LENGTH, length))
 
     def _require(self, names: Sequence[str]) -> None:
-        """Raise TableError for a column that is missing; similar ones are none of the others."""
+        """Raise TableError for a missing column, with a similar name that is not among names."""
         for name in names:
             if name not in self.columns:
                 others = [other for other in self.columns if other not in names]
@@ -194,13 +198,14 @@ class Notation:
 
 
 def _euler_numbers(axes: str, rotation: Rotation) -> Array:
+    """Return the angles (n, 3) of rotations in degrees."""
     with warnings.catch_warnings():  # of gimbal lock, where the angles are not unique
         warnings.simplefilter('ignore', UserWarning)
         return np.asarray(rotation.as_euler(axes, degrees=True))
 
 
 def _euler(title: str, labels: tuple[str, ...], axes: str) -> Notation:
-    """Return a notation by angles in degrees; axes: small as of scipy for fixed ones."""
+    """Return a notation by three angles in degrees; axes: as scipy, lower case for fixed ones."""
     return Notation(title, labels, 'deg', 'mm', partial(_euler_numbers, axes),
                     partial(Rotation.from_euler, axes, degrees=True))
 
@@ -232,7 +237,7 @@ RPY = Notation('roll, pitch, yaw of URDF', ('roll', 'pitch', 'yaw'), 'rad', 'm',
 
 def notation_of(name: str) -> Notation:
     """Return the notation of a name, or of a vendor alone; raises UnknownNameError."""
-    full = [known for known in NOTATIONS if name in (known, known.split('-')[0])]
-    if not full:
-        raise UnknownNameError('notation of angles', name, list(NOTATIONS))
-    return NOTATIONS[full[0]]
+    for full_name, notation in NOTATIONS.items():
+        if name in (full_name, full_name.split('-')[0]):
+            return notation
+    raise UnknownNameError('notation of angles', name, list(NOTATIONS))

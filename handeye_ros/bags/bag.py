@@ -84,7 +84,12 @@ class Recording:
 
 
 def _unusable(reasons: Sequence[str], total: int, what: str) -> list[str]:
-    """Return a warning of what was left out, if anything; raises InputError if it is most."""
+    """
+    Return a warning of what was left out, none without a reason.
+
+    reasons: one of each item left out; total: number of all items; what: they are, in words.
+    Raises InputError if most were left out.
+    """
     if not reasons:
         return []
     if len(reasons) > MOST_MALFORMED * total:
@@ -107,31 +112,31 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     path = path_of('path', path)
     require_type('config', config, Config)
     require_type('progress', progress, Callable)  # type: ignore[arg-type]
-    converter = ProfileReader(config.profile)
+    profile_reader = ProfileReader(config.profile)
     tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
     sources = pose_topics(config, tracker, arm)
     read_poses = {full_name(source.name): source.read for source in sources}
-    last = sources[-1]
-    clouds = _Topic(config.profile_topic, 'profile_topic', CLOUD_TYPE)
-    posed = _Topic(last.name, last.key or 'pose_source', last.kind)
-    reader = Reader(path, (clouds.name, *read_poses), progress)
+    required = sources[-1]
+    cloud_topic = _Topic(config.profile_topic, 'profile_topic', CLOUD_TYPE)
+    pose_topic = _Topic(required.name, required.key or 'pose_source', required.kind)
+    reader = Reader(path, (cloud_topic.name, *read_poses), progress)
     for raw in _moving_last(reader.messages()):
         # if two settings name one topic, that is the profiles'; its type refuses the poses
-        topic = clouds if raw.topic == clouds.name else posed
+        topic = cloud_topic if raw.topic == cloud_topic.name else pose_topic
         try:
-            items = ([converter.take(raw.data, raw.fetch)] if topic is clouds
+            items = ([profile_reader.take(raw.data, raw.fetch)] if topic is cloud_topic
                      else read_poses[raw.topic](raw.data))
         except UnusableMessageError as error:
             topic.malformed.append(str(error))
         else:
             topic.add(items, raw.log_time)
-    messages = _of_one_frame('profile', clouds.ordered(reader), 'frame_id', reader)
-    profiles = [profile for message, before in zip(messages, [None, *messages], strict=False)
-                for profile in split(message, before and before.stamp, config.profile)]
+    messages = _of_one_frame('profile', cloud_topic.ordered(reader), 'frame_id', reader)
+    profiles = [profile for message, previous in zip(messages, [None, *messages], strict=False)
+                for profile in split(message, previous and previous.stamp, config.profile)]
     if not profiles:
-        raise InputError(f'{path}: the only message on {clouds.name} holds several profiles, and '
-                         'does not say when each was taken: set profile.period')
-    poses = posed.ordered(reader)
+        raise InputError(f'{path}: the only message on {cloud_topic.name} holds several profiles, '
+                         'and does not say when each was taken: set profile.period')
+    poses = pose_topic.ordered(reader)
     reader.warnings += tracker.warnings
     if not poses:
         raise InputError(f'{path}: no flange poses in its transforms: '
@@ -152,7 +157,12 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
 
 
 def _moving_last(messages: Iterable[Raw]) -> Iterator[Raw]:
-    """Yield moving transforms after static ones, which a node that starts late sends late."""
+    """
+    Yield messages, those of /tf after all others.
+
+    Each moving transform then finds the static ones, which are recorded late where a node starts
+    late.
+    """
     moving = []
     for raw in messages:
         if raw.topic == '/tf':
@@ -164,13 +174,17 @@ def _moving_last(messages: Iterable[Raw]) -> Iterator[Raw]:
 
 class _Topic:
     """
-    What can be used of the messages of a topic, in recording order.
+    A topic of a recording, and the profiles or poses in its messages, in recording order.
 
-    malformed: why others cannot
+    malformed: why other messages cannot be used, one sentence each
     """
 
     def __init__(self, name: str, key: str, kind: str) -> None:
-        """Start with none; key: of the configuration, that names it; kind: type it must have."""
+        """
+        Start without messages.
+
+        key: of the configuration, that names the topic; kind: type that its messages must have.
+        """
         self.name = full_name(name)
         self._key, self._kind = key, kind
         self._items: list[Any] = []
@@ -178,7 +192,7 @@ class _Topic:
         self.malformed: list[str] = []
 
     def add(self, items: Sequence[Any], log_time: int) -> None:
-        """Add what a message holds; without a stamp it has the time at which it was recorded."""
+        """Add what a message recorded at log_time (ns) holds; it is the stamp of what has none."""
         time = min(log_time, LAST_STAMP)
         self._items += [item if item.stamp else replace(item, stamp=time) for item in items]
         self._usable += 1
@@ -187,14 +201,14 @@ class _Topic:
     def _missing(self, reader: Reader) -> InputError:
         """Return the refusal of a bag without a topic of this name and type."""
         key, types = self._key, reader.types
-        held = [f'{name} ({kind})' for name, kind in sorted(types.items())]
-        alike = sorted(name for name, kind in types.items() if kind == self._kind)
-        advice = (f'set {key}, as in --set {key}={alike[0]}' if alike else
+        listed = [f'{name} ({kind})' for name, kind in sorted(types.items())]
+        same_type = sorted(name for name, kind in types.items() if kind == self._kind)
+        advice = (f'set {key}, as in --set {key}={same_type[0]}' if same_type else
                   'take the poses from /tf, as in --set pose_source=tf'
                   if key == 'pose_topic' and types.get('/tf') == TF_TYPE else
                   f'publish and record one, or set {key}')
         return InputError(f'{reader.path} has no topic {self.name} with {self._kind}, but '
-                          f'{", ".join(held[:MOST_LISTED])}: {advice}')
+                          f'{", ".join(listed[:MOST_LISTED])}: {advice}')
 
     def ordered(self, reader: Reader) -> list[Any]:
         """
@@ -214,14 +228,14 @@ class _Topic:
             reader.warnings.append(f'{self._unstamped} messages on {self.name} have no stamps; '
                                    'the times at which they were recorded are used')
         stamps = np.array([item.stamp for item in self._items], np.int64)
-        fits = in_majority_order(stamps, f'on {self.name}')
-        wrong = np.flatnonzero(~fits)
+        in_order = in_majority_order(stamps, f'on {self.name}')
+        wrong = np.flatnonzero(~in_order)
         if len(wrong):
             reader.warnings.append(
                 f'{len(wrong)} of {len(stamps)} messages on {self.name} were left out: their '
                 f'stamps are far from those around them (first message {wrong[0] + 1}, of '
                 f'{stamps[wrong[0]] * 1e-9:.3f} s)')
-        return sorted(compress(self._items, fits), key=by_stamp)
+        return sorted(compress(self._items, in_order), key=by_stamp)
 
 
 def _of_one_frame(kind: str, items: list[Any], frame: str, reader: Reader) -> list[Any]:
@@ -231,11 +245,11 @@ def _of_one_frame(kind: str, items: list[Any], frame: str, reader: Reader) -> li
     kind: what they are, in words; frame: their attribute that names it. Raises InputError for two
     frames.
     """
-    (first, most), *others = Counter(getattr(item, frame) for item in items).most_common()
-    strays = len(items) - most
+    (name, count), *others = Counter(getattr(item, frame) for item in items).most_common()
+    strays = len(items) - count
     if strays > max(FEW_STRAYS, FEW_SHARE * len(items)) or 2 * strays >= len(items):
-        raise two_frames(kind, first, others[0][0])
+        raise two_frames(kind, name, others[0][0])
     if strays:
         reader.warnings.append(f'{strays} of {len(items)} {kind}s were left out: their frame is '
-                               f'"{others[0][0]}", not "{first}"')
-    return [item for item in items if getattr(item, frame) == first]
+                               f'"{others[0][0]}", not "{name}"')
+    return [item for item in items if getattr(item, frame) == name]

@@ -74,7 +74,7 @@ def raw_of(item: AnyProfile | TimedPose, config: Config, number: str = 'f4') -> 
 
 
 def _write_bag(path: Path, messages: Iterable[Raw]) -> None:
-    """Write messages as a folder with one file."""
+    """Make a folder with one .mcap file of messages, and its metadata.yaml."""
     path.mkdir()
     file = path / f'{path.name}.mcap'
     with file.open('wb') as stream:
@@ -83,7 +83,7 @@ def _write_bag(path: Path, messages: Iterable[Raw]) -> None:
 
 
 def write_mcap(stream: BinaryIO, messages: Iterable[Raw]) -> None:
-    """Write messages as an .mcap file; raises OSError."""
+    """Write messages, in the order of their times, as an .mcap file; raises OSError."""
     writer = Writer(stream, CHUNK_BYTES, CompressionType.ZSTD)
     writer.start('ros2', 'handeye_ros')
     channels: dict[str, int] = {}
@@ -111,7 +111,7 @@ def contents_of(file: Path) -> Summary:
 
 @lru_cache(10_000)
 def _contents(file: Path, written: int) -> Summary | None:
-    """Return the summary of a file as it was written at a time (ns)."""
+    """Return the summary of a file; written: its time of modification (ns), for the cache."""
     with file.open('rb') as stream:
         return make_reader(stream).get_summary()
 
@@ -146,12 +146,12 @@ def write_metadata(folder: Path, files: Sequence[Path]) -> None:
 
 
 def _span(parts: Sequence[Summary]) -> dict[str, Any]:
-    """Return the time and the number of the messages in files as metadata.yaml states them."""
-    all_statistics = [part.statistics for part in parts]
-    first = min(one.message_start_time for one in all_statistics)
-    last = max(one.message_end_time for one in all_statistics)
+    """Return the time and the number of messages as in metadata.yaml; parts: one of each file."""
+    statistics = [part.statistics for part in parts]
+    first = min(counts.message_start_time for counts in statistics)
+    last = max(counts.message_end_time for counts in statistics)
     return {'duration': {'nanoseconds': last - first},
-            'message_count': sum(one.message_count for one in all_statistics),
+            'message_count': sum(counts.message_count for counts in statistics),
             'starting_time': {'nanoseconds_since_epoch': first}}
 
 
@@ -165,7 +165,7 @@ def sync(path: Path) -> None:
 
 
 def to_cdr(message: Any) -> bytes:
-    """Return a serialised message of the typestore."""
+    """Return a message of the typestore, serialised as ROS does (CDR)."""
     return bytes(typestore().serialize_cdr(message, message.__msgtype__))
 
 
@@ -199,7 +199,7 @@ def cloud_cdr(profile: Profile, unit: str = 'm', number: str = 'f4') -> bytes:
 
 
 def _new(kind: str, *values: Any) -> Any:
-    """Return a message of a type."""
+    """Return a message of a type; values: those of its fields, in their order."""
     return typestore().types[kind](*values)
 
 
@@ -240,10 +240,9 @@ def write_folder(path: Path, texts: Mapping[str, str],
     """
     Write a folder of recordings or measured values, completely or not at all.
 
-    A hidden folder beside the final one is filled and then renamed. fill: makes the folder and its
-    files except texts, which are by file name. force: an existing recording is replaced. Raises
-    InputError if the path exists, or is no recording or the current folder, UnwritableError if it
-    is not writable.
+    A hidden folder beside the final one is filled and then renamed. texts: of files, by name;
+    fill: makes the folder, with all its other files; force: an existing recording is replaced.
+    Raises InputError if the path exists and may not be replaced, UnwritableError.
     """
     path = path.resolve()
     with write_errors_for(path):
@@ -260,6 +259,7 @@ def write_folder(path: Path, texts: Mapping[str, str],
 
 
 def _check_free(path: Path, force: bool) -> None:
+    """Raise InputError where a folder cannot be made, or replaced if force."""
     if not path.exists() or path.is_dir() and not any(path.iterdir()):
         return
     if not force:

@@ -18,7 +18,7 @@ from typing import Any
 
 from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE, TF_TYPE
 from handeye_ros.config import ProfileConfig
-from handeye_ros.data import Array, NS, Profile, RawProfile, TimedPose, without_order
+from handeye_ros.data import Array, NS, Profile, RawProfile, rms, TimedPose, without_order
 from handeye_ros.errors import UnusableMessageError
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,7 @@ SMALLEST_TILT, LEAST_SLOPE = 2e-4, 0.01  # m, slope: less across the plane is no
 THIN_SHARE = 0.01  # of the spread across the plane: an axis with less is orthogonal to it
 FEWEST_RETURNS = 10  # smallest number of returns for a decision on their order
 # fraction of backward steps between returns: at most along the line, at least along the range
-LINE_BACK, RANGE_BACK = 0.05, 0.1
+LINE_BACKWARD, RANGE_BACKWARD = 0.05, 0.1
 
 LEAST_OVERLAP = 0.5  # smallest common fraction of the line in rows that are profiles
 FEWEST_COLUMNS = 10  # of rows that are compared
@@ -89,7 +89,11 @@ def pose_from_cdr(data: bytes) -> TimedPose:
 
 
 def _pose(kind: str, message: Any, position: Any, orientation: Any) -> TimedPose:
-    """Return a pose with a quaternion of unit length and qw >= 0; raises UnusableMessageError."""
+    """
+    Return a pose (m), its quaternion of unit length with w >= 0.
+
+    kind: of the message, in words; position, orientation: its fields. Raises UnusableMessageError.
+    """
     translation = position.x, position.y, position.z
     quaternion = np.array([orientation.x, orientation.y, orientation.z, orientation.w])
     length, farthest = math.hypot(*quaternion), max(map(abs, translation))
@@ -113,17 +117,17 @@ def transforms_from_cdr(data: bytes) -> list[tuple[str, TimedPose]]:
     Raises UnusableMessageError if all are invalid: an unused invalid frame must not affect the
     others.
     """
-    good, malformed = [], None
-    for one in message_of(TF_TYPE, data).transforms:
-        placed = one.transform
+    poses, refusal = [], None
+    for stamped in message_of(TF_TYPE, data).transforms:
+        transform = stamped.transform
         try:
-            good.append((frame_name(one.child_frame_id), _pose(
-                'TransformStamped', one, placed.translation, placed.rotation)))
+            poses.append((frame_name(stamped.child_frame_id), _pose(
+                'TransformStamped', stamped, transform.translation, transform.rotation)))
         except UnusableMessageError as error:
-            malformed = error
-    if malformed and not good:
-        raise malformed
-    return good
+            refusal = error
+    if refusal and not poses:
+        raise refusal
+    return poses
 
 
 def _unusable(reason: str) -> UnusableMessageError:
@@ -167,7 +171,7 @@ def view(cloud: Any, name: str) -> np.ndarray[Any, np.dtype[Any]]:
 
 
 def _row(cloud: Any, index: int) -> Any:
-    """Return a row of a PointCloud2 as a cloud; raises UnusableMessageError."""
+    """Return one row of a PointCloud2 as a cloud; raises UnusableMessageError."""
     size = cloud.width * cloud.point_step
     begin = index * (cloud.row_step or size)
     if index >= cloud.height or begin + size > len(cloud.data):
@@ -188,14 +192,14 @@ def profile_from_cloud(cloud: Any, config: ProfileConfig) -> Profile:
     both columns. The rows of the message are concatenated. A cloud without points is a profile
     without returns. Raises UnusableMessageError.
     """
-    points, good = _points(cloud, config)
-    _require_axes(points[good, :2], config)
-    if without_order(np.diff(points[good, 0])):
-        placed = np.flatnonzero(np.abs(points[:, 0]) <= LARGEST_COORDINATE)
-        order = placed[np.argsort(points[placed, 0], kind='stable')]
-        points, good = points[order], good[order]
-    out_of_plane = np.nan_to_num(points[good, 2].mean()) if good.any() else 0.0
-    return Profile(*stamp_and_frame(cloud), np.where(good[:, None], points[:, :2], np.nan),
+    points, is_return = _points(cloud, config)
+    _require_axes(points[is_return, :2], config)
+    if without_order(np.diff(points[is_return, 0])):
+        with_place = np.flatnonzero(np.abs(points[:, 0]) <= LARGEST_COORDINATE)
+        order = with_place[np.argsort(points[with_place, 0], kind='stable')]
+        points, is_return = points[order], is_return[order]
+    out_of_plane = np.nan_to_num(points[is_return, 2].mean()) if is_return.any() else 0.0
+    return Profile(*stamp_and_frame(cloud), np.where(is_return[:, None], points[:, :2], np.nan),
                    (config.axes[0], config.axes[1]), float(out_of_plane))
 
 
@@ -227,14 +231,15 @@ def _points(cloud: Any, config: ProfileConfig) -> tuple[Array, NDArray[np.bool_]
     points[np.abs(points) > NO_RETURN] = np.nan
     x, z = points[:, 0], points[:, 1]
     with np.errstate(invalid='ignore'):
-        good = (np.maximum(np.abs(x), np.abs(z)) <= LARGEST_COORDINATE) & ((x != 0) | (z != 0))
+        is_return = (np.maximum(np.abs(x), np.abs(z)) <= LARGEST_COORDINATE) & (
+            (x != 0) | (z != 0))
     _require_unit(points[:, :2], config.unit)
-    _require_one_plane(points[good], _axes(config))
-    return points, good
+    _require_one_plane(points[is_return], _axes(config))
+    return points, is_return
 
 
 def _require_unit(points: Array, unit: str) -> None:
-    """Raise for coordinates (n, 2), in metres after unit, beyond any sensor."""
+    """Raise for coordinates (n, 2), by `unit` in metres, that no sensor measures."""
     reach = np.maximum(np.abs(points[:, 0]), np.abs(points[:, 1]))
     finite = np.isfinite(reach)
     too_far = finite & (reach > LARGEST_COORDINATE)
@@ -248,14 +253,18 @@ def _require_unit(points: Array, unit: str) -> None:
 
 
 def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
-    """Raise for returns (n, 3) outside the plane of the first two axes."""
+    """
+    Raise for returns (n, 3) outside the plane of the first two axes, of a tilted plane by name.
+
+    axes: names of the columns: along the line, range, across the plane.
+    """
     if len(points) < 2 or not np.ptp(points[:, 2]) > SMALLEST_TILT:  # nor where it is not finite
         return
     spread = np.ptp(points, axis=0)
-    slope, off = _slope_across(points)
+    slope, distance_rms = _slope_across(points)
     thin = THIN_SHARE * spread[2]
-    is_flat = min(spread[:2]) < thin
-    if abs(slope) > LEAST_SLOPE and off < thin and not is_flat:
+    is_flat = min(spread[:2]) < thin  # one of the two axes is orthogonal to the plane
+    if abs(slope) > LEAST_SLOPE and distance_rms < thin and not is_flat:
         raise _unusable(f'the points lie in a plane that is tilted by '
                         f'{math.degrees(math.atan(abs(slope))):.1f} degrees about {axes[0]} '
                         f'against that of {axes[0]} and {axes[1]}: let the driver publish them in '
@@ -272,11 +281,10 @@ def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
 
 
 def _slope_across(points: Array) -> tuple[float, float]:
-    """Return the slope of the third coordinate by the second, and the RMS off the best plane."""
+    """Return the slope of the plane through points (n, 3) by the second axis, and the RMS off."""
     centred = points - points.mean(axis=0)
-    by, *_ = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)
-    off = centred[:, 2] - centred[:, :2] @ by
-    return float(by[1]), math.sqrt(float(off @ off) / len(off))
+    slopes, *_ = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)
+    return float(slopes[1]), rms(centred[:, 2] - centred[:, :2] @ slopes)
 
 
 def _require_axes(points: Array, config: ProfileConfig) -> None:
@@ -285,9 +293,9 @@ def _require_axes(points: Array, config: ProfileConfig) -> None:
     steps = np.diff(points, axis=0)
     if len(steps) < FEWEST_RETURNS:
         return
-    # the share of steps against the direction of the majority, by axis
-    back = 1.0 - np.maximum((steps > 0).sum(axis=0), (steps < 0).sum(axis=0)) / len(steps)
-    if back[0] > RANGE_BACK and back[1] < LINE_BACK:
+    # by axis, the share of steps against the direction of the majority
+    backward = 1.0 - np.maximum((steps > 0).sum(axis=0), (steps < 0).sum(axis=0)) / len(steps)
+    if backward[0] > RANGE_BACKWARD and backward[1] < LINE_BACKWARD:
         raise _unusable(f'the points follow each other along {across}, not along {along}: set '
                         f'profile.axes to [{across}, {along}]')
 
@@ -370,7 +378,11 @@ def split(raw: RawProfile, previous_stamp: int | None, config: ProfileConfig) ->
 
 
 def _row_message(fetch: Callable[[], bytes], index: int, stamp: int) -> bytes:
-    """Return one row of a message as a message with its own stamp; UnusableMessageError."""
+    """
+    Return one row of a message, serialised, with its own stamp (ns).
+
+    fetch: returns the message. Raises UnusableMessageError.
+    """
     row = _row(message_of(CLOUD_TYPE, fetch()), index)
     row.header.stamp.sec, row.header.stamp.nanosec = divmod(stamp, NS)
     return bytes(typestore().serialize_cdr(row, CLOUD_TYPE))
@@ -387,8 +399,8 @@ def returns_of(raw: RawProfile) -> Profile:
         raise _unusable('it holds several profiles, and does not say when each was taken: set '
                         'profile.period')
     cloud, config = message_of(CLOUD_TYPE, raw.fetch()), raw.config
-    points, good = _points(cloud, config)
-    intensity = (column(cloud, INTENSITY)[good]
-                 if good.any() and INTENSITY in [field.name for field in cloud.fields] else None)
-    return Profile(raw.stamp, raw.frame_id, points[good, :2], (config.axes[0], config.axes[1]),
-                   intensity=intensity)
+    points, is_return = _points(cloud, config)
+    has_intensity = is_return.any() and INTENSITY in [field.name for field in cloud.fields]
+    return Profile(raw.stamp, raw.frame_id, points[is_return, :2],
+                   (config.axes[0], config.axes[1]),
+                   intensity=column(cloud, INTENSITY)[is_return] if has_intensity else None)

@@ -40,8 +40,8 @@ class Raw(NamedTuple):
     """
     A message as it is recorded.
 
-    kind: its type; log_time: ns; fetch: reads data again, so that they need not be kept; they are
-    empty if the file has changed.
+    kind: its type; log_time: when it was recorded (ns); data: serialised; fetch: reads the data
+    again, so that they need not be kept; it returns b'' if the file has changed.
     """
 
     topic: str
@@ -55,14 +55,21 @@ class Reader:
     """
     Reads the messages of a rosbag2 folder or an .mcap or .db3 file, all or those of some topics.
 
-    types: of all topics by name
+    After the last message these are complete:
+
+    types: of all topics, by name
     warnings: on unreadable data
-    files: those that were read. All three are complete after the last message.
+    files: those that were read
     """
 
     def __init__(self, path: Path, topics: Collection[str] | None = None,
                  progress: Callable[[float], None] = lambda share: None) -> None:
-        """progress: receives the fraction of the bytes that were read."""
+        """
+        Read nothing yet.
+
+        topics: of the messages to be read, None: all; progress: receives the fraction of the bytes
+        that were read.
+        """
         self.path = path
         self.types: dict[str, str] = {}
         self.warnings: list[str] = []
@@ -101,32 +108,35 @@ class Reader:
         raise InputError(f'{path}: {reason}')
 
     def _from_mcap(self, path: Path) -> Iterator[Raw]:
+        """Yield the messages of an .mcap file, of whole chunks, in the order of the file."""
         schemas: dict[int, str] = {}
-        channels: dict[int, str] = {}  # '': not requested
-        count = damaged = start = 0
+        channels: dict[int, str] = {}  # the topic of each, '' if it is not requested
+        message_count = damaged_chunks = start = 0
         complete, data_at = False, lru_cache(CACHED_CHUNKS)(partial(_in_chunk, path))
         with path.open('rb') as stream:
-            for record in _up_to_damage(stream, start):
-                if complete := isinstance(record, DataEnd):
+            for outer in _up_to_damage(stream, start):
+                if complete := isinstance(outer, DataEnd):
                     break
-                records = _expanded(record)
-                damaged += records is None
-                for index, one in enumerate(records or ()):
-                    if isinstance(one, Schema):
-                        schemas[one.id] = one.name
-                    elif isinstance(one, Channel):
-                        kind = schemas.get(one.schema_id, 'of unknown type')
-                        channels[one.id] = self._registered(one.topic, kind, one.message_encoding)
-                    elif isinstance(one, Message):
-                        count += 1
-                        if topic := channels.get(one.channel_id):
-                            yield Raw(topic, self.types[topic], one.log_time, _unpacked(one.data),
+                records = _expanded(outer)
+                damaged_chunks += records is None
+                for index, record in enumerate(records or ()):
+                    if isinstance(record, Schema):
+                        schemas[record.id] = record.name
+                    elif isinstance(record, Channel):
+                        kind = schemas.get(record.schema_id, 'of unknown type')
+                        channels[record.id] = self._registered(record.topic, kind,
+                                                               record.message_encoding)
+                    elif isinstance(record, Message):
+                        message_count += 1
+                        if topic := channels.get(record.channel_id):
+                            yield Raw(topic, self.types[topic], record.log_time,
+                                      _unpacked(record.data),
                                       partial(_again, data_at, start, index))
                 start = stream.tell()
                 self._progress((self._before + start) / self._total)
-        if damaged or not complete:
-            left_out = f', left out {damaged} damaged chunk(s)' if damaged else ''
-            self._warn_of_damage(path, f'read {count} messages{left_out}')
+        if damaged_chunks or not complete:
+            left_out = f', left out {damaged_chunks} damaged chunk(s)' if damaged_chunks else ''
+            self._warn_of_damage(path, f'read {message_count} messages{left_out}')
 
     def _from_database(self, path: Path) -> Iterator[Raw]:
         """Yield the messages in the order of recording: by time, two runs would look like one."""
@@ -161,7 +171,7 @@ def full_name(topic: str) -> str:
 
 
 def _files(path: Path) -> list[Path]:
-    """Return the storage files of a bag in recording order, which their numbers tell."""
+    """Return the storage files of a bag in the order of their numbers; raises InputError."""
     if not path.exists():
         raise InputError(f'{path}: no such file or folder; expected a rosbag2 folder, or an .mcap '
                          'or .db3 file')
@@ -177,7 +187,11 @@ def _files(path: Path) -> list[Path]:
 
 
 def _unpacked(data: bytes) -> bytes:
-    """Return a message, decompressed if the recorder compressed each one; CDR starts with 0."""
+    """
+    Return a message, decompressed if the recorder compressed each one.
+
+    No message starts like a compressed one: CDR starts with 0.
+    """
     if data[:4] != ZSTD_MAGIC:
         return data
     try:
@@ -206,7 +220,11 @@ def _expanded(record: McapRecord) -> list[Any] | None:
 
 
 def _again(find: Callable[[int], list[bytes]], place: int, index: int = 0) -> bytes:
-    """Return a message of a file again, of those at a place; empty if the file has changed."""
+    """
+    Return a message of a file again, b'' if the file has changed.
+
+    find: returns the messages at a place in the file; index: of the message among these.
+    """
     try:
         return _unpacked(bytes(find(place)[index]))
     except Exception:  # noqa: BLE001 - of what other bytes there may cause
@@ -214,7 +232,7 @@ def _again(find: Callable[[int], list[bytes]], place: int, index: int = 0) -> by
 
 
 def _in_chunk(path: Path, start: int) -> list[bytes]:
-    """Return the data of the records in that at a position of an .mcap file."""
+    """Return the data of each record in the chunk at a position of an .mcap file."""
     with path.open('rb') as stream:
         records = _expanded(next(_up_to_damage(stream, start)))
     return [getattr(record, 'data', b'') for record in records or ()]

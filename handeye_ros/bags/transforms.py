@@ -12,7 +12,6 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
-from functools import reduce
 
 from handeye_ros import se3
 from handeye_ros.data import Array, TimedPose
@@ -23,7 +22,7 @@ KEPT_TRANSFORMS = 1000  # transforms of a link: 10 s of a robot driver at 100 Hz
 
 
 class _Link:
-    """The transforms of a frame in its parent, in the order of their stamps."""
+    """The transforms of one frame in its parent, in the order of their stamps."""
 
     def __init__(self, parent: str, static: bool) -> None:
         self.parent = parent
@@ -45,10 +44,15 @@ class _Link:
 
 
 class FlangeTracker:
-    """Computes flange poses in the base from transforms, at the times of the last fast joint."""
+    """
+    Computes flange poses in the base from transforms.
+
+    Their times are those of one moving link: the nearest to the flange that is published at least
+    half as often as the most frequent one.
+    """
 
     def __init__(self, base: str, flange: str) -> None:
-        """Start with an empty tree."""
+        """Start with an empty tree; base, flange: the frame ids."""
         self._base = base.removeprefix('/')
         self._flange = flange.removeprefix('/')
         self._links: dict[str, _Link] = {}
@@ -62,9 +66,10 @@ class FlangeTracker:
 
     def add(self, transforms: Sequence[tuple[str, TimedPose]], static: bool) -> list[TimedPose]:
         """
-        Add the transforms of one message; return the poses that are now known.
+        Add the transforms of one message; return the poses T_base_flange that are now known.
 
-        transforms: as messages.transforms_from_cdr returns them.
+        transforms: child frames and their poses, as messages.transforms_from_cdr returns them;
+        static: whether they are of /tf_static.
         """
         for child, pose in transforms:
             link = self._links.get(child)
@@ -78,12 +83,12 @@ class FlangeTracker:
         if not chains or not moving:
             return []
         most = max(link.stream.count for link in moving)
-        timing = next(link for link in moving if 2 * link.stream.count >= most)
+        timing_link = next(link for link in moving if 2 * link.stream.count >= most)
         poses = []
-        for stamp in [p.stamp for p in timing.poses if p.stamp > self._sent_until]:
-            T_meet_flange, T_meet_base = (_product(chain, stamp) for chain in chains)
-            if T_meet_flange is not None and T_meet_base is not None:
-                T_base_flange = se3.inverse(T_meet_base) @ T_meet_flange
+        for stamp in [p.stamp for p in timing_link.poses if p.stamp > self._sent_until]:
+            T_ancestor_flange, T_ancestor_base = (_product(chain, stamp) for chain in chains)
+            if T_ancestor_flange is not None and T_ancestor_base is not None:
+                T_base_flange = se3.inverse(T_ancestor_base) @ T_ancestor_flange
                 poses.append(TimedPose(stamp, T_base_flange[:3, 3],
                                        se3.quaternion(T_base_flange), self._base))
                 self._sent_until = stamp
@@ -124,7 +129,11 @@ class FlangeTracker:
 
 
 def _product(chain: list[_Link], stamp: int) -> Array | None:
-    """Return the pose of the chain's first frame in its last parent; None if unknown."""
-    known = [T for link in chain if (T := link.at(stamp)) is not None]
-    return reduce(lambda product, T: T @ product, known, np.eye(4)) if (
-        len(known) == len(chain)) else None
+    """Return the pose (4, 4) of the chain's first frame in its last parent; None if unknown."""
+    product = np.eye(4)
+    for link in chain:
+        T_parent_child = link.at(stamp)
+        if T_parent_child is None:
+            return None
+        product = T_parent_child @ product
+    return product

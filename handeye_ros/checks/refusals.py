@@ -70,7 +70,7 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
             f' ({count_of(len(rejects), "stop")} gave none, most often: {reasons[0][0]})')
         enough = len(samples) + len(rejects) >= target.min_samples
         raise (UnexplainedError if enough else DataError)(
-            f'{len(samples)} usable samples{why}; {target.name} needs at least '
+            f'{len(samples)} usable samples{why}; target.type {target.name} needs at least '
             f'{target.min_samples}: take more, with the laser across the target', reason='few')
 
 

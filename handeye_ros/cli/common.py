@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Common to the verbs: arguments, reading of their files, and output.
+What the verbs have in common: arguments, reading of their files, output, exit codes.
 
 The slow imports are inside functions, here and in the verbs, so that help and wrong usage respond
 at once. No `from __future__ import annotations`, here and in the verbs: the typer of Jazzy (0.9)
@@ -57,12 +57,13 @@ INTERRUPTED_EXIT_CODE = 130
 @dataclass(frozen=True, eq=False)
 class OpenedInput:
     """
-    The input of a verb, and the settings it is read with.
+    What INPUT holds: the samples of a recording or of a session, or else a table.
 
-    session: the samples of a recording or a session
-    recording: where it was read
-    table: the content of a table of measured values instead
-    inputs: for the provenance of an answer
+    settings: with which it was read
+    inputs: path and sha256 of its files, for the provenance of an answer
+    session: the samples, None of a table
+    recording: the messages, None of a table, and of a session unless its joint values are read
+    table: the measured values, None of a recording and of a session
     """
 
     settings: 'Config'
@@ -77,7 +78,8 @@ def open_input(path: Path, config: Path | None, assignments: list[str], angles: 
     """
     Return what a bag, a session's folder or a table holds; print warnings about it.
 
-    arm: whose joint values are read, also those of a session.
+    arm: gives the poses from the joint values, which are then read, also those of a session; it
+    takes the place of the key kinematics. Raises InputError, DataError.
     """
     from handeye_ros.bags.session_files import is_session, read_session
     stored = read_session(path) if is_session(path) else None
@@ -105,23 +107,23 @@ def configuration(file: Path | None, assignments: list[str], base: 'Config | Non
     """
     Return the base (default: the defaults) with the keys of a file, and those set by hand.
 
-    angles: the notation of a table of poses; kinematics: a kinematics.yaml, with its frames.
+    angles: the notation of a table of poses; kinematics: a kinematics.yaml, whose frames are set
+    too. Of a key set twice the assignment counts. Raises InputError.
     """
     from handeye_ros.config import Config, load, with_assignments
     base = base or Config()
-    given = [f'target.angles={angles}'] if angles else []
+    by_options = [f'target.angles={angles}'] if angles else []
     if kinematics:
         from handeye_ros.arm import read_arm
         arm = read_arm(kinematics)
-        given += [f'kinematics={kinematics.absolute()}', f'robot_base_frame={arm.base}',
-                  f'robot_effector_frame={arm.flange}']
-    # what is set wins
-    return with_assignments(load(file, base) if file else base, [*given, *assignments])
+        by_options += [f'kinematics={kinematics.absolute()}', f'robot_base_frame={arm.base}',
+                       f'robot_effector_frame={arm.flange}']
+    return with_assignments(load(file, base) if file else base, [*by_options, *assignments])
 
 
 def open_calibration(file: Path, config: Path | None, assignments: list[str],
                      kinematics: Path | None = None) -> 'tuple[Calibration, Config]':
-    """Return a calibration, and the settings to measure with it."""
+    """Return a calibration, and the settings to measure with it; raises InputError."""
     from handeye_ros.config import load
     from handeye_ros.results.calibration_file import file_of, read_calibration, use_config
     calibration = read_calibration(file_of(file))
@@ -130,12 +132,12 @@ def open_calibration(file: Path, config: Path | None, assignments: list[str],
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a path is a file of measured values."""
+    """Return whether a path is a table of measured values, by its name."""
     return path.suffix == '.csv' and path.is_file()
 
 
 def read_bag(bag: Path, settings: 'Config', arm: 'Arm | None' = None) -> 'Recording':
-    """Return the contents of a bag, the poses those of an arm if given; print its warnings."""
+    """Return the messages of a bag, the poses those of an arm if given; print its warnings."""
     with progress_bar('reading the recording') as progress:
         from handeye_ros.bags.bag import read
         recording = read(bag, settings, progress, arm)
@@ -144,7 +146,7 @@ def read_bag(bag: Path, settings: 'Config', arm: 'Arm | None' = None) -> 'Record
 
 
 def collect_samples(recording: 'Recording', settings: 'Config') -> 'Session':
-    """Return the samples of a recording."""
+    """Return the session that the messages of a recording make; raises DataError."""
     with progress_bar('finding the samples'):
         from handeye_ros import pipeline
         return pipeline.gather(recording.profiles, recording.poses, settings)
@@ -160,11 +162,14 @@ def warn_of_frame(recording: 'Recording', calibration: 'Calibration') -> None:
 @contextmanager
 def stream_recording(bag: Path, settings: 'Config', task: str, calibration: 'Calibration'
                      ) -> 'Iterator[tuple[Recording, Trajectory, Callable[[str], None]]]':
-    """Give a recording profile by profile, its poses, and a function that changes the task."""
+    """
+    Give a recording whose profiles are read one by one, its poses, and what changes the task.
+
+    The stamps of the profiles are as recorded: what uses them adds the time offset.
+    """
     from handeye_ros.bags.bag import read
     from handeye_ros.sampling.trajectory import trajectory_of
     with progress_bar(task) as update:
-        # what uses the profiles adds the offset itself
         recording = read(bag, replace(settings, time_offset=0.0))
         warn_of_frame(recording, calibration)
         yield recording, trajectory_of(recording.poses, settings.sampling.max_pose_gap), update
@@ -179,20 +184,25 @@ def warn(*warnings: str) -> None:
 
 @contextmanager
 def progress_bar(task: str) -> Iterator[Callable[[str | float], None]]:
-    """Show a task on a terminal; gives a function of its name, or of the fraction that is done."""
+    """
+    Show a task on a terminal while the block runs.
+
+    Gives a function that takes another name of the task, or the fraction of it that is done.
+    """
     if not sys.stderr.isatty():
-        yield lambda now: None
+        yield lambda progress: None
         return
     from rich.console import Console
     from rich.progress import Progress
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        shown = bar.add_task(task, total=None)
-        yield lambda now: (bar.update(shown, description=now) if isinstance(now, str) else
-                           bar.update(shown, total=1.0, completed=now))
+        number = bar.add_task(task, total=None)
+        yield lambda progress: (
+            bar.update(number, description=progress) if isinstance(progress, str) else
+            bar.update(number, total=1.0, completed=progress))
 
 
 def show(renderable: Any) -> None:
-    """Print a table."""
+    """Print a table of rich."""
     from rich.console import Console
     console = Console()
     if not console.is_terminal:
@@ -201,10 +211,10 @@ def show(renderable: Any) -> None:
 
 
 class Verbs(TyperGroup):
-    """Turns errors into a sentence and an exit code."""
+    """The verbs, whose errors end with a sentence and an exit code instead of a traceback."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a verb."""
+        """Run the verb of a command line."""
         try:
             return super().invoke(ctx)
         except HandeyeError as error:
@@ -215,12 +225,12 @@ class Verbs(TyperGroup):
 
 
 def one_of(*names: str) -> Callable[[str], str]:
-    """Return a callback of an option that has one of some names as value."""
-    def known(name: str) -> str:
+    """Return what typer calls with the value of an option, to refuse all but some names."""
+    def checked(name: str) -> str:
         if name not in names:
             raise typer.BadParameter(f'{name!r} is not one of {", ".join(names)}')
         return name
-    return known
+    return checked
 
 
 app = typer.Typer(cls=Verbs, no_args_is_help=True, rich_markup_mode=None,

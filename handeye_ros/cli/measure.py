@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""What a calibrated robot measures, also points and seams, and whether it still can."""
+"""The verbs that use a calibration: to measure, scan and find seams; and whether it holds."""
 from itertools import chain
 import math
 from pathlib import Path
@@ -40,13 +40,13 @@ if TYPE_CHECKING:
     from handeye_ros.verification.check import Check
 
 NOT_AS_WANTED = 1  # exit code: measured, and not passed, or changed
-LARGEST_PLAIN = 10.0  # m: a larger plain number is taken for mm, and refused
-THINNING_SIZE = 2e-4  # m: edge of the cubes, each with one point
+LARGEST_PLAIN = 10.0  # a position without a unit that is larger was meant in mm: refused
+THINNING_SIZE = 2e-4  # m: edge of the cubes of which each keeps one point
 PATH_LINES = ('auto', 'centre', 'root', 'first', 'second')  # that the path of a tool may follow
 
 
 def _finite(value: float) -> float:
-    """Return the value of an option, an angle."""
+    """Return the angle of an option, which must be a finite number."""
     if not math.isfinite(value):
         raise typer.BadParameter(f'{value} is no angle')
     return value
@@ -109,25 +109,26 @@ def verify(
 
 def _passes(bags: list[Path], calibration: 'Calibration', config: 'Config'
             ) -> 'Iterator[tuple[Sequence[Profile], Trajectory]]':
-    """Yield the profiles and poses of each recording."""
+    """Yield the profiles and the poses of the pass in each recording."""
     for bag in bags:
-        with stream_recording(bag, config, 'reading the recording', calibration) as opened:
-            recording, trajectory, _ = opened
+        with stream_recording(bag, config, 'reading the recording', calibration) as (
+                recording, trajectory, _):
             yield list(recording.returns()), trajectory
 
 
 def _stops(bag: Path, calibration: 'Calibration', config: 'Config'
            ) -> 'tuple[Sequence[Sample], Sequence[Reject]]':
-    """Return what the stops of a recording give."""
+    """Return the samples of a recording, and its stops without one; print warnings."""
     recording = read_bag(bag, config)
     warn_of_frame(recording, calibration)
     session = collect_samples(recording, config)
-    _warn_of_own(bag, [sample.stamp for sample in session.samples], calibration)
+    _warn_of_calibration_samples(bag, [sample.stamp for sample in session.samples], calibration)
     return session.samples, session.rejects
 
 
-def _warn_of_own(bag: Path, stamps: 'Sequence[int]', calibration: 'Calibration') -> None:
-    """Warn where samples with some stamps (ns) are those of a calibration."""
+def _warn_of_calibration_samples(bag: Path, stamps: 'Sequence[int]', calibration: 'Calibration'
+                                 ) -> None:
+    """Warn where the samples with these stamps (ns) are those that a calibration was made of."""
     if not {report.stamp for report in calibration.samples if report.used}.isdisjoint(stamps):
         warn(f'{bag} holds stations that the calibration was made of: they agree with it too '
              'well; measure at others')
@@ -157,7 +158,7 @@ def check(
         warn_of_frame(recording, calibration)
         with progress_bar('comparing'):
             result = check_recording(recording.profiles, recording.poses, calibration, settings)
-        _warn_of_own(bag, [result.stamp], calibration)
+        _warn_of_calibration_samples(bag, [result.stamp], calibration)
         checks.append((str(bag), result))
         typer.echo(f'{bag} ({result.stations} stations): {result.verdict.upper()}: '
                    f'{result.sentence}')
@@ -173,12 +174,13 @@ def check(
 @app.command()
 def trend(
     folder: Annotated[Path, typer.Argument(
-        metavar='DIR', help='The folder below which all calibration.yaml are taken.')],
+        metavar='DIR', help='All calibration.yaml below this folder are compared.')],
     against: Annotated[NoPath, File(
-        help='The calibration that the others are compared with; default: the oldest.')] = None,
+        help='The calibration.yaml, or its folder, with which each of them is compared; default: '
+        'the oldest of them.')] = None,
     csv: Annotated[NoPath, File(help='Write the calibrations as CSV.')] = None,
 ) -> None:
-    """Show the trend of the calibrations below a folder."""
+    """Show how the calibrations below a folder changed with time."""
     from handeye_ros import trend as trends
     from handeye_ros.output import write_atomically
     from handeye_ros.results.calibration_file import file_of, read_calibration
@@ -218,9 +220,10 @@ def scan(
     sensor, settings = open_calibration(calibration, config, assignments, kinematics)
     scanner = Scanner(sensor, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
     count = scanner.count
-    with stream_recording(bag, settings, 'reading the poses', sensor) as (source, track, update):
+    with stream_recording(bag, settings, 'reading the poses', sensor) as (
+            recording, trajectory, update):
         def pieces() -> 'Iterator[Points]':
-            for points in scanner.scan(source.returns(), track):
+            for points in scanner.scan(recording.returns(), trajectory):
                 yield points
                 update(f'{count.profiles} profiles, {count.points} points')
         write_cloud(out, pieces(), f'frame {scanner.frame}, metres')
@@ -268,14 +271,14 @@ def seam(
     import numpy as np
     limits = [parse_length(text, '--box', LARGEST_PLAIN) for text in box]
     low, high = np.reshape(limits, (3, 2)).T
-    gap = parse_length(widest, '--widest', 0.1, 1e-4)
-    spacing = parse_length(pitch, '--pitch', 0.1, 1e-5)
-    begin = [parse_length(text, '--start', LARGEST_PLAIN, -1e3) for text in start if any(start)]
+    widest_m = parse_length(widest, '--widest', 0.1, 1e-4)
+    pitch_m = parse_length(pitch, '--pitch', 0.1, 1e-5)
+    start_m = [parse_length(text, '--start', LARGEST_PLAIN, -1e3) for text in start if any(start)]
     points, frame = _cloud(path, calibration, config, assignments)
     points = points[((points >= low) & (points <= high)).all(axis=1)]
     with progress_bar('looking for the seam'):
-        result = find_seam(points, gap, towards, line, begin or None)
-        frames = tool_frames(result, spacing, towards, math.radians(travel), math.radians(work))
+        result = find_seam(points, widest_m, towards, line, start_m or None)
+        frames = tool_frames(result, pitch_m, towards, math.radians(travel), math.radians(work))
     write(out, result, frames, frame)
     if bag:
         import time
@@ -289,7 +292,7 @@ def seam(
 
 def _cloud(path: Path, calibration: Path | None, config: Path | None, assignments: list[str]
            ) -> tuple['Array', str]:
-    """Return the points (n, 3) of a cloud or a bag, and their frame."""
+    """Return the points (n, 3) of a cloud or a bag (m), and the id of their frame."""
     from handeye_ros.errors import InputError
     from handeye_ros.scanning.cloud import CLOUD_SUFFIXES, read_cloud
     from handeye_ros.scanning.scan import Scanner, ScanOptions
@@ -301,6 +304,6 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
                          'calibration of its sensor: --calibration FILE')
     sensor, settings = open_calibration(calibration, config, assignments)
     scanner = Scanner(sensor, settings, ScanOptions(voxel=THINNING_SIZE))
-    with stream_recording(path, settings, 'scanning', sensor) as (source, track, _):
-        rows = np.concatenate(list(scanner.scan(source.returns(), track)))
+    with stream_recording(path, settings, 'scanning', sensor) as (recording, trajectory, _):
+        rows = np.concatenate(list(scanner.scan(recording.returns(), trajectory)))
     return np.column_stack([rows[axis] for axis in 'xyz']).astype(float), scanner.frame

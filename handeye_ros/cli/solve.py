@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The transform, by the estimator or by all of them; the samples; the node that takes them."""
+"""The verbs about the transform: find, compare, show and export it; its samples; the node."""
 from dataclasses import replace
 from importlib.util import find_spec
 import os
@@ -50,23 +50,23 @@ def solve(
     from handeye_ros.output import folder_name
     from handeye_ros.results import exports, table
     from handeye_ros.results.calibration_file import errors_against, true_transform
-    given = open_input(path, config, assignments, angles, kinematics)
-    settings = given.settings
+    opened = open_input(path, config, assignments, angles, kinematics)
+    settings = opened.settings
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
     T_true, causes = true_transform(path, bool(settings.kinematics)), None
-    if given.table:
+    if opened.table:
         from handeye_ros.tabulated.values import calibrate as calibrate_table
         if budget:
             raise InputError('--budget is of the profiles of a recording; the answer from a table '
                              'states its covariance only')
         with progress_bar('solving'):
-            calibration = calibrate_table(given.table)
+            calibration = calibrate_table(opened.table)
     else:
-        assert given.session
+        assert opened.session
         from handeye_ros import pipeline
         from handeye_ros.estimation.covariance import budget as budget_of
         with progress_bar('solving'):
-            answer = pipeline.answer_session(given.session, settings)
+            answer = pipeline.answer_session(opened.session, settings)
         if budget and answer.samples_agree:
             solution = answer.require_solution()
             causes = table.budget_table(budget_of(solution), len(solution.used))
@@ -75,15 +75,16 @@ def solve(
         calibration = answer.require_calibration()
         warn(*calibration.provenance.get('warnings', ()))
         calibration = replace(calibration, provenance={
-            **calibration.provenance, 'inputs': given.inputs})
+            **calibration.provenance, 'inputs': opened.inputs})
     saved = exports.save_all(calibration, folder, settings.save.formats)
     show(table.table(calibration))
     if causes:
         show(causes)
     if T_true is not None:
         errors = errors_against(calibration.T_flange_sensor, T_true,
-                                given.table.field() if given.table else None)
-        typer.echo(table.error_sentence(errors, *([given.table.over] if given.table else [])))
+                                opened.table.field() if opened.table else None)
+        region = opened.table.field_text if opened.table else 'the field of view'
+        typer.echo(table.error_sentence(errors, region))
     typer.echo(saved)
 
 
@@ -115,8 +116,8 @@ def samples(
     """Show the samples of a session, the worst first."""
     from handeye_ros import pipeline
     from handeye_ros.review import samples_table
-    given = open_input(path, config, assignments)
-    settings, session = given.settings, given.session
+    opened = open_input(path, config, assignments)
+    settings, session = opened.settings, opened.session
     if session is None:
         raise InputError(f'{path} is a table of measured values, without samples')
     with progress_bar('comparing the samples'):
@@ -194,16 +195,16 @@ def compare(
     from handeye_ros import compare as comparing
     from handeye_ros.output import write_atomically, yaml_text
     from handeye_ros.results.calibration_file import true_transform
-    given = open_input(path, config, assignments, angles)
-    T_true = true_transform(path, bool(given.settings.kinematics))
+    opened = open_input(path, config, assignments, angles)
+    T_true = true_transform(path, bool(opened.settings.kinematics))
     with progress_bar('comparing') as update:
-        if given.table:
-            comparison = comparing.compare_files(given.table, T_true, progress=update)
+        if opened.table:
+            comparison = comparing.compare_files(opened.table, T_true, progress=update)
         else:
-            assert given.session
+            assert opened.session
             comparison = comparing.compare(
-                given.session.samples, given.session.rejects, given.settings, T_true,
-                progress=update, session=given.session)
+                opened.session.samples, opened.session.rejects, opened.settings, T_true,
+                progress=update, session=opened.session)
     show(comparing.tables(comparison))
     if comparison.refusal:
         raise comparison.refusal

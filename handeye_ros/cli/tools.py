@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The verbs around it: errors of the arm, many recordings, playing and making recordings."""
+"""The other verbs: errors of the arm; many recordings; publish and simulate a recording."""
 from collections import Counter
 from importlib import import_module
 from pathlib import Path
@@ -38,7 +38,7 @@ def kinematics(
     sources: Annotated[list[Path], typer.Argument(metavar='SOURCE...', help=(
         'A bag with profiles and joint values, a session, or a table of joint values and measured '
         'points (CSV). Several bags or sessions, each with a target at another place, are '
-        'solved together.'))],
+        'solved together. State their target, as in --set target.type=sphere.'))],
     urdf: Annotated[Path, File(help='The URDF of the robot.')],
     base: Annotated[str, typer.Option(help='The link that the arm stands on; default: the root '
                                            'of the URDF.')] = '',
@@ -65,14 +65,14 @@ def kinematics(
         with progress_bar('solving'):
             answer = solve_table(tables[0], arm, settings, [*map(input_values, (*tables, urdf))])
     else:
-        read = []
+        measured = []
         for path in sources:
-            given = open_input(path, config, assignments, arm=arm)
-            assert given.session and given.recording
-            read.append(source_of(given.session, given.recording, arm, given.settings,
-                                  given.inputs))
+            opened = open_input(path, config, assignments, arm=arm)
+            assert opened.session and opened.recording
+            measured.append(source_of(opened.session, opened.recording, arm, opened.settings,
+                                      opened.inputs))
         with progress_bar('solving'):
-            answer = solve_sources(read, arm, [input_values(urdf)])
+            answer = solve_sources(measured, arm, [input_values(urdf)])
     warn(*answer.warnings)
     show(table(answer))
     typer.echo(answer.save(text, out, settings.save.formats))
@@ -122,8 +122,8 @@ def batch(
                 progress(len(rows) / len(jobs))
         batches.write_table(rows, out)
     except KeyboardInterrupt:
-        done = sum(batches.unchanged(job, out) is not None for job in jobs)
-        typer.echo(f'{done} of {len(jobs)} done; run again to continue', err=True)
+        done_count = sum(batches.unchanged(job, out) is not None for job in jobs)
+        typer.echo(f'{done_count} of {len(jobs)} done; run again to continue', err=True)
         raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
     counts = Counter(map(batches.outcome_of, rows)).items()
     computed = sum(row['computed'] for row in rows)
@@ -138,7 +138,7 @@ def replay(
 ) -> None:
     """Publish a recording on its topics (needs ROS)."""
     try:
-        import_module('rclpy')  # told first: without ROS its message packages are missing too
+        import_module('rclpy')  # first: without ROS its message packages are missing too
         from handeye_ros.node.replay import replay as publish
     except ModuleNotFoundError as error:
         raise NoRosError('replay', str(error.name)) from error
@@ -174,7 +174,6 @@ def simulate(
     if scenario not in _scenarios():
         raise UnknownNameError('scenario', scenario, _scenarios(),
                                'handeye simulate --list')
-
     with progress_bar('simulating'):
         content = write_simulated(scenario, seed, directory, force)
     typer.echo(f'wrote {directory.absolute()}: {content}')
@@ -182,9 +181,10 @@ def simulate(
 
 def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> str:
     """
-    Write the folder of a scenario or of a scene of files; return its content in words.
+    Write the folder of a scenario, of a scene of files or of MEASURING_CELL.
 
-    force: replace an existing folder. Raises InputError, UnwritableError.
+    Returns its content in words. force: an existing folder is replaced. Raises InputError,
+    UnwritableError.
     """
     from handeye_ros.bags import bag_write
     from handeye_ros.output import yaml_text
@@ -201,23 +201,25 @@ def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> 
         recordings, true_values = measuring.measuring_cell(rng)
         truth |= true_values
 
-        def fill(new: Path) -> None:
-            new.mkdir()
+        def write_recordings(new_folder: Path) -> None:
+            new_folder.mkdir()
             for part, messages in recordings.items():
-                bag_write.write(new / part, messages.profiles, messages.poses, truth=truth)
-            points = measuring.preform_cloud(measuring.Preform(), np.random.default_rng(seed)
-                                             ).points
-            rows = unstructured_to_structured(points, np.dtype([(axis, '<f4') for axis in 'xyz']))
-            write_cloud(new / PREFORM_FILE, [rows], 'frame base, metres')
+                bag_write.write(new_folder / part, messages.profiles, messages.poses, truth=truth)
+            cloud = measuring.preform_cloud(measuring.Preform(), np.random.default_rng(seed))
+            rows = unstructured_to_structured(cloud.points,
+                                              np.dtype([(axis, '<f4') for axis in 'xyz']))
+            write_cloud(new_folder / PREFORM_FILE, [rows], 'frame base, metres')
 
-        bag_write.write_folder(folder, {TRUTH_NAME: yaml_text(truth)}, fill, force)
+        bag_write.write_folder(folder, {TRUTH_NAME: yaml_text(truth)}, write_recordings, force)
         return ', '.join([*recordings, PREFORM_FILE])
     scenario = SCENARIOS.get(name) or FAULTS.get(name)
-    made = simulate(scenario, rng) if scenario else FILE_SCENES[name](rng)
-    truth |= made.true_values
-    if not made.profiles:
-        bag_write.write_folder(folder, {**made.tables, TRUTH_NAME: yaml_text(truth)}, force=force)
-        return ', '.join(made.tables)
-    bag_write.write(folder, made.profiles, made.poses, truth=truth, tables=made.tables,
-                    force=force, joints=made.joints)
-    return ', '.join([f'{len(made.profiles)} profiles', f'{len(made.poses)} poses', *made.tables])
+    simulated = simulate(scenario, rng) if scenario else FILE_SCENES[name](rng)
+    truth |= simulated.true_values
+    if not simulated.profiles:
+        bag_write.write_folder(folder, {**simulated.tables, TRUTH_NAME: yaml_text(truth)},
+                               force=force)
+        return ', '.join(simulated.tables)
+    bag_write.write(folder, simulated.profiles, simulated.poses, truth=truth,
+                    tables=simulated.tables, force=force, joints=simulated.joints)
+    return ', '.join([f'{len(simulated.profiles)} profiles', f'{len(simulated.poses)} poses',
+                      *simulated.tables])

@@ -1,9 +1,9 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Writes and reads calibration.yaml; reads truth.yaml of simulated recordings, errors against it.
+Writes and reads calibration.yaml; reads truth.yaml of simulated recordings; errors against it.
 
-A refusal names the file and the key.
+A refusal of a file names it and the key.
 """
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from typing import Any, cast, get_args, get_type_hints, TypeVar
 
 from handeye_ros import __version__, se3
 from handeye_ros.config import Config, from_provenance, read_yaml
-from handeye_ros.data import Array, Calibration, ClockEstimate, Quality, SampleReport
+from handeye_ros.data import Array, Calibration, ClockEstimate, Quality, rms, SampleReport
 from handeye_ros.errors import path_of, require_type, unusable_file
 from handeye_ros.output import write_atomically, yaml_text
 import numpy as np
@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 Kind = TypeVar('Kind')
 
 FORMAT = 'handeye_ros/calibration/'
-NEWEST = 1  # number of each format that is read again
+NEWEST = 1  # largest number of a format that is understood, of each format that is read again
 NAME, TRUTH_NAME = 'calibration.yaml', 'truth.yaml'
 SIDE_POINTS = 13  # points along each side of the field of view: fewer would be mostly its corners
 FIELD_TEXT = 'x within +-20 mm, range 160-190 mm'
@@ -58,12 +58,12 @@ def dated(calibration: Calibration) -> Calibration:
 
 
 def one_line(text: str) -> str:
-    """Return a text without line ends, safe inside a comment."""
+    """Return a text in one line, as in a comment."""
     return ' '.join(text.split())
 
 
 def text(calibration: Calibration) -> str:
-    """Return the content of the file."""
+    """Return the content of calibration.yaml: comments that explain it, and the values."""
     header = ''.join(f'# {line}\n' for line in preamble(calibration))
     return header + yaml_text(content_of(calibration))
 
@@ -84,7 +84,7 @@ def preamble(calibration: Calibration, units: str = SI_TEXT) -> tuple[str, ...]:
 
 
 def content_of(calibration: Calibration) -> dict[str, Any]:
-    """Return what the file holds, by key; arrays as such."""
+    """Return the values that calibration.yaml holds, by key; arrays as such."""
     T, offset = calibration.T_flange_sensor, calibration.time_offset
     provenance = dict(calibration.provenance)
     config = provenance.pop('config', {})
@@ -115,7 +115,12 @@ def config_of(calibration: Calibration) -> Config:
 
 
 def use_config(calibration: Calibration, config: Config | None = None) -> Config:
-    """Return the configuration to measure with a calibration: its own or config, at rest."""
+    """
+    Return the configuration to measure with a calibration, with its time offset.
+
+    That is config or, without one, that of the calibration; where samples would be taken in motion
+    they are taken at stops.
+    """
     config = config or config_of(calibration)
     if calibration.time_offset:
         config = replace(config, time_offset=calibration.time_offset.value)
@@ -155,7 +160,7 @@ def read_calibration(path: Path | str) -> Calibration:
 
 
 def _require_estimates(path: Path, target: dict[str, Any]) -> None:
-    """Raise InputError for a damaged estimate; what has another name may be anything."""
+    """Raise InputError for an estimate of target that is damaged; of unknown keys any is good."""
     for key, value in target.items():
         name = f'target.{key}'
         if key == 'pose':
@@ -178,11 +183,11 @@ def value_of(path: Path, key: str, value: Any, kind: type[Kind]) -> Kind:
     only its fields with a default may be missing.
     """
     if is_dataclass(kind):
-        given, types = value_of(path, key, value, dict), _types_of(kind)
+        values, types = value_of(path, key, value, dict), _types_of(kind)
         names = [item.name for item in fields(kind)
-                 if item.default is MISSING or given.get(item.name) is not None]
+                 if item.default is MISSING or values.get(item.name) is not None]
         return cast(Kind, kind(**{
-            name: value_of(path, f'{key}.{name}', given.get(name), types[name])
+            name: value_of(path, f'{key}.{name}', values.get(name), types[name])
             for name in names}))
     problem = ''
     if value is None:
@@ -198,7 +203,7 @@ def value_of(path: Path, key: str, value: Any, kind: type[Kind]) -> Kind:
 
 @cache
 def _types_of(kind: Any) -> dict[str, Any]:
-    """Return the type of each field of a dataclass; of "float | None" float."""
+    """Return the type of each field of a dataclass by name; of "float | None" float."""
     return {name: (*get_args(hint), hint)[0] for name, hint in get_type_hints(kind).items()}
 
 
@@ -211,21 +216,21 @@ def numbers_of(path: Path, key: str, value: Any, count: int | None = None) -> Ar
 
 
 def transform_from(path: Path, key: str, value: Any) -> Array:
-    """Return the transform (4, 4) of plain values, which a file holds under a key."""
-    parts, found = value_of(path, key, value, dict), dict[str, dict[str, float]]()
+    """Return the transform (4, 4) of the values under a key of a file; raises InputError."""
+    given, checked = value_of(path, key, value, dict), dict[str, dict[str, float]]()
     for part, axes in (('translation', 'xyz'), ('rotation', 'xyzw')):
-        values = value_of(path, f'{key}.{part}', parts.get(part), dict)
-        found[part] = {axis: value_of(path, f'{key}.{part}.{axis}', values.get(axis), float)
-                       for axis in axes}
-    length = math.hypot(*found['rotation'].values())
+        values = value_of(path, f'{key}.{part}', given.get(part), dict)
+        checked[part] = {axis: value_of(path, f'{key}.{part}.{axis}', values.get(axis), float)
+                         for axis in axes}
+    length = math.hypot(*checked['rotation'].values())
     if abs(length - 1) > 1e-6:
         raise unusable_file(path, f'{key}.rotation is a quaternion of length {length:.6g}, '
                             'expected 1')
-    return se3.from_values(found)
+    return se3.from_values(checked)
 
 
 def _require_same_rotation(path: Path, rpy: Array, T: Array) -> None:
-    """Raise for angles (3,) that were edited without the quaternion, which is the one used."""
+    """Raise InputError for angles (3,) that were edited without the quaternion, which counts."""
     R = Rotation.from_euler('xyz', rpy).inv() * Rotation.from_matrix(T[:3, :3])
     if R.magnitude() > SAME_ROTATION:
         raise unusable_file(path, 'rpy and transform.rotation differ by '
@@ -234,7 +239,11 @@ def _require_same_rotation(path: Path, rpy: Array, T: Array) -> None:
 
 
 def require_format(path: Path, text: str, kind: str) -> None:
-    """Raise InputError for another format than the kind and its number NEWEST, or less."""
+    """
+    Raise InputError for a file of another format, or of a newer number than NEWEST.
+
+    text: the format in the file, kind and number; kind: the one expected, with a / at the end.
+    """
     number = text.removeprefix(kind)
     if number == text or not number.isdecimal():
         raise unusable_file(path, f'its format is "{text}", expected {kind}{NEWEST}')
@@ -279,18 +288,18 @@ def errors_against(T_est: Array, T_true: Array, field: Array | None = None) -> E
     """
     Return the errors of T_flange_sensor (4, 4) against the true one.
 
-    field: points (k, 3) in the sensor frame that are mapped, field_points when not given. The
+    field: points (k, 3) in the sensor frame that are mapped (m), field_points when not given. The
     RMS of |(T_est - T_true) p| is the error in use; that of the translation alone is dominated by
     the lever arm of the rotation.
     """
     delta, points = se3.difference(T_est, T_true), field_points() if field is None else field
-    away = se3.apply(T_est, points) - se3.apply(T_true, points)
+    distances = np.linalg.norm(se3.apply(T_est, points) - se3.apply(T_true, points), axis=1)
     return Errors(float(np.linalg.norm(delta[:3])), float(np.linalg.norm(delta[3:])),
-                  float(np.sqrt((away ** 2).sum(axis=1).mean())))
+                  rms(distances))
 
 
 def field_points(x: tuple[float, float] = (-0.02, 0.02), z: tuple[float, float] = (0.16, 0.19)
                  ) -> Array:
-    """Return a grid (k, 3) in the sensor plane, along the line within x, in range within z."""
+    """Return a grid of points (k, 3) in the sensor plane (m): x along the line, z the range."""
     along, across = np.meshgrid(np.linspace(*x, SIDE_POINTS), np.linspace(*z, SIDE_POINTS))
     return np.column_stack([along.ravel(), np.zeros(along.size), across.ravel()])

@@ -81,7 +81,7 @@ def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> s
 
 
 def by_template(calibration: Calibration, template: str) -> str:
-    """Return a text by its template in results/assets."""
+    """Return the text that a template in results/assets makes of a calibration."""
     T = calibration.T_flange_sensor
     # ROS takes letters, digits and underscores in the name of a node
     node = 'publish_' + re.sub(r'\W', '_', calibration.child_frame, flags=re.ASCII)
@@ -144,9 +144,9 @@ FORMATS = {
 @dataclass(frozen=True)
 class Saved:
     """
-    The files, and the folder with the previous ones; absolute paths.
+    The files of a saved answer, and the folder with those of the previous one; absolute paths.
 
-    unchanged: whether they were there already, and with this content.
+    unchanged: whether the files were there already, with this content.
     """
 
     files: tuple[Path, ...]
@@ -175,10 +175,10 @@ def save_all(calibration: Calibration, folder: Path, formats: Sequence[str] = (Y
     folder are of one answer. Raises UnknownNameError and UnwritableError.
     """
     calibration = calibration_file.dated(calibration)
-    forms = [format_of(name) for name in dict.fromkeys((YAML, *formats))]
-    own_names = {form.file_name(calibration) for form in FORMATS.values()} | {REPORT_FILE}
-    return write({form.file_name(calibration): form.text(calibration) for form in forms},
-                 folder.expanduser().absolute(), own_names)
+    chosen = [format_of(name) for name in dict.fromkeys((YAML, *formats))]
+    result = {form.file_name(calibration) for form in FORMATS.values()} | {REPORT_FILE}
+    return write({form.file_name(calibration): form.text(calibration) for form in chosen},
+                 folder.expanduser().absolute(), result)
 
 
 def export(calibration: Calibration, name: str, file: Path) -> Saved:
@@ -202,17 +202,17 @@ def write(texts: Mapping[str, str], folder: Path, result: set[str]) -> Saved:
     files = tuple(folder / name for name in texts)
     history = folder / HISTORY_FOLDER / datetime.now(UTC).strftime('%Y-%m-%dT%H%M%S.%fZ')
     with write_errors_for(folder):
-        there = {name: (folder / name).read_bytes() for name in result
-                 if (folder / name).is_file()}
-        if {name: content for name, content in there.items() if name != REPORT_FILE} == {
+        existing = {name: (folder / name).read_bytes() for name in result
+                    if (folder / name).is_file()}
+        if {name: content for name, content in existing.items() if name != REPORT_FILE} == {
                 name: text.encode() for name, text in texts.items()}:
             return Saved(files, unchanged=True)
-        if there:
+        if existing:
             history.mkdir(parents=True)
-        for name in there:
+        for name in existing:
             shutil.copy2(folder / name, history / name)
             if name not in texts:
                 (folder / name).unlink()
     for file, text in zip(files, texts.values(), strict=True):
         write_atomically(file, text)
-    return Saved(files, history if there else None)
+    return Saved(files, history if existing else None)

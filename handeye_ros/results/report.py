@@ -34,11 +34,11 @@ SAME_ANSWER = 0.1  # sigmas: two answers of the same recording agree so well
 @dataclass(frozen=True, eq=False)
 class SolvedRecording:
     """
-    The stops of a recording, and its answer.
+    The stops of a recording, and what it answers now.
 
-    calibration: None where the recording is refused
-    refusal: the reason for it
-    missing: why there is no recording to show
+    calibration: None where it is refused, and without a recording
+    refusal: why it is refused
+    missing: why there is no recording
     """
 
     stops: tuple[StopSnapshot, ...] = ()
@@ -48,17 +48,17 @@ class SolvedRecording:
 
 
 def html(calibration: Calibration, recording: SolvedRecording) -> str:
-    """Return the text of the report."""
+    """Return the report as HTML."""
     config = config_of(calibration)
     seen = in_plane(f for stop in recording.stops if stop.used for f in stop.features)
     good, sentence = verdict(calibration, recording, in_sensor(seen, config))
-    drawn = scene(calibration, recording.stops, config)
+    picture = scene(calibration, recording.stops, config)
     return rendered(
         'report.html', c=calibration, good=good, sentence=sentence, table=table,
         remarks=list(_remarks(calibration, recording)),
         matrix=exports.FORMATS['matrix'].text(calibration),
         joint=exports.by_template(calibration, 'joint.xacro.jinja'),
-        scene=drawn, legend={part['name']: part['color'] for part in drawn['parts']}.items(),
+        scene=picture, legend={part['name']: part['color'] for part in picture['parts']}.items(),
         stops=recording.stops, settings=configuration.flatten(config).items(),
         profiles=[profile_picture(seen, ()),
                   *(profile_picture(stop.points, stop.features) for stop in recording.stops)])
@@ -66,7 +66,11 @@ def html(calibration: Calibration, recording: SolvedRecording) -> str:
 
 def verdict(calibration: Calibration, recording: SolvedRecording, visible: Array
             ) -> tuple[bool, str]:
-    """Return whether nothing is wrong, and a sentence; visible: points (k, 3) of the sensor."""
+    """
+    Return whether the calibration may be relied on, and a sentence.
+
+    visible: points (k, 3) that were seen, in the sensor frame (m).
+    """
     if wrong := contradiction(calibration, recording):
         return False, f'Do not rely on this calibration: {wrong}'
     points, region = (visible, 'the points that were seen') if len(visible) else (
@@ -92,6 +96,7 @@ def contradiction(calibration: Calibration, recording: SolvedRecording) -> str:
 
 
 def _remarks(calibration: Calibration, recording: SolvedRecording) -> Iterator[str]:
+    """Yield what else the reader of a report should know, one sentence each."""
     quality = calibration.quality
     if 'note' in calibration.target:
         yield str(calibration.target['note'])
@@ -104,6 +109,6 @@ def _remarks(calibration: Calibration, recording: SolvedRecording) -> Iterator[s
 
 
 def mapped_std(calibration: Calibration, points: Array) -> float:
-    """Return the RMS 1 sigma (metres) of points (k, 3) mapped into the parent frame."""
-    arms = points @ calibration.T_flange_sensor[:3, :3].T
-    return float(se3.mapped_std(arms, calibration.covariance))
+    """Return the RMS 1 sigma (m) of points (k, 3) of the sensor, mapped into the parent frame."""
+    levers = points @ calibration.T_flange_sensor[:3, :3].T
+    return float(se3.mapped_std(levers, calibration.covariance))

@@ -51,8 +51,9 @@ def formatted(value: float | None, unit: str) -> str:
 
 def decision(deviation: float, U: float, tolerance: float) -> str:
     """Return the decision of ISO 14253-1 on a deviation with its expanded uncertainty U."""
-    size = abs(deviation)
-    return CONFORMS if size + U <= tolerance else VIOLATES if size - U > tolerance else UNDECIDED
+    if abs(deviation) + U <= tolerance:
+        return CONFORMS
+    return VIOLATES if abs(deviation) - U > tolerance else UNDECIDED
 
 
 def title_of(content: Mapping[str, Any]) -> str:
@@ -61,16 +62,17 @@ def title_of(content: Mapping[str, Any]) -> str:
 
 
 def table_rows(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield the measured values: a name, and the texts of TABLE_COLUMNS."""
-    for q in content['quantities']:
-        nominal, U, error, decided = q['nominal'], content['k'] * q['std'], None, ''
+    """Yield name and texts of TABLE_COLUMNS of each quantity, then of each of FIGURE_ROWS."""
+    for quantity in content['quantities']:
+        value, nominal, unit = (quantity[key] for key in ('value', 'nominal', 'unit'))
+        U, deviation, decided = content['k'] * quantity['std'], None, ''
         if nominal is not None:
-            error = q['value'] - nominal
-            decided = decision(error, U, content[
-                'tolerance' if q['unit'] == 'm' else 'angle_tolerance'])
-        claimed = q['claimed'] or None  # a scatter claims nothing
-        figures = (formatted(v, q['unit']) for v in (q['value'], nominal, error, U, claimed))
-        yield q['name'], (*figures, decided)
+            deviation = value - nominal
+            decided = decision(deviation, U,
+                               content['tolerance' if unit == 'm' else 'angle_tolerance'])
+        claimed = quantity['claimed'] or None  # a scatter claims nothing
+        figures = (formatted(figure, unit) for figure in (value, nominal, deviation, U, claimed))
+        yield quantity['name'], (*figures, decided)
     for name, key, unit in FIGURE_ROWS:
         yield name, (formatted({**content, **content['scatter']}[key], unit), *[''] * 5)
 
@@ -119,10 +121,11 @@ def protocol(content: Mapping[str, Any]) -> str:
 
 
 def _characteristics(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str, str]]:
-    """Yield symbol, meaning, object, value and U of each characteristic."""
-    for q in content['quantities']:
-        meaning, factor = CHARACTERISTICS.get(q['characteristic'], ('', 0.0))
-        if meaning and (q['nominal'] is not None or q['characteristic'] in ('PF', 'F')):
-            value = factor * (q['value'] - (q['nominal'] or 0.0))
-            yield (q['characteristic'], meaning, q['name'], formatted(value, q['unit']),
-                   formatted(factor * content['k'] * q['std'], q['unit']))
+    """Yield symbol, meaning, object, value and U of each characteristic that was measured."""
+    for quantity in content['quantities']:
+        symbol, nominal, unit = (quantity[key] for key in ('characteristic', 'nominal', 'unit'))
+        meaning, factor = CHARACTERISTICS.get(symbol, ('', 0.0))
+        if meaning and (nominal is not None or symbol in ('PF', 'F')):
+            yield (symbol, meaning, quantity['name'],
+                   formatted(factor * (quantity['value'] - (nominal or 0.0)), unit),
+                   formatted(factor * content['k'] * quantity['std'], unit))

@@ -1,11 +1,11 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Space curves through noisy points, with position and tangent at t.
+Curves in space through noisy points.
 
-The cubic is that of Wu 2017 (eqs. 7 and 8), a spline without inner knots. Where it does not fit, a
-spline with a knot every few centimetres is used, or with more of them where cross validation finds
-that the points bend more.
+A spline has a knot every few centimetres, or more of them where cross validation finds that the
+points bend more. Where the cubic of Wu 2017 (eqs. 7 and 8), a spline without inner knots, is close
+to it, that is used.
 """
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_lsq_spline
 
 KNOT_SPACING = 0.03  # m between the knots of a spline
-PIECES_TRIED = 1, 2, 4  # between these knots
+PIECES_TRIED = 1, 2, 4  # number of pieces between these knots
 STIFF_ONLY = PIECES_TRIED[:1]
 CUBIC_ENOUGH = 4e-5  # m RMS between cubic and spline, up to which the cubic is used
 OUTLIER_SIGMAS = 3.5  # sigmas of points that are left out
@@ -30,8 +30,10 @@ LENGTH_POINTS = 2000  # points of a curve for its length
 @dataclass(frozen=True, eq=False)
 class Curve:
     """
-    A cubic B-spline in space (m), over t (m) from first to last; without inner knots a cubic.
+    A cubic B-spline in space; without inner knots it is a cubic.
 
+    bspline: position (m) by the parameter t, roughly a length (m)
+    first, last: t at the ends
     covariance: (k, k) of its coefficients, summed over x, y, z (m^2)
     """
 
@@ -69,9 +71,9 @@ class Curve:
         return replace(self, bspline=cubic, covariance=unknown) if is_close else self
 
     def std(self, t: Array) -> Array:
-        """Return 1 sigma (k,) of the points at t (k,), in 3 dimensions (m)."""
-        b = BSpline.design_matrix(t, self.bspline.t, 3, extrapolate=True).toarray()
-        return np.asarray(np.sqrt(np.einsum('ki,ij,kj->k', b, self.covariance, b)))
+        """Return 1 sigma (k,) of the points at t (k,), as a length in space (m)."""
+        basis = BSpline.design_matrix(t, self.bspline.t, 3, extrapolate=True).toarray()
+        return np.asarray(np.sqrt(np.einsum('ki,ij,kj->k', basis, self.covariance, basis)))
 
     @property
     def length(self) -> float:
@@ -80,7 +82,7 @@ class Curve:
 
     @cached_property
     def arc(self) -> tuple[Array, Array]:
-        """Return arc lengths from the first point (m), and t there."""
+        """Return the arc lengths (LENGTH_POINTS,) from the first point (m), and t there."""
         t = np.linspace(self.first, self.last, LENGTH_POINTS)
         points = self.position(t)
         steps = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
@@ -89,15 +91,15 @@ class Curve:
 
 def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> Curve:
     """
-    Return the smoothing spline through points (n, 3) at increasing t (n,).
+    Return the smoothing spline through points (n, 3) at increasing t (n,), without outliers.
 
-    Least squares, with the number of pieces that generalised cross validation finds, each
-    coefficient counted 1.5 times (Kim and Gu 2004: 1.4, else too many); outliers are left out.
+    pieces: numbers of pieces between knots of which generalised cross validation takes the best,
+    with each coefficient counted 1.5 times (Kim and Gu 2004: 1.4, else too many).
     """
     inliers = np.ones(len(t), dtype=bool)
-    for flexible in range(1, 5):  # first a stiff one, which does not follow outliers
-        good = t[inliers], points[inliers]
-        curve = min((_spline_through(*good, n) for n in pieces[:flexible]), key=itemgetter(0))[1]
+    for choices in range(1, 5):  # first a stiff one alone, which does not follow outliers
+        fits = (_spline_through(t[inliers], points[inliers], n) for n in pieces[:choices])
+        curve = min(fits, key=itemgetter(0))[1]
         distance = np.linalg.norm(curve.position(t) - points, axis=1)
         # a flexible one would follow some wrong points in a row, which widen the mean square
         scatter = (robust_std if len(pieces) > len(STIFF_ONLY) else rms)(distance[inliers])

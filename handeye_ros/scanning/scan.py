@@ -57,7 +57,11 @@ class ScanOptions:
 
 @dataclass
 class ScanCount:
-    """Numbers of profiles and returns, and of those dropped."""
+    """
+    Numbers of profiles and of their returns so far.
+
+    without_pose: profiles without points; out_of_limits, thinned: returns that are left out.
+    """
 
     profiles: int = 0
     without_pose: int = 0
@@ -73,14 +77,14 @@ class ScanCount:
 
 class Scanner:
     """
-    Maps profiles to points in the base, live and offline.
+    Maps profiles to points in the base (with eye_on_base in the flange), live and offline.
 
-    frame: that of the points; count: the numbers so far
+    frame: the id of the frame of the points; count: the numbers so far
     """
 
     def __init__(self, calibration: Calibration, config: Config,
                  options: ScanOptions | None = None) -> None:
-        """Start without profiles."""
+        """Start without profiles; without options all points are kept."""
         self.calibration, self.config, self.frame = calibration, config, target_frame(config)
         self.options = options or ScanOptions()
         self.count = ScanCount()
@@ -121,7 +125,7 @@ class Scanner:
         return self._one_in_each_cube(cloud) if self.options.voxel > 0 else cloud
 
     def _one_in_each_cube(self, cloud: Points) -> Points:
-        """Return the points that are the first in their cube."""
+        """Return the points that are the first in their cube, in their order."""
         points = np.stack([cloud['x'], cloud['y'], cloud['z']], axis=1)
         cell = np.floor(points / self.options.voxel).astype(np.int64) & (1 << CELL_BITS) - 1
         cubes, first = np.unique(cell @ [1 << 2 * CELL_BITS, 1 << CELL_BITS, 1],
@@ -133,6 +137,7 @@ class Scanner:
 
     def _of_profile(self, fields: np.dtype[np.void], profile: Profile, T_base_sensor: Array,
                     pose_std: Array) -> Points:
+        """Return the points of a profile; T_base_sensor: (4, 4); pose_std: see point_std."""
         keep = self._within_limits(profile.points)
         points = profile.points[keep]
         axes = unit_vectors(profile.axes)
@@ -149,10 +154,10 @@ class Scanner:
         return cloud
 
     def _within_limits(self, points: Array) -> NDArray[np.bool_]:
-        """Return which points are returns within the limits."""
+        """Return which points (n, 2) are returns within the limits; count them."""
         is_return, z = np.isfinite(points).all(axis=1), points[:, 1]
         keep = is_return & (z >= self.options.nearest) & (z <= self.options.farthest)
-        if self.options.incidence < np.pi / 2:  # the slopes take as long as all the rest
+        if self.options.incidence < np.pi / 2:  # only then: they take half of the time
             keep[keep] = _incidence(points[keep]) <= self.options.incidence
         self.count.returns += int(is_return.sum())
         self.count.out_of_limits += int(is_return.sum()) - int(keep.sum())

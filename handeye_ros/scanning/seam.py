@@ -45,12 +45,12 @@ class Seam:
 
     kind: v, butt, lap or fillet
     line: the name of the curve that the path follows
-    curves: through first and second edge, root and centre
+    curves: by name: through the first and the second edge, the root and the centre
     curve: that of the path, a cubic if that is close to it
-    normals: through the directions out of the part, mean of those of the sheets
-    distances: (k,) of the sections from the root (m)
+    normals: through the directions out of the part, the mean of those of the sheets
+    distances: (k,) of the measured roots of the sections from their curve (m)
     spacing: of the points of the cloud (m)
-    others: number of seams of other kinds
+    others: number of edges that face each other elsewhere, as another kind of seam
     """
 
     kind: str
@@ -65,7 +65,7 @@ class Seam:
 
     @property
     def scatter(self) -> float:
-        """Return the RMS of these distances (m)."""
+        """Return how much the sections scatter, the RMS of `distances` (m)."""
         return rms(self.distances)
 
     def std(self, t: Array) -> Array:
@@ -81,10 +81,10 @@ class Seam:
 @dataclass(frozen=True, eq=False)
 class ToolFrames:
     """
-    Frames along a seam, at arc lengths (m,).
+    Frames of a tool along a seam, at arc lengths (m,) from its start (m).
 
-    T_base_tool: (m, 4, 4), columns n (advance), o (approach), n x o; measures: (m, 4) gap,
-    mismatch, residual and 1 sigma of its position at each. Metres.
+    T_base_tool: (m, 4, 4), its axes n (advance), o (approach), n x o
+    measures: (m, 4) gap, mismatch, residual, 1 sigma of the position (m)
     """
 
     lengths: Array
@@ -199,7 +199,7 @@ def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
 
 
 def sentences(seam: Seam, frames: ToolFrames) -> list[str]:
-    """Return the sentences on a seam."""
+    """Return what is told of a seam and its frames, one sentence each."""
     gap, mismatch, _, std = 1e3 * frames.measures.T
     begins, ends = frames.lengths[0], seam.curve.length - frames.lengths[-1]
     lines = [f'{SEAM_NAMES[seam.kind]} of {seam.curve.length * 1e3:.1f} mm, path along its '

@@ -66,14 +66,15 @@ def unit(vectors: Array) -> Array:
 @dataclass(frozen=True, eq=False)
 class Sheets:
     """
-    The points (n, 3) of a cloud, and the sheets that they lie on.
+    The points (n, 3) of a cloud (m), and the sheets that they lie on.
 
+    tree: of the points
     spacing: median distance of neighbouring points (m)
-    label: (n,) of the sheet, -1 where there is none
-    normals: (n, 3), up
+    label: (n,) the number of the sheet, -1 where there is none
+    normals: (n, 3) of the sheets, on the visible side
     noise: 1 sigma of the points across their sheets (m)
-    rims: (k,) rows of points on borders, one per cube of two spacings
-    outward: (n, 3) directions there
+    rims: (k,) indices of points on borders of sheets, one per cube of two spacings
+    outward: (n, 3) directions out of the sheet, valid at the rims
     """
 
     points: Array
@@ -87,7 +88,7 @@ class Sheets:
 
 
 def sheets_of(points: Array, up: Array) -> Sheets:
-    """Return the sheets of points (n, 3); up: (3,) the side that is visible."""
+    """Return the sheets of points (n, 3) (m); up: (3,) towards the side that is visible."""
     tree = cKDTree(points)
     # six nearest of n points on an area: n = 6 at pi r^2 / d^2
     sixth = tree.query(points[::max(len(points) // 5000, 1)], 7)[0][:, 6]
@@ -106,25 +107,35 @@ def sheets_of(points: Array, up: Array) -> Sheets:
             np.maximum(values[:, 0], 0.0) / np.maximum(count - 3, 1)), np.inf)
     noise = max(float(np.median(thickness)), 1e-2 * spacing)
     in_plane = thickness <= FLAT_RATIO * noise
-    _put_into_planes(points, in_plane, normals, 2 * NEIGHBOUR_RADIUS * spacing, SAME_PLANE * noise)
-    label = _joined(points, normals, near[:, 1:3 * LINKED_NEIGHBOURS:3], in_plane,
-                    1.5 * SAME_PLANE * noise)
+    _assign_planes(points, in_plane, normals, 2 * NEIGHBOUR_RADIUS * spacing, SAME_PLANE * noise)
+    label = _sheet_labels(points, normals, near[:, 1:3 * LINKED_NEIGHBOURS:3], in_plane,
+                          1.5 * SAME_PLANE * noise)
     rims, outward = _rims(points, near, label, normals, spacing)
     return Sheets(points, tree, spacing, label, normals, noise, rims, outward)
 
 
 def _neighbourhoods(points: Array, near: NDArray[np.int32]
                     ) -> Iterator[tuple[slice, NDArray[np.bool_], Array]]:
-    """Yield slices of points, which of their neighbours (m, k) are some, and their offsets."""
+    """
+    Yield slices of m points, which of their k neighbours are there (m, k), and their offsets.
+
+    near: (n, k) indices of the neighbours, the point itself in place of missing ones; offsets:
+    (m, k, 3) from the point (m).
+    """
     for start in range(0, len(points), CHUNK_POINTS):
         block = slice(start, start + CHUNK_POINTS)
         offset = points[near[block]] - points[block][:, None]
         yield block, np.asarray(offset.any(axis=2)), offset
 
 
-def _put_into_planes(points: Array, in_plane: NDArray[np.bool_], normals: Array, reach: float,
-                     tolerance: float) -> None:
-    """Write the normal of the nearest point in whose plane it lies to a point without a plane."""
+def _assign_planes(points: Array, in_plane: NDArray[np.bool_], normals: Array, reach: float,
+                   tolerance: float) -> None:
+    """
+    Give each point without a plane that of the nearest point in whose plane it lies.
+
+    Changes in_plane (n,) and normals (n, 3); reach: largest distance of that point; tolerance:
+    from its plane (m).
+    """
     flat, others = np.flatnonzero(in_plane), np.flatnonzero(~in_plane)
     distance, nearest = cKDTree(points[flat]).query(points[others], 8, distance_upper_bound=reach)
     nearest = np.append(flat, 0)[nearest]  # beyond the reach any point, at an infinite distance
@@ -135,19 +146,23 @@ def _put_into_planes(points: Array, in_plane: NDArray[np.bool_], normals: Array,
     in_plane[others[row]], normals[others[row]] = True, normals[nearest[row, place[first]]]
 
 
-def _joined(points: Array, normals: Array, linked: NDArray[np.int32],
-            in_plane: NDArray[np.bool_], tolerance: float) -> NDArray[np.intp]:
-    """Return labels (n,) of connected points of a plane, -1 for others and for small sheets."""
+def _sheet_labels(points: Array, normals: Array, linked: NDArray[np.int32],
+                  in_plane: NDArray[np.bool_], tolerance: float) -> NDArray[np.intp]:
+    """
+    Return the sheet (n,) of each point, -1 for points without a plane and in small sheets.
+
+    linked: (n, LINKED_NEIGHBOURS) indices of neighbours; those in one plane are of one sheet.
+    """
     i = np.repeat(np.arange(len(points), dtype=np.int32), LINKED_NEIGHBOURS)
     j = linked.ravel()
-    both = in_plane[i] & in_plane[j] & (i != j)
-    i, j = i[both], j[both]
+    both_flat = in_plane[i] & in_plane[j] & (i != j)
+    i, j = i[both_flat], j[both_flat]
     offset = points[j] - points[i]
-    one_sheet = np.abs((normals[i] * normals[j]).sum(axis=1)) > SAME_NORMAL
-    one_sheet &= np.abs((offset * normals[i]).sum(axis=1)) < tolerance
-    one_sheet &= np.abs((offset * normals[j]).sum(axis=1)) < tolerance
-    graph = coo_matrix((np.ones(int(one_sheet.sum()), dtype=bool), (i[one_sheet], j[one_sheet])),
-                       shape=(len(points), len(points)))
+    same_sheet = np.abs((normals[i] * normals[j]).sum(axis=1)) > SAME_NORMAL
+    same_sheet &= np.abs((offset * normals[i]).sum(axis=1)) < tolerance
+    same_sheet &= np.abs((offset * normals[j]).sum(axis=1)) < tolerance
+    graph = coo_matrix((np.ones(int(same_sheet.sum()), dtype=bool),
+                        (i[same_sheet], j[same_sheet])), shape=(len(points), len(points)))
     label = connected_components(graph, directed=False)[1].astype(np.intp)
     size = np.bincount(label[in_plane], minlength=len(points) + 1)
     return np.where(in_plane & (size[label] >= SMALLEST_SHEET), label, -1)
@@ -155,7 +170,7 @@ def _joined(points: Array, normals: Array, linked: NDArray[np.int32],
 
 def _rims(points: Array, near: NDArray[np.int32], label: NDArray[np.intp], normals: Array,
           spacing: float) -> tuple[NDArray[np.intp], Array]:
-    """Return the rows (k,) of points on the borders of sheets, and outward directions (n, 3)."""
+    """Return the indices (k,) of points on borders of sheets, and outward directions (n, 3)."""
     free_angle, outward = np.zeros(len(points)), np.zeros_like(points)
     for block, valid, offset in _neighbourhoods(points, near):
         n = normals[block]
@@ -171,7 +186,11 @@ def _rims(points: Array, near: NDArray[np.int32], label: NDArray[np.intp], norma
 
 
 def _free_angle(angle: Array, valid: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the widest angle (n,) between the valid directions (n, k), and its middle."""
+    """
+    Return the widest angle (n,) that is free of directions, 0 with few of them, and its middle.
+
+    angle: (n, k) of the directions (rad); valid: (n, k) which of them count.
+    """
     rows = np.arange(len(angle))
     first_valid = angle[rows, np.argmax(valid, axis=1)]
     angle = np.sort(np.where(valid, angle, first_valid[:, None]), axis=1)
@@ -183,7 +202,14 @@ def _free_angle(angle: Array, valid: NDArray[np.bool_]) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Pairs (k, 2) in order along the seam, at t (k,) (m); others: number of other seams."""
+    """
+    The rough course of a seam.
+
+    kind: one of SEAM_KINDS
+    pairs: (k, 2) indices of points on its two edges that face each other, in order along it
+    t: (k,) their lengths along it (m)
+    others: number of other seams, of other kinds
+    """
 
     kind: str
     pairs: Pairs
@@ -197,13 +223,13 @@ def course(sheets: Sheets, widest: float, up: Array) -> Course:
 
     widest: largest distance between its edges (m); up: (3,) towards the tool. Raises DataError.
     """
-    pairs, spacing = _facing(sheets, widest), sheets.spacing
-    of_kind = defaultdict[str, list[Pairs]](list)
-    sides = np.sort(sheets.label[pairs], axis=1)
-    for two in np.unique(sides, axis=0):
-        for part, _ in _connected(sheets, pairs[(sides == two).all(axis=1)]):
-            of_kind[_kind(sheets, part, up)].append(part)
-    seams = {kind: _connected(sheets, np.concatenate([pairs[:0], *of_kind[kind]]))
+    pairs, spacing = _facing_pairs(sheets, widest), sheets.spacing
+    parts_by_kind = defaultdict[str, list[Pairs]](list)
+    labels = np.sort(sheets.label[pairs], axis=1)
+    for two_sheets in np.unique(labels, axis=0):
+        for part, _ in _chains(sheets, pairs[(labels == two_sheets).all(axis=1)]):
+            parts_by_kind[_kind(sheets, part, up)].append(part)
+    seams = {kind: _chains(sheets, np.concatenate([pairs[:0], *parts_by_kind[kind]]))
              for kind in SEAM_KINDS}
     kind = next((kind for kind in SEAM_KINDS if seams[kind]), '')
     if not kind:
@@ -231,20 +257,24 @@ def position_text(point: Array) -> str:
     return 'x y z = ' + ' '.join(f'{v * 1e3:.0f}' for v in point) + ' mm'
 
 
-def _facing(sheets: Sheets, widest: float) -> Pairs:
-    """Return the pairs of rims that face each other, the nearest of their sheets."""
+def _facing_pairs(sheets: Sheets, widest: float) -> Pairs:
+    """
+    Return the pairs of points on rims that face each other, of each the nearest of its sheet.
+
+    widest: largest distance (m).
+    """
     points, label, outward = sheets.points, sheets.label, sheets.outward
     i, j = sheets.rims[cKDTree(points[sheets.rims]).query_pairs(widest, output_type='ndarray')].T
     offset = points[j] - points[i]
     length = np.maximum(np.linalg.norm(offset, axis=1), 1e-12)
     threshold = np.where(label[i] == label[j], -AHEAD_COSINE, AHEAD_COSINE) * length
-    ahead = (offset * outward[i]).sum(axis=1) > threshold
-    ahead &= -(offset * outward[j]).sum(axis=1) > threshold
-    alike = np.abs((sheets.normals[i] * sheets.normals[j]).sum(axis=1)) > PARALLEL_COSINE
+    facing = (offset * outward[i]).sum(axis=1) > threshold
+    facing &= -(offset * outward[j]).sum(axis=1) > threshold
+    parallel = np.abs((sheets.normals[i] * sheets.normals[j]).sum(axis=1)) > PARALLEL_COSINE
     opposite = (outward[i] * outward[j]).sum(axis=1) < OPPOSITE_COSINE
     # sheets in contact may meet at an obtuse angle; across a V, a plate faces the other bevel
-    ahead &= (alike == opposite) | (~alike & (length < TOUCHING_GAP * sheets.spacing))
-    i, j, length = i[ahead], j[ahead], length[ahead]
+    facing &= (parallel == opposite) | (~parallel & (length < TOUCHING_GAP * sheets.spacing))
+    i, j, length = i[facing], j[facing], length[facing]
     # of each point the nearest on each other sheet
     count = label.max(initial=0) + 1
     nearest = [minimum(length, key, key) if len(key) else length
@@ -254,8 +284,8 @@ def _facing(sheets: Sheets, widest: float) -> Pairs:
     return np.stack([i[chosen], j[chosen]], axis=1)
 
 
-def _connected(sheets: Sheets, pairs: Pairs) -> list[tuple[Pairs, Array]]:
-    """Return each connected line of sufficient length: its pairs in order, their places (m)."""
+def _chains(sheets: Sheets, pairs: Pairs) -> list[tuple[Pairs, Array]]:
+    """Return each chain of neighbouring pairs that is long enough, with the lengths along it."""
     if not len(pairs):
         return []
     middle = sheets.points[pairs].mean(axis=1)
@@ -277,11 +307,14 @@ def _connected(sheets: Sheets, pairs: Pairs) -> list[tuple[Pairs, Array]]:
 
 
 def _kind(sheets: Sheets, pairs: Pairs, up: Array) -> str:
-    """Return the kind of a seam between two sheets; none: a ridge, or a step without its wall."""
+    """
+    Return the kind of the seam of pairs between two sheets, 'none' for no seam.
+
+    That is a ridge, a step without its wall, or a rib. up: (3,) towards the tool.
+    """
     i, j = pairs.T
     normals, outward = sheets.normals, sheets.outward
-    alike = (normals[i] * normals[j]).sum(axis=1)
-    if np.median(np.abs(alike)) > PARALLEL_COSINE:
+    if np.median(np.abs((normals[i] * normals[j]).sum(axis=1))) > PARALLEL_COSINE:
         offset = sheets.points[j] - sheets.points[i]
         height = float(np.median(np.abs((offset * normals[i]).sum(axis=1))))
         distance = float(np.median(np.linalg.norm(offset, axis=1)))
@@ -291,10 +324,10 @@ def _kind(sheets: Sheets, pairs: Pairs, up: Array) -> str:
         if lateral <= NARROWEST_GAP * sheets.spacing:
             return 'none'
         middle, normal = sheets.points[pairs].mean(axis=1), unit(normals[pairs].sum(axis=(0, 1)))
-        flat = np.eye(3) - np.outer(normal, normal)
-        between = sheets.points[cKDTree(sheets.points @ flat).query(middle @ flat)[1]]
-        covered = (between - middle) @ normal > NARROWEST_GAP * sheets.spacing
-        return 'none' if covered.mean() > 0.5 else 'butt'  # what is higher is a rib
+        project = np.eye(3) - np.outer(normal, normal)
+        between = sheets.points[cKDTree(sheets.points @ project).query(middle @ project)[1]]
+        is_higher = (between - middle) @ normal > NARROWEST_GAP * sheets.spacing
+        return 'none' if is_higher.mean() > 0.5 else 'butt'  # what is higher is a rib
     inward = np.where(normals[i] @ up > normals[j] @ up,  # of an upright wall the normal may be -n
                       (normals[i] * outward[j]).sum(axis=1), (normals[j] * outward[i]).sum(axis=1))
     if np.median(inward) > -INWARD_COSINE:

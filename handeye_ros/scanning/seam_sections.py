@@ -46,14 +46,14 @@ ROOT_GAP = 0.5  # spacings: a larger mean distance of the lower edges of a V is 
 @dataclass(frozen=True, eq=False)
 class Edges:
     """
-    The two edges of a seam, by sections.
+    The two edges of a seam, by k sections across it.
 
-    lengths: (k,) along the rough course
-    lines: (k, 3) of first, second, root and centre
-    resolution: their common 1 sigma (m)
-    normals: (k, 3) of the part, out of it
-    noise: 1 sigma about the sheets (m)
-    ends: lengths of start and end of the seam
+    lengths: (k,) of the sections along the rough course (m)
+    lines: points (k, 3) by name: first and second edge, root, centre (m)
+    resolution: 1 sigma of each line that all its points have in common (m)
+    normals: (k, 3) out of the part
+    noise: 1 sigma of the points about the sheets (m)
+    ends: lengths of start and end of the seam (m)
     """
 
     lengths: Array
@@ -66,12 +66,14 @@ class Edges:
 
 class _Sides(NamedTuple):
     """
-    Sheets in a section: ends (3,), outward directions (3,), mean normals (3,).
+    One sheet in a section across the seam; or both in k sections, arrays (k, 2, ...).
 
-    noise: 1 sigma about a sheet (m)
+    end: (3,) where it ends at the seam
+    outwards: (3,) direction out of the sheet there
+    normal: (3,) mean over the section
+    noise: 1 sigma of the points about it (m)
     extent: (2,) where its points begin and stop along the seam, from the section (m)
-    resolution: 1 sigma of the end from the distance between columns that follow the seam (m). Of
-        both sides of k sections: arrays (k, 2, ...).
+    resolution: 1 sigma of the end from the distance between columns that follow the seam (m)
     """
 
     end: Array
@@ -121,65 +123,70 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
     first, last = rough.t[0] - COURSE_OVERHANG, rough.t[-1] + COURSE_OVERHANG
     count = int((last - first) / step)  # the same sections from the other end
     places = 0.5 * (first + last) + step * (np.arange(count) - 0.5 * (count - 1))
-    found = {t: zip(*both, strict=True) for t in places.tolist() if None not in (
-        both := [_side(sheets, rough, curve, side, t, step) for side in (0, 1)])}
-    lengths = np.array([*found] or [first, last])
+    sections = {t: zip(*both_sides, strict=True) for t in places.tolist() if None not in (
+        both_sides := [_side(sheets, rough, curve, side, t, step) for side in (0, 1)])}
+    lengths = np.array([*sections] or [first, last])
     missing = np.append(np.diff(lengths) - step, 0.0)
     worst = int(np.argmax(missing))
     if missing[worst] > LARGEST_MISSING_EDGE:
         place = position_text(curve.beyond(lengths[worst:worst + 2].mean())[0])
         raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
                         'there again, or cut one part out with --box')
-    # of each section the pairs of values of both sides, field by field
-    every = _Sides(*map(np.array, zip(*found.values(), strict=True)))
-    ends = (lengths[0] + every.extent[0, :, 0].max(), lengths[-1] + every.extent[-1, :, 1].min())
+    sides = _Sides(*map(np.array, zip(*sections.values(), strict=True)))
+    ends = (lengths[0] + sides.extent[0, :, 0].max(), lengths[-1] + sides.extent[-1, :, 1].min())
     # the ends of the sheets in a section of few points are not known well
-    filled = np.ptp(every.extent, axis=2).min(axis=1) > 0.5 * step - sheets.spacing
-    sides = _Sides(*(values[filled] for values in every))
+    filled = np.ptp(sides.extent, axis=2).min(axis=1) > 0.5 * step - sheets.spacing
+    sides = _Sides(*(values[filled] for values in sides))
     gap = np.median(_dot(np.diff(sides.end, axis=1), unit(np.diff(-sides.outwards, axis=1))))
-    of_v = NARROWEST_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)
-    meeting = {'lap': np.inf, 'fillet': np.inf, 'v': of_v, 'butt': 0.0}[rough.kind]
-    # also with the ends of one side 1 sigma further out
-    further = sides.outwards * sides.resolution[..., None]
-    lines, *changed = (_lines(rough.kind, meeting, sides._replace(end=sides.end + further * which))
-                       for which in (0.0, [[1.0], [0.0]], [[0.0], [1.0]]))
+    meeting_of_v = NARROWEST_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)
+    meeting = {'lap': np.inf, 'fillet': np.inf, 'v': meeting_of_v, 'butt': 0.0}[rough.kind]
+    # by how much the lines move with the ends of one side, and then of the other, 1 sigma further
+    shift = sides.outwards * sides.resolution[..., None]
+    lines, *moved_lines = (
+        _lines(rough.kind, meeting, sides._replace(end=sides.end + shift * by_side))
+        for by_side in (0.0, [[1.0], [0.0]], [[0.0], [1.0]]))
     resolution = {name: float(np.median(np.linalg.norm(
-        [moved[name] - line for moved in changed], axis=(0, 2)))) for name, line in lines.items()}
+        [moved[name] - line for moved in moved_lines], axis=(0, 2))))
+        for name, line in lines.items()}
     return Edges(lengths[filled], lines, resolution, unit(sides.normal.sum(axis=1)),
                  float(np.median(sides.noise)), ends)
 
 
 def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step: float
           ) -> _Sides | None:
-    """Return one sheet in the section at t, None where it does not end there."""
+    """
+    Return one sheet in the section at t along a curve, None where it does not end there.
+
+    side: 0 or 1, of the pairs of the rough course; step: width of the section along the seam (m).
+    """
     points, spacing, margin = sheets.points, sheets.spacing, END_MARGIN * sheets.spacing
     window = np.abs(rough.t - np.clip(t, rough.t[0], rough.t[-1])) <= ROUGH_EDGE_WINDOW
-    own, other = rough.pairs[window, side], rough.pairs[window, 1 - side]
-    if not len(own):
+    this_edge, other_edge = rough.pairs[window, side], rough.pairs[window, 1 - side]
+    if not len(this_edge):
         return None
     position, tangent = curve.beyond(t)
-    into_sheet, upright = _axes(sheets, own, other, tangent)
-    on_line = curve.position(np.clip(rough.t[window], curve.first, curve.last))
-    offset = np.median(points[own] - on_line, axis=0)
+    into_sheet, upright = _axes(sheets, this_edge, other_edge, tangent)
+    on_curve = curve.position(np.clip(rough.t[window], curve.first, curve.last))
+    offset = np.median(points[this_edge] - on_curve, axis=0)
     # the points of a pair may be displaced along the seam
     origin = position + offset - (offset @ tangent) * tangent
     width = max(SECTION_WIDTH * spacing, LEAST_SECTION_WIDTH)
     rows = np.array(sheets.tree.query_ball_point(origin + 0.5 * width * into_sheet, 0.8 * width),
                     dtype=int)
-    labels, counts = np.unique(sheets.label[own], return_counts=True)
-    rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(own)])]
+    labels, counts = np.unique(sheets.label[this_edge], return_counts=True)
+    rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(this_edge)])]
     along, inward, height = np.stack([tangent, into_sheet, upright]) @ (points[rows] - origin).T
     limit = LARGEST_END_OFFSET
-    if np.isin(labels, sheets.label[other]).any():  # one sheet on both sides
-        separation = np.median((points[own] - points[other]) @ into_sheet)
+    if np.isin(labels, sheets.label[other_edge]).any():  # one sheet on both sides
+        separation = np.median((points[this_edge] - points[other_edge]) @ into_sheet)
         limit = min(0.5 * abs(float(separation)), LARGEST_END_OFFSET)
     resolution = _column_resolution(inward, spacing)
     slab = (np.abs(along) <= step / 2) & (inward <= width) & (inward >= -limit)
     along, inward, height = along[slab], inward[slab], height[slab]
-    fitted = _sheet_through(inward, height, margin, 1 if rough.kind in ('v', 'fillet') else 2)
-    if fitted is None:
+    fit = _sheet_through(inward, height, margin, 1 if rough.kind in ('v', 'fillet') else 2)
+    if fit is None:
         return None
-    sheet, noise = fitted
+    sheet, noise = fit
     on_sheet = np.abs(height - np.polyval(sheet, inward)) < SAME_PLANE * noise
     inner = on_sheet & (inward > margin)
     # half the mean distance of points beyond the last one
@@ -187,28 +194,33 @@ def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step
     if abs(end) > LARGEST_END_OFFSET:
         return None
     slope = np.polyval(np.polyder(sheet), end)
-    mean = np.polyfit(inward[inner], height[inner], 1)[0]
+    mean_slope = np.polyfit(inward[inner], height[inner], 1)[0]
     return _Sides(origin + end * into_sheet + np.polyval(sheet, end) * upright,
                   -(into_sheet + slope * upright) / np.hypot(1, slope),
-                  (upright - mean * into_sheet) / np.hypot(1, mean), np.array(noise),
+                  (upright - mean_slope * into_sheet) / np.hypot(1, mean_slope), np.array(noise),
                   np.quantile(along[on_sheet], [0, 1]), np.array(resolution))
 
 
-def _axes(sheets: Sheets, own: NDArray[np.intp], other: NDArray[np.intp], tangent: Array
-          ) -> tuple[Array, Array]:
+def _axes(sheets: Sheets, this_edge: NDArray[np.intp], other_edge: NDArray[np.intp],
+          tangent: Array) -> tuple[Array, Array]:
     """Return the directions into a sheet and out of its surface (3,), orthogonal to the seam."""
-    inwards = -sheets.outward[own].mean(axis=0)
+    inwards = -sheets.outward[this_edge].mean(axis=0)
     inwards = unit(inwards - (inwards @ tangent) * tangent)
     upright = np.cross(tangent, inwards)
-    towards = -upright @ sheets.outward[other].mean(axis=0)
-    if abs(towards) <= 0.5:  # else of a corner: the other sheet ends on this one
-        towards = upright @ sheets.normals[own].mean(axis=0)
-    return inwards, np.copysign(1.0, towards) * upright
+    sense = -upright @ sheets.outward[other_edge].mean(axis=0)
+    if abs(sense) <= 0.5:  # else of a corner: the other sheet ends on this one
+        sense = upright @ sheets.normals[this_edge].mean(axis=0)
+    return inwards, np.copysign(1.0, sense) * upright
 
 
 def _sheet_through(inward: Array, height: Array, margin: float, degree: int
                    ) -> tuple[Array, float] | None:
-    """Return the polynomial through the sheet at inward > margin, and the residual scatter."""
+    """
+    Return the polynomial through a sheet in a section, and the scatter about it (m).
+
+    inward, height: (n,) of the points (m); only those with inward > margin are used. None where
+    these are too few.
+    """
     sheet, noise = np.zeros(3), np.inf
     for cut in (np.inf, 3.0, 3.0):
         used = (inward > margin) & (np.abs(height - np.polyval(sheet, inward)) <= cut * noise)
@@ -233,26 +245,27 @@ def _column_resolution(inward: Array, spacing: float) -> float:
     periodic[(FREQUENCIES < 0.5) | (FREQUENCIES > 5.0)] = 0.0  # not those of columns
     # the first, not a multiple of it
     peaks, _ = find_peaks(periodic, height=max(LEAST_PERIODICITY, 0.8 * periodic.max()))
-    few = counts.sum() < FEWEST_OF_SIDE or not len(peaks)
-    return 0.0 if few else float(spacing / FREQUENCIES[peaks[0]] / np.sqrt(12))
+    if counts.sum() < FEWEST_OF_SIDE or not len(peaks):
+        return 0.0
+    return float(spacing / FREQUENCIES[peaks[0]] / np.sqrt(12))
 
 
 def _lines(kind: str, meeting: float, sides: _Sides) -> dict[str, Array]:
     """
-    Return first and second edge, root and centre (k, 3) of sections.
+    Return the lines of k sections by name: points (k, 3) of first and second edge, root, centre.
 
-    meeting: sheets whose edges are nearer to each other meet in the root (m).
+    meeting: sheets whose edges are nearer to each other than this (m) meet in the root.
     """
     edges, root, lower, along = sides.end.copy(), sides.end.mean(axis=1), 0, sides.outwards[:, 1]
     if kind == 'lap':  # the rim of the upper sheet is above the root; their curvature cancels
         along = sides.normal.sum(axis=1)
         lower = int(np.median(_dot(edges[:, 0] - edges[:, 1], along)) > 0)
     if meeting:
-        end, way = edges[:, lower], sides.outwards[:, lower]
+        end, outwards = edges[:, lower], sides.outwards[:, lower]
         apart = edges[:, 1 - lower] - end
-        across = way - _dot(way, along) / _dot(along, along) * along
-        met = end + way * (_dot(apart, across) / _dot(way, across))
-        root = np.where(np.sqrt(_dot(apart, apart)) < meeting, met, root)
+        across = outwards - _dot(outwards, along) / _dot(along, along) * along
+        intersection = end + outwards * (_dot(apart, across) / _dot(outwards, across))
+        root = np.where(np.sqrt(_dot(apart, apart)) < meeting, intersection, root)
     if kind == 'lap':
         edges[:, lower] = root
     return {'first': edges[:, 0], 'second': edges[:, 1], 'root': root,

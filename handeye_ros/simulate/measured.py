@@ -110,7 +110,7 @@ JOINT_READING_STD = 1e-6  # 1 sigma of the readings of P3 (m)
 
 
 def arm(turn: float, q3: float) -> Array:
-    """Return frame 3 (4, 4) in frame 1 of the arm."""
+    """Return frame 3 (4, 4) of the arm in its frame 1; turn: of R2 (rad); q3: of P3 (m)."""
     R = (Rotation.from_euler('z', turn) * Rotation.from_euler('x', np.pi / 2)).as_matrix()
     return se3.transform(R, R[:, 2] * q3)
 
@@ -151,7 +151,7 @@ def laser_tracker(rng: np.random.Generator, sensor: SensorModel = FILE_SENSOR,
 
 
 def _reflector(T_base_target: Array, rng: np.random.Generator) -> dict[str, Array]:
-    """Return the true positions of the reflector in the tracker's frame."""
+    """Return the true positions (n, 3) of the reflector in the tracker's frame by kind (m)."""
     T_tracker_base = se3.transform(Rotation.from_euler('xyz', [3, -4, 50], degrees=True
                                                        ).as_matrix(), np.array([3.0, 1.7, -0.6]))
     reflector = np.array([[0.02, H0 + H1, 0.25]])

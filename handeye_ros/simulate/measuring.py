@@ -142,9 +142,8 @@ def measuring_cell(rng: np.random.Generator) -> tuple[dict[str, Messages], dict[
     """
     Return recordings by name, and what the truth.yaml of each holds.
 
-    The artefacts are GAUGE_BALL, two of them BALL_BAR_LENGTH apart, and Gauge().
-
-    The sensor has noise of 0.03 mm, the robot is that of the plate scenario.
+    The artefacts are two GAUGE_BALLs, BALL_BAR_LENGTH apart, and Gauge(). Sensor and robot are
+    those of the plate scenario.
     """
     plate = SCENARIOS['plate']
     simulated = simulate(plate, rng)
@@ -158,7 +157,7 @@ def measuring_cell(rng: np.random.Generator) -> tuple[dict[str, Messages], dict[
         recordings[f'ball_{k + 1}'] = rendered(wide, X, T_bar @ T_ball, stops, rng,
                                                1000.0 * (k + 1))
     passes = scan_gauge(Gauge(), X, draw_pose(rng), plate.sensor, plate.robot, rng)
-    recordings |= {f'pass_{k + 1}': one for k, one in enumerate(passes)}
+    recordings |= {f'pass_{k}': messages for k, messages in enumerate(passes, 1)}
     return recordings, {'T_flange_sensor': se3.transform_values(X), 'artefacts': {
         'ball_radius': GAUGE_BALL.radius, 'bar': BALL_BAR_LENGTH, 'gauge': asdict(Gauge())}}
 

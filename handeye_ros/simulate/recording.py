@@ -17,7 +17,7 @@ from handeye_ros.data import Array, Profile, Sample, TimedPose
 from handeye_ros.simulate import robot as robots
 from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.scenario import Scenario, SphereTarget, Sweep
-from handeye_ros.simulate.scenes import anywhere, Placements, SCENES
+from handeye_ros.simulate.scenes import many_stops, Placements, SCENES
 from handeye_ros.simulate.sensor import FRAMES
 from handeye_ros.simulate.solids import relief, table
 import numpy as np
@@ -52,14 +52,14 @@ class TrueStation:
 @dataclass(frozen=True, eq=False)
 class Truth:
     """
-    The true values of a calibration; (4, 4) transforms.
+    The true values of a calibration; (4, 4) transforms. The sensor frame is the published one.
 
     T_flange_sensor: with errors of robot or sensor, the best-fit transform over the volume of the
-    stops and the field of view. With eye_on_base it is the sensor's pose in the base, and
-    T_base_target the target's pose in the flange. The sensor frame is the published one
-    (Scenario.layout). time_offset: to be added to the profiles' stamps (s), of a sweep.
+        stops and the field of view; with eye_on_base the sensor's pose in the base
+    T_base_target: with eye_on_base the target's pose in the flange
+    time_offset: to be added to the stamps of the profiles (s), of a sweep
     T_corrected_sensor: of a sensor on an arm with errors, its pose in the flange of that arm
-    corrected, another than that of the reported poses.
+        corrected, which is another than that of the reported poses
     """
 
     T_flange_sensor: Array
@@ -81,7 +81,7 @@ class Simulated:
     @property
     def tables(self) -> dict[str, str]:
         """Return the texts of the files beside the bag, by name: the URDF of an arm."""
-        return {'robot.urdf': robots.urdf()} if self.scenario.robot.geometry else {}
+        return {'robot.urdf': robots.URDF} if self.scenario.robot.geometry else {}
 
     @property
     def joints(self) -> list[tuple[int, Array]]:
@@ -97,10 +97,10 @@ class Simulated:
     def true_values(self) -> dict[str, Any]:
         """Return what truth.yaml holds, by key."""
         sensor, robot, truth = self.scenario.sensor, self.scenario.robot, self.truth
-        known = {key: getattr(truth, key) for key in (
+        true_values = {key: getattr(truth, key) for key in (
             'T_flange_sensor', 'T_base_target', 'time_offset', 'T_corrected_sensor')}
         return {key: se3.transform_values(value) if np.ndim(value) else value
-                for key, value in known.items() if value is not None} | {
+                for key, value in true_values.items() if value is not None} | {
             'noise': {'sensor': sensor.noise, 'robot_translation': robot.repeatability[0],
                       'robot_rotation': robot.repeatability[1]},
             'parameters': asdict(self.scenario)}
@@ -126,12 +126,13 @@ def settings(scenario: Scenario) -> dict[str, Any]:
 @dataclass(frozen=True, eq=False)
 class Cell:
     """
-    The unknowns and the poses at n stations; standard sensor frame.
+    What is fixed in a cell, and the robot's poses at n stations; standard sensor frame.
 
+    stops: the sensor's poses in the target
     T_mount_sensor: the sensor in the flange (eye_in_hand) or in the base (eye_on_base)
-    T_world_target: the target in the base, or in the flange
-    T_base_flange, T_base_flange_reported: (n, 4, 4)
-    T_mount_best: best-fit transform with the reported poses
+    T_world_target: the target in the base (eye_in_hand) or in the flange (eye_on_base)
+    T_base_flange, T_base_flange_reported: (n, 4, 4), true and with the robot's errors
+    T_mount_best: T_mount_sensor as it fits the reported poses best
     arm, distortion: errors of arm and sensor, if there are any
     """
 
@@ -168,7 +169,7 @@ class Cell:
 
 
 def draw(scenario: Scenario, rng: np.random.Generator) -> Cell:
-    """Draw a cell in which the sensor reaches its stops, and the robot's errors."""
+    """Draw a cell in which the sensor reaches the stops of its scene, and the robot's errors."""
     stops = SCENES[scenario.scene].stops(scenario, rng)
     number = len(stops.labels)
     programme = rng.permutation(number) if scenario.shuffled else np.arange(number)
@@ -177,17 +178,17 @@ def draw(scenario: Scenario, rng: np.random.Generator) -> Cell:
 
 def cell_of(scenario: Scenario, stops: Placements, rng: np.random.Generator) -> Cell:
     """Draw a cell in which the sensor reaches the given stops, and the robot's errors."""
-    mounted, standing = _mounted(scenario, rng), _standing(rng)
-    X, Z = ((standing, mounted) if scenario.calibration_type == 'eye_on_base' else
-            (mounted, standing))
+    in_flange, in_base = _draw_in_flange(scenario, rng), _draw_in_base(rng)
+    X, Z = ((in_base, in_flange) if scenario.calibration_type == 'eye_on_base' else
+            (in_flange, in_base))
     T = flange_poses(scenario, stops.T_target_sensor, X, Z)
     reported = se3.perturb(T, robots.pose_error(scenario.robot, T, rng))
     best, errors = X, None
     if scenario.robot.geometry:
         errors = robots.draw_arm(scenario.robot.geometry, rng)
         reported = se3.perturb(reported, robots.reported_error(T, errors))
-        many = flange_poses(scenario, anywhere(scenario).T_target_sensor, X, Z)
-        best = _best_mount(many, robots.reported_error(many, errors), X, scenario)
+        many_poses = flange_poses(scenario, many_stops(scenario).T_target_sensor, X, Z)
+        best = _best_mount(many_poses, robots.reported_error(many_poses, errors), X, scenario)
     reported[:, :3, 3] *= 1 + scenario.robot.scale
     reported = robots.bumped(reported, scenario.bumped, rng)
     return Cell(scenario, stops, X, Z, T, reported, best, errors)
@@ -202,7 +203,7 @@ def flange_poses(scenario: Scenario, T_target_sensor: Array, T_mount_sensor: Arr
     return np.asarray(T_world_target @ T_target_sensor @ se3.inverse(T_mount_sensor))
 
 
-def _mounted(scenario: Scenario, rng: np.random.Generator) -> Array:
+def _draw_in_flange(scenario: Scenario, rng: np.random.Generator) -> Array:
     """Draw the pose in the flange (4, 4) of what is mounted there."""
     direction = rng.normal(size=3)
     translation = direction / np.linalg.norm(direction) * rng.uniform(*scenario.lever)
@@ -213,7 +214,7 @@ def _mounted(scenario: Scenario, rng: np.random.Generator) -> Array:
     return se3.transform(turn.as_matrix(), translation)
 
 
-def _standing(rng: np.random.Generator) -> Array:
+def _draw_in_base(rng: np.random.Generator) -> Array:
     """Draw the pose in the base (4, 4) of what stands in front of the robot."""
     translation = rng.uniform([0.5, -0.3, 0.0], [0.9, 0.3, 0.4])
     angles = rng.uniform([-0.2, -0.2, -np.pi], [0.2, 0.2, np.pi])
@@ -230,10 +231,9 @@ def _best_mount(T: Array, error: Array, X: Array, scenario: Scenario) -> Array:
     (near, far), w = scenario.sensor.range, scenario.sensor.half_width
     field = np.array([[x * z, 0.0, z] for z in (near, far) for x in (-w, 0.0, w)])
     lever = field @ X[:3, :3].T
-    a, R = T[:, None, :3, 3], T[:, :3, :3]
     points = se3.apply(T, lever + X[:3, 3])
-    shift = error[:, None, :3] + np.cross(error[:, None, 3:], points - a)
-    wrt_mount = np.einsum('nij,kjl->nkil', R, se3.wrt_perturbation(lever))
+    shift = error[:, None, :3] + np.cross(error[:, None, 3:], points - T[:, None, :3, 3])
+    wrt_mount = np.einsum('nij,kjl->nkil', T[:, :3, :3], se3.wrt_perturbation(lever))
     A = np.concatenate([wrt_mount, -se3.wrt_perturbation(points)], axis=3).reshape(-1, 12)
     step = np.linalg.lstsq(A, -shift.reshape(-1), rcond=1e-9)[0]
     return se3.perturb(X, step[:6])
@@ -243,7 +243,7 @@ def _best_mount(T: Array, error: Array, X: Array, scenario: Scenario) -> Array:
 
 
 def stamps(times: Array) -> NDArray[np.int64]:
-    """Return integer nanoseconds of seconds since the start."""
+    """Return the stamps (n,) (ns) of times (n,) (s) since the start."""
     return START_STAMP + np.round(times * 1e9).astype(np.int64)
 
 
@@ -333,13 +333,13 @@ def _sweeping(cell: Cell, sweep: Sweep, rng: np.random.Generator) -> Simulated:
     begins = (np.arange(sweep.gaps) + 0.5) * (times[-1] / max(sweep.gaps, 1))
     missing = (times >= begins[:, None]) & (times < begins[:, None] + sweep.gap)
     times = times[~missing.any(axis=0)]
-    T, late = (flange_poses(scenario, path(t), cell.T_mount_sensor, cell.T_world_target)
-               for t in (times, times - sweep.rotation_lag))
-    T = se3.transform(late[:, :3, :3], T[:, :3, 3])
+    T, T_lagging = (flange_poses(scenario, path(t), cell.T_mount_sensor, cell.T_world_target)
+                    for t in (times, times - sweep.rotation_lag))
+    T = se3.transform(T_lagging[:, :3, :3], T[:, :3, 3])
     error = robots.pose_error(scenario.robot, T, rng)
-    turns = np.arange(0.0, times[-1] + 2 * sweep.drift_time, sweep.drift_time)
-    drift = rng.normal(size=(len(turns), 6)) * np.repeat(sweep.drift, 3) / np.sqrt(3)
-    T = se3.perturb(T, error + CubicSpline(turns, drift)(times))
+    drift_times = np.arange(0.0, times[-1] + 2 * sweep.drift_time, sweep.drift_time)
+    drift = rng.normal(size=(len(drift_times), 6)) * np.repeat(sweep.drift, 3) / np.sqrt(3)
+    T = se3.perturb(T, error + CubicSpline(drift_times, drift)(times))
     stamped = np.maximum.accumulate(times + rng.normal(size=len(times)) * sweep.pose_jitter)
     if cell.arm:
         T = se3.perturb(T, robots.reported_error(T, cell.arm))
@@ -351,7 +351,11 @@ def _sweeping(cell: Cell, sweep: Sweep, rng: np.random.Generator) -> Simulated:
 
 
 def _exact(cell: Cell, T_target_sensor: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return ranges and incidences (m, n) at poses (m, 4, 4), with errors that do not change."""
+    """
+    Return ranges and angles of incidence (m, n) of n columns at poses (m, 4, 4) (m, rad).
+
+    With the errors that are the same for all profiles of a stop.
+    """
     scenario, sensor = cell.scenario, cell.scenario.sensor
     solids = (table(getattr(scenario.target, 'table', None)) if scenario.empty else
               SCENES[scenario.scene].solids(scenario))
@@ -365,7 +369,7 @@ def _exact(cell: Cell, T_target_sensor: Array, rng: np.random.Generator) -> tupl
 
 def _profiles(cell: Cell, z: Array, angle: Array, times: Array, rng: np.random.Generator
               ) -> tuple[Profile, ...]:
-    """Return profiles of exact ranges and incidences (m, n), stamped with times (m,)."""
+    """Return the profiles measured of ranges and angles of incidence (m, n); times: (m,) (s)."""
     sensor, layout = cell.scenario.sensor, cell.scenario.layout
     frame, mark = FRAMES[layout.frame], layout.no_return
     ranges = sensors.measure(sensor, z, angle, rng, cell.distortion)

@@ -3,14 +3,15 @@
 """
 The robot: a six-axis arm, and what is wrong with the poses that a controller reports.
 
-The arm has a spherical wrist: T_base_flange = Rz(q1) Tz(D1) Ry(q2) Tz(A2) Ry(q3) Tz(D4) Rz(q4)
-Ry(q5) Rz(q6) Tz(D6), as in assets/arm.urdf. Its errors are unknown to its controller.
+The arm of assets/arm.urdf has a spherical wrist: T_base_flange = Rz(q1) Tz(D1) Ry(q2) Tz(A2)
+Ry(q3) Tz(D4) Rz(q4) Ry(q5) Rz(q6) Tz(D6). Its errors are unknown to its controller.
 """
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+import re
 
 from handeye_ros import se3
 from handeye_ros.data import Array
@@ -18,9 +19,12 @@ from handeye_ros.simulate.scenario import RobotModel
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-D1, A2, D4, D6 = 0.45, 0.75, 0.75, 0.10  # m: shoulder, upper arm, forearm, flange
+URDF = Path(__file__).with_name('assets').joinpath('arm.urdf').read_text(encoding='utf-8')
+"""The text of the nominal arm's URDF."""
 JOINT_AXES = 'zyyzyz'
-LINK_LENGTHS = (D1, A2, D4, 0.0, 0.0, D6)  # m, along z, after each joint
+# m along z: the places of the joints, each in the link before it, and of the flange
+_, *LINK_LENGTHS = map(float, re.findall('<origin xyz="0 0 (.+)"/>', URDF))
+D1, A2, D4, _, _, D6 = LINK_LENGTHS  # shoulder, upper arm, forearm, flange
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +32,7 @@ class ArmErrors:
     """
     Errors of joints and links, unknown to the controller.
 
-    links: (6, 6) perturbation after each link
+    links: (6, 6) perturbation (m, rad) after each joint and its link
     offsets: (6,) of the joints (rad)
     eccentricity, phases: (6,) amplitude (rad) and phase of an error that is periodic in the joint
         angle
@@ -42,13 +46,14 @@ class ArmErrors:
     @property
     def flange(self) -> Array:
         """
-        Return the stated flange (4, 4) in the one that the last axis carries.
+        Return T_corrected_flange (4, 4): the flange in that of the corrected arm.
 
-        What lies behind the last axis, or along it before, no joint tells from the sensor: it is
-        part of the sensor's mount on a corrected arm.
+        An error behind the last axis, or along it before, is the same for all joint values: on a
+        corrected arm it is part of the sensor's mount.
         """
-        along = np.append([0.0, 0.0, self.links[4, 2]], np.zeros(3))
-        return np.asarray(se3.perturb(np.eye(4), along) @ se3.perturb(np.eye(4), self.links[5]))
+        along_axis = np.array([0.0, 0.0, self.links[4, 2], 0.0, 0.0, 0.0])
+        return np.asarray(se3.perturb(np.eye(4), along_axis)
+                          @ se3.perturb(np.eye(4), self.links[5]))
 
 
 def draw_arm(sigma: float, rng: np.random.Generator) -> ArmErrors:
@@ -59,7 +64,7 @@ def draw_arm(sigma: float, rng: np.random.Generator) -> ArmErrors:
 
 
 def forward(joints: Array, errors: ArmErrors | None = None) -> Array:
-    """Return T_base_flange (n, 4, 4) of joint angles (n, 6)."""
+    """Return T_base_flange (n, 4, 4) of joint angles (n, 6) (rad); errors: those of the arm."""
     T = np.tile(np.eye(4), (len(joints), 1, 1))
     for k, (axis, length) in enumerate(zip(JOINT_AXES, LINK_LENGTHS, strict=True)):
         angle = joints[:, k]
@@ -74,7 +79,11 @@ def forward(joints: Array, errors: ArmErrors | None = None) -> Array:
 
 
 def inverse(T: Array) -> Array:
-    """Return the joint angles (n, 6), elbow up, of flange poses (n, 4, 4) within reach."""
+    """
+    Return the joint angles (n, 6) (rad), elbow up, of flange poses (n, 4, 4) of the nominal arm.
+
+    Raises ValueError for a pose out of reach.
+    """
     wrist = T[:, :3, 3] - D6 * T[:, :3, 2]
     q1 = np.arctan2(wrist[:, 1], wrist[:, 0])
     reach, rise = np.hypot(wrist[:, 0], wrist[:, 1]), wrist[:, 2] - D1
@@ -97,11 +106,6 @@ def reported_error(T: Array, errors: ArmErrors) -> Array:
     return se3.difference(forward(joints), forward(joints, errors))
 
 
-def urdf() -> str:
-    """Return the URDF of the nominal arm."""
-    return Path(__file__).with_name('assets').joinpath('arm.urdf').read_text(encoding='utf-8')
-
-
 def pose_error(robot: RobotModel, T: Array, rng: np.random.Generator) -> Array:
     """
     Return errors (n, 6) of the reported poses at T (n, 4, 4), random and smooth.
@@ -118,7 +122,7 @@ def pose_error(robot: RobotModel, T: Array, rng: np.random.Generator) -> Array:
 
 
 def bumped(T: Array, count: int, rng: np.random.Generator) -> Array:
-    """Return poses (n, 4, 4), count of them with errors of 1-3 mm and 0.1-0.3 degrees."""
+    """Return the poses (n, 4, 4), count of them with errors of 1-3 mm and 0.1-0.3 degrees."""
     error = np.zeros((len(T), 6))
     size = np.repeat(rng.uniform([1e-3, 2e-3], [3e-3, 5e-3], (count, 2)), 3, axis=1)
     direction = rng.normal(size=(count, 2, 3))
@@ -127,6 +131,7 @@ def bumped(T: Array, count: int, rng: np.random.Generator) -> Array:
     return se3.perturb(T, error)
 
 
+# translations (n, 3) and quaternions (n, 4) to those that a wrong convention makes of them
 PoseMap = Callable[[Array, Array], tuple[Array, Array]]
 
 

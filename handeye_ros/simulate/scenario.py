@@ -248,7 +248,7 @@ def changed(base: Scenario, name: str, **changes: Any) -> Scenario:
 
 
 def one_of_each(plate: Scenario, wide: SensorModel) -> tuple[Scenario, ...]:
-    """Return a scenario for each target: plate as given, sphere, line, plane and wedge."""
+    """Return a scenario for each target: plate as given, sphere with a wide sensor, and others."""
     one_group = replace(plate, stations=(14, 0))
     return (plate,
             replace(one_group, name='sphere', scene='sphere', target=SphereTarget(), sensor=wide,

@@ -56,8 +56,8 @@ class Placements:
     Poses of the sensor at n stations.
 
     T_target_sensor: (n, 4, 4), standard sensor frame
-    labels: n
-    points: (n, 2) true edge point or centre of the arc in the sensor plane
+    labels: of each the edge of the plate that is seen (p, q, p2, q2), else the name of the scene
+    points: (n, 2) true edge point or centre of the arc in the sensor plane (m)
     """
 
     T_target_sensor: Array
@@ -71,13 +71,13 @@ class Placements:
 
 
 def strata(rng: np.random.Generator, n: int, low: Array, high: Array) -> Array:
-    """Return (n, k) stratified values from low to high (k,), each column shuffled."""
+    """Return (n, k) values from low to high (k,), one in each n-th of it, in random order."""
     order = rng.permuted(np.tile(np.arange(n), (len(low), 1)), axis=1).T
     return np.asarray(low + (order + rng.random(order.shape)) / n * (high - low))
 
 
 def tilts(scenario: Scenario, rng: np.random.Generator, counts: tuple[int, ...]) -> Array:
-    """Return (n, 3, 3) rotations of the sensor about its own axes, group by group."""
+    """Return (n, 3, 3) rotations of the sensor about its own axes, for groups of these counts."""
     motion = MOTIONS[scenario.motion]
     limit = np.full(3, scenario.tilt)
     constant = rng.uniform(-limit, limit, (len(counts), 3)) * (not motion.level)
@@ -91,9 +91,10 @@ def tilts(scenario: Scenario, rng: np.random.Generator, counts: tuple[int, ...])
 def seeing(scenario: Scenario, rng: np.random.Generator, nominal: Array, spots: Array,
            seen: Array, groups: Sequence[Sequence[str]]) -> Placements:
     """
-    Return stops of tilted sensors that see spots (n, 3) of the target at points (n, 3) of theirs.
+    Return stops of tilted sensors that see spots of the target at given points of their frame.
 
-    nominal: (3, 3) or (n, 3, 3) their turn without the tilt; groups: the labels of each group.
+    nominal: R_target_sensor (3, 3) or (n, 3, 3) without the tilt; spots: (n, 3) in the target;
+    seen: (n, 3) the same in the sensor frame (m); groups: the labels of each group of stops.
     """
     R = nominal @ tilts(scenario, rng, tuple(map(len, groups)))
     T = se3.transform(R, spots - (R @ seen[:, :, None])[:, :, 0])
@@ -117,17 +118,22 @@ def _places(scenario: Scenario, rng: np.random.Generator, n: int, width: float, 
 # -- lines of faces
 
 
-def _room(rise: Array, room: Array) -> Array:
-    """Return (n,) how far one can go until one of k limits: room (n, k), used up at a rate."""
-    outwards = rise > 1e-6
-    return np.asarray((np.where(outwards, room, np.inf) / np.where(outwards, rise, 1)).min(axis=1))
+def _length_to_limits(rates: Array, room: Array) -> Array:
+    """
+    Return the length (n,) of a way until it reaches the first of k limits (m).
+
+    rates: (n, k) by which a metre of it comes nearer to each limit; room: (n, k) from its start
+    to them (m).
+    """
+    nearing = rates > 1e-6
+    return np.asarray((np.where(nearing, room, np.inf) / np.where(nearing, rates, 1)).min(axis=1))
 
 
 def _in_view(scenario: Scenario, points: Array, along: Array) -> Array:
-    """Return (n,) the ways from points along directions, both (n, 2), in the field of view."""
+    """Return the lengths (n,) in the field of view, from points along directions (n, 2) (m)."""
     w, (near, far) = scenario.sensor.half_width, scenario.sensor.range
     view = np.array([[1, -w, 0], [-1, -w, 0], [0, -1, -near], [0, 1, far]])
-    return _room(along @ view[:, :2].T, view[:, 2] - points @ view[:, :2].T)
+    return _length_to_limits(along @ view[:, :2].T, view[:, 2] - points @ view[:, :2].T)
 
 
 def _along(T_target_sensor: Array, axis: int, into: Array) -> tuple[Array, Array]:
@@ -212,8 +218,8 @@ def plate_features(scenario: Scenario, stops: Placements, rng: np.random.Generat
     inwards, in_target = _along(T, 2, np.array([frames[label][:3, 1] for label in stops.labels]))
     rise = in_target[:, :2]
     start = se3.apply(T, lift(stops.points)[:, None])[:, 0, :2]
-    in_face = _room(np.hstack([rise, -rise]),
-                    np.hstack([np.array(scenario.target.size) - start, start]))
+    in_face = _length_to_limits(np.hstack([rise, -rise]),
+                                np.hstack([np.array(scenario.target.size) - start, start]))
     length = np.minimum(_in_view(scenario, stops.points, inwards), in_face)
     noise = rng.normal(size=(3, len(T)))
     faces, columns = _lines(scenario, stops.points, inwards, length, noise[:2])
@@ -358,6 +364,7 @@ def _arc(scenario: Scenario, centre: Array, radius: float, rng: np.random.Genera
 
 
 def _on_circle(centre: Array, radius: float, sine: Array, outwards: Array) -> Array:
+    """Return points (n, 2) by the sine (n,) of their angle on the circle, moved outwards (n,)."""
     normals = np.stack([sine, -np.sqrt(1 - sine**2)], axis=1)
     return np.asarray(centre + (radius + outwards)[:, None] * normals)
 
@@ -399,7 +406,7 @@ SCENES = {
 MANY_STOPS = 100  # stops at each edge
 
 
-def anywhere(scenario: Scenario) -> Placements:
+def many_stops(scenario: Scenario) -> Placements:
     """Return many stops drawn like the scenario's own."""
     first, second = scenario.stations
     enlarged = replace(scenario, wrong_edges=0,

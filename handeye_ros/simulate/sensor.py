@@ -21,7 +21,7 @@ EDGE_COLUMNS = 3
 
 
 def fan(points: Array) -> Array:
-    """Return the tangent of the fan's angle of points (..., 2)."""
+    """Return of points (..., 2) in the sensor plane the tangent of the ray's angle, x / z."""
     return np.asarray(points[..., 0] / points[..., 1])
 
 
@@ -31,14 +31,18 @@ def lift(points: Array) -> Array:
 
 
 def columns(sensor: SensorModel) -> tuple[Array, Array]:
-    """Return origins and directions (3, n) of the columns' rays; their parameter is the range."""
-    zero, one = np.zeros(sensor.columns), np.ones(sensor.columns)
+    """
+    Return origins and directions (3, n) of the rays of the columns, standard sensor frame.
+
+    The directions have z = 1, so that the parameter of a point on a ray is its range (m).
+    """
+    zeros, ones = np.zeros(sensor.columns), np.ones(sensor.columns)
     along = np.linspace(-1, 1, sensor.columns)
     across, bent = along * sensor.half_width, along ** 2 * sensor.line_bend
     if sensor.sampling == 'fan':
         middle = sum(sensor.range) / 2
-        return np.stack([zero, zero, zero]), np.stack([across, bent / middle, one])
-    return np.stack([across * sensor.range[1], bent, zero]), np.stack([zero, zero, one])
+        return np.stack([zeros, zeros, zeros]), np.stack([across, bent / middle, ones])
+    return np.stack([across * sensor.range[1], bent, zeros]), np.stack([zeros, zeros, ones])
 
 
 def render(sensor: SensorModel, solids: Sequence[Solid], T: Array,
@@ -82,7 +86,7 @@ def _render(sensor: SensorModel, solids: Sequence[Solid], T: Array, relief: Reli
 
 def measure(sensor: SensorModel, z: Array, angle: Array, rng: np.random.Generator,
             distortion: Distortion | None = None) -> Array:
-    """Return reported ranges (m, n) from exact ones and their incidence."""
+    """Return the reported ranges (m, n) of exact ones (m) and their angles of incidence (rad)."""
     rim = (angle / sensor.max_incidence)**8
     noise = sensor.noise * (1 + 4 * rim) * rng.normal(size=z.shape)
     exact = z + distortion.ranges(z) if distortion else z
@@ -91,8 +95,8 @@ def measure(sensor: SensorModel, z: Array, angle: Array, rng: np.random.Generato
     # a point between the two levels at some of the steps
     column, fraction = before + rng.integers(0, 2, len(before)), rng.random(len(before))
     level = measured[row, before] * fraction + measured[row, before + 1] * (1 - fraction)
-    use = np.isfinite(level) & (rng.random(len(before)) < sensor.mixed)
-    measured[row[use], column[use]] = level[use]
+    is_mixed = np.isfinite(level) & (rng.random(len(before)) < sensor.mixed)
+    measured[row[is_mixed], column[is_mixed]] = level[is_mixed]
     # lost points, more of them near steps
     probability = np.full(z.shape, sensor.lost)
     for shift in range(1 - EDGE_COLUMNS, EDGE_COLUMNS + 1):
@@ -114,7 +118,7 @@ def measure(sensor: SensorModel, z: Array, angle: Array, rng: np.random.Generato
 
 
 def steps(sensor: SensorModel, z: Array) -> NDArray[np.bool_]:
-    """Return (m, n - 1), true where the range jumps or the light ends between two columns."""
+    """Return (m, n - 1) whether the range jumps, or the light ends, between two columns."""
     pitch = 2 * sensor.half_width * sensor.range[1] / sensor.columns
     jump = np.abs(np.diff(z, axis=1)) > max(3e-4, 6 * pitch)
     visible = np.isfinite(z)
@@ -123,7 +127,7 @@ def steps(sensor: SensorModel, z: Array) -> NDArray[np.bool_]:
 
 def plane_points(sensor: SensorModel, ranges: Array, distortion: Distortion | None = None
                  ) -> Array:
-    """Return points (m, n, 2) of the standard sensor plane for ranges (m, n)."""
+    """Return the points (m, n, 2) of ranges (m, n) in the standard sensor plane (m)."""
     origin, direction = columns(sensor)
     points = np.stack([origin[0] + direction[0] * ranges, ranges], axis=-1)
     if distortion:
@@ -188,7 +192,11 @@ GRID_POINTS = 21  # points along each side of the field
 
 @dataclass(frozen=True, eq=False)
 class Distortion:
-    """Errors of the range: weights (16,) of polynomials of third order; and affine errors."""
+    """
+    Errors of the sensor that do not change: of the range, and of the scale (SensorModel.scale).
+
+    weights: (16,) of the products of Legendre polynomials up to third order, in x and range (m)
+    """
 
     sensor: SensorModel
     weights: Array
@@ -203,7 +211,7 @@ class Distortion:
         return np.asarray(legval2d(np.broadcast_to(x, z.shape), depth, weights))
 
     def points(self, points: Array) -> Array:
-        """Return points (..., 2) of the standard sensor plane stretched."""
+        """Return points (..., 2) of the standard sensor plane with the error of the scale."""
         middle = np.array([0.0, sum(self.sensor.range) / 2])
         return np.asarray(middle + (1 + self.sensor.scale) * (points - middle))
 
@@ -246,7 +254,7 @@ class Frame:
     range_sign: int = 1
 
     def published(self, points: Array) -> Array:
-        """Return points (..., 2) of the standard sensor plane along the axes of this frame."""
+        """Return points (..., 2) of the standard sensor plane as this frame publishes them."""
         R, t = self.T_standard_sensor[:3, :3], self.T_standard_sensor[:3, 3]
         in_frame = (lift(points) - t) @ R
         return np.asarray(in_frame[..., ['xyz'.index(axis) for axis in self.axes]])

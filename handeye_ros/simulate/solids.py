@@ -31,7 +31,7 @@ class Polyhedron:
         shape = np.broadcast_shapes(origin.shape, direction.shape)[1:]
         enter, leave, cosine = np.full(shape, -np.inf), np.full(shape, np.inf), np.zeros(shape)
         for normal, low, high in zip(self.normals, self.low, self.high, strict=True):
-            o, d = (np.einsum('i,imn->mn', normal, of) for of in (origin, direction))
+            o, d = (np.einsum('i,imn->mn', normal, rays) for rays in (origin, direction))
             with np.errstate(divide='ignore', invalid='ignore'):
                 a, b = (low - o) / d, (high - o) / d
             first = np.minimum(a, b)
@@ -86,14 +86,20 @@ Solid: TypeAlias = Polyhedron | Ball | Rod
 
 
 def _through_circle(origin: Array, direction: Array, radius: float) -> Crossings:
-    """Return middle and half of the way inside a circle or ball, and the directions' squares."""
+    """
+    Return where rays are inside a circle or ball around the origin, and their squared lengths.
+
+    origin, direction: (2 or 3, m, n). The parameters of the middle of the way inside and of half
+    of it, 0 for a miss.
+    """
     square = np.maximum((direction**2).sum(axis=0), 1e-300)
     middle = -(origin * direction).sum(axis=0) / square
-    room = middle**2 - ((origin**2).sum(axis=0) - radius**2) / square
-    return middle, np.sqrt(np.maximum(room, 0.0)), square
+    half_squared = middle**2 - ((origin**2).sum(axis=0) - radius**2) / square
+    return middle, np.sqrt(np.maximum(half_squared, 0.0)), square
 
 
 def _unless_missed(hit: NDArray[np.bool_], enter: Array, leave: Array) -> tuple[Array, Array]:
+    """Return where rays enter and leave, (inf, -inf) for those that do not hit."""
     return np.where(hit, enter, np.inf), np.where(hit, leave, -np.inf)
 
 

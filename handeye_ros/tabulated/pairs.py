@@ -1,15 +1,16 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Points or poses in two frames, row by row: by a sensor beside the robot, by a camera (A X = X B).
+Points or poses in two frames, row by row: of the sensor, and of the robot.
 
-The start is a closed form. Least squares of all unknowns together follow: each row of the sensor
-is compared with what is predicted by that of the robot.
+Points: the same ones in the frames of a sensor and of the robot's base. Poses: of a target in a
+camera, and of the robot (A X = X B). A closed form is the start of the least squares of all
+unknowns together, which compare what the sensor measured in each row with what that of the robot
+predicts.
 
-How large the errors of each cause are is estimated too: variance components by restricted maximum
-likelihood (Patterson and Thompson 1971, Biometrika 58:545), by the steps of Zhou et al. 2019 (J.
-Computational and Graphical Statistics 28:350). A weak prior prevents zero variances from few
-residuals.
+The variance of each cause of errors is estimated too, by restricted maximum likelihood (Patterson
+and Thompson 1971, Biometrika 58:545) with the steps of Zhou et al. 2019 (J. Computational and
+Graphical Statistics 28:350). A weak prior prevents zero variances from few residuals.
 """
 from __future__ import annotations
 
@@ -46,8 +47,8 @@ REGION_PROBABILITY = 0.99  # probability of the region that a covariance from fe
 SMALLEST_VARIANCE = 1e-18  # m^2 or rad^2: a smaller scatter is rounding
 PRIOR_FREEDOM = 0.5  # degrees of freedom of the prior of each variance, about the typical one
 LIKELIHOOD_STEPS = 100
-SMALLEST_ANGLE = 0.05  # of points: smallest spread across over spread along (rad)
-PAIRS, SEED = 2000, 0  # of poses, drawn for the closed form
+SMALLEST_WIDTH = 0.05  # of points: smallest spread across their line over that along it
+PAIR_COUNT, SEED = 2000, 0  # of pairs of poses, drawn for the closed form
 LARGEST_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
 
 
@@ -56,11 +57,12 @@ class PairedRows(TableProblem):
     """
     Points (n, 3) or poses (n, 4, 4), as the sensor sees them and by the robot (m).
 
-    A state (k, 4, 4) is X, the sensor in its mount, and what else is unknown.
+    The unknowns of the least squares are transforms, a state (k, 4, 4): X, of the sensor in its
+    mount, and of poses also that of the target where it is fixed.
 
-    prefixes: of the columns of both
+    prefixes: of the columns of both lists
     fewest: rows; fewer do not show how large the noise is
-    typical: variances (c,) of the causes of errors, up to a factor, where nothing is known
+    typical_variances: (c,) of the causes of errors, up to a factor, where nothing is known
     """
 
     seen: Array
@@ -68,11 +70,11 @@ class PairedRows(TableProblem):
 
     prefixes: ClassVar[tuple[str, str]]
     fewest: ClassVar[int]
-    typical: ClassVar[Array]
+    typical_variances: ClassVar[Array]
 
     @classmethod
     @abstractmethod
-    def of(cls, table: Table, config: Config) -> Self:
+    def from_table(cls, table: Table, config: Config) -> Self:
         """Return the rows of a table, each column with its unit; raises TableError."""
 
     @abstractmethod
@@ -88,19 +90,20 @@ class PairedRows(TableProblem):
         """Return the state (k, 4, 4) that fits X (4, 4) best."""
 
     @abstractmethod
-    def linear(self, state: Array) -> tuple[Array, Array, Array]:
+    def linearised(self, state: Array) -> tuple[Array, Array, Array]:
         """
-        Return the differences (n, d) of measured and predicted rows, d = 3 or 6.
+        Return the differences of measured and predicted rows at a state (k, 4, 4), linearised.
 
-        And their derivatives (n, d, 6 k) by the transforms of the state, and their covariances
-        (c, n, d, d) for unit variances of the causes.
+        The differences (n, d), d = 3 or 6 (m, rad); their derivatives (n, d, 6 k) by perturbations
+        of the transforms; their covariances (c, n, d, d) if each of the c causes of errors has
+        variance 1.
         """
 
     @classmethod
     def read(cls, path: Path, config: Config) -> Self:
-        """Read the rows of a table; raises TableError, DataError."""
+        """Return the rows of a table; raises TableError, DataError."""
         table = Table(path)
-        rows = replace(cls.of(table, config), frame=config.sensor_frame,
+        rows = replace(cls.from_table(table, config), frame=config.sensor_frame,
                        inputs=[input_values(path)])
         rows.require_plausible()
         return replace(rows, misreadings=[*rows.in_other_units(), *rows.in_other_notations(table)])
@@ -114,29 +117,29 @@ class PairedRows(TableProblem):
         return [(row, '') for row in range(1, len(self) + 1)]
 
     def subset(self, rows: Indices) -> Self:
-        """Return some rows (ascending indices)."""
+        """Return the problem of some rows (ascending indices)."""
         return replace(self, seen=self.seen[rows], robot=self.robot[rows])
 
     def field(self) -> Array:
         return _positions(self.seen)
 
     @property
-    def reach(self) -> list[float]:
-        """Return the typical distances (m) of both lists from the origins of their frames."""
+    def distances(self) -> list[float]:
+        """Return the median distances (m) of both lists from the origins of their frames."""
         return [float(np.median(np.linalg.norm(_positions(values), axis=1)))
                 for values in (self.seen, self.robot)]
 
     def require_plausible(self) -> None:
-        """Raise DataError for lists that no sensor and robot can give."""
+        """Raise DataError for repeated rows, and for positions that are of no cell."""
         rows = np.hstack([values.reshape(len(self), -1) for values in (self.seen, self.robot)])
         first = np.unique(rows, axis=0, return_index=True)[1]
-        again = np.setdiff1d(np.arange(len(self)), first) + 1
-        if len(again):
-            raise DataError(f'{len(again)} rows repeat others to the last digit, first row '
-                            f'{again[0]}: the answer would seem more certain than it is; keep '
+        repeated = np.setdiff1d(np.arange(len(self)), first) + 1
+        if len(repeated):
+            raise DataError(f'{len(repeated)} rows repeat others to the last digit, first row '
+                            f'{repeated[0]}: the answer would seem more certain than it is; keep '
                             'each row once')
-        if max(self.reach) < SHORTEST_REACH or min(self.reach) > LONGEST_REACH:
-            (seen, robot), (near, far) = self.prefixes, self.reach
+        if max(self.distances) < SHORTEST_REACH or min(self.distances) > LONGEST_REACH:
+            (seen, robot), (near, far) = self.prefixes, self.distances
             raise DataError(
                 f'the positions of the {seen} are typically {near:.3g} m from the origin, those '
                 f'of the {robot} {far:.3g} m, as in no cell: correct the units in the header, of '
@@ -146,55 +149,58 @@ class PairedRows(TableProblem):
     def in_other_units(self) -> Iterator[Misreading]:
         """Yield the values with one list in another unit, as far as they then are of a cell."""
         for factor, words in ((1e3, 'larger'), (1e-3, 'smaller')):
-            for prefix, name in zip(self.prefixes, ('seen', 'robot'), strict=True):
-                scaled = getattr(self, name).copy()
+            for prefix, attribute in zip(self.prefixes, ('seen', 'robot'), strict=True):
+                scaled = getattr(self, attribute).copy()
                 _positions(scaled)[:] *= factor
-                other = replace(self, **{name: scaled})
-                if SHORTEST_REACH < min(other.reach) and max(other.reach) < LONGEST_REACH:
+                values = replace(self, **{attribute: scaled})
+                if SHORTEST_REACH < min(values.distances) <= max(values.distances) < LONGEST_REACH:
                     yield Misreading(
                         f'the positions of the {prefix} 1000 times {words}', 'correct the unit in '
-                        f'the header of {prefix}_x, {prefix}_y, {prefix}_z', other)
+                        f'the header of {prefix}_x, {prefix}_y, {prefix}_z', values)
 
     def solve(self) -> TableAnswer:
         """Return the least squares, weighted by the noise that its residuals show."""
-        variances = self.typical
+        variances = self.typical_variances
         fit, whiten = self.fit_with_variances(self.state_of(self.closed_form()), variances)
         typical = variances * fit.variance_factor
         for _ in range(2):
             variances = self.likeliest_variances(fit.state, fit.used, typical)
             fit, whiten = self.fit_with_variances(fit.state, variances)
-        off, left_out = _lengths(self.linear(fit.state)[0]), _lengths(np.asarray(np.linalg.solve(
+        residuals = _lengths(self.linearised(fit.state)[0])
+        left_out = _lengths(np.asarray(np.linalg.solve(
             whiten[fit.used], fit.left_out[..., None])[..., 0]))
-        (residual, angle), (holdout, holdout_angle) = (
-            np.sqrt((lengths ** 2).mean(axis=0)).tolist() for lengths in (off[fit.used], left_out))
-        # the region that holds, by Fisher's F: the noise is from the residuals of the rows that
-        # are used, three each of a kind, of which the transform takes six
+        (residual_rms, angle_rms), (holdout_rms, holdout_angle_rms) = (
+            np.sqrt((lengths ** 2).mean(axis=0)).tolist()
+            for lengths in (residuals[fit.used], left_out))
+        # The region that holds, by Fisher's F: the noise is from the residuals of the rows that
+        # are used, three each of a kind, of which the transform takes six. The covariance is of
+        # the normal distribution with the same region.
         region = 6 * fdtri(6, 3 * len(fit.used) - 6, REGION_PROBABILITY)
         target: dict[str, Any] = {'point_noise': float(variances[0]) ** 0.5}
         if len(fit.state) > 1:
-            target = {'pose': se3.transform_values(fit.state[1]), 'residual_angle': angle,
-                      'left_out_angle': holdout_angle}
+            target = {'pose': se3.transform_values(fit.state[1]), 'residual_angle': angle_rms,
+                      'left_out_angle': holdout_angle_rms}
         return TableAnswer(
             fit.state[0], fit.covariance[:6, :6] * region / chi2_isf(1 - REGION_PROBABILITY, 6),
-            np.isin(np.arange(len(self)), fit.used), off[:, 0], residual, holdout, angle,
-            target)
+            np.isin(np.arange(len(self)), fit.used), residuals[:, 0], residual_rms, holdout_rms,
+            angle_rms, target)
 
-    def fit_with_variances(self, state: Array, variances: Array) -> tuple[Adjusted[Array], Array]:
+    def fit_with_variances(self, start: Array, variances: Array) -> tuple[Adjusted[Array], Array]:
         """
-        Return the fit for variances (c,) of the causes, and what whitens the rows (n, d, d).
+        Return the fit for variances (c,) of the causes, and what whitens each row (n, d, d).
 
-        state: (k, 4, 4) to start from.
+        start: state (k, 4, 4).
         """
-        whiten = inverse_roots(np.tensordot(variances, self.linear(state)[2], 1))
+        whiten = inverse_roots(np.tensordot(variances, self.linearised(start)[2], 1))
 
         def rows(state: Array) -> Rows:
-            differences, derivatives, _ = self.linear(state)
+            differences, derivatives, _ = self.linearised(state)
             return Rows((whiten @ differences[..., None]).ravel(),
                         lambda: (whiten @ derivatives).reshape(-1, 6 * len(state)))
 
         system = System(rows, lambda state, step: se3.perturb(state, step.reshape(-1, 6)),
                         np.repeat(np.arange(len(self)), whiten.shape[1]))
-        return adjust(system, state, self.fewest), whiten
+        return adjust(system, start, self.fewest), whiten
 
     def likeliest_variances(self, state: Array, used: Indices, typical: Array) -> Array:
         """
@@ -202,27 +208,32 @@ class PairedRows(TableProblem):
 
         typical: (c,) about which they are expected, and from which they are sought.
         """
-        r, J, parts = self.subset(used).linear(state)
+        differences, J, covariances = self.subset(used).linearised(state)
         variances = typical
         for _ in range(LIKELIHOOD_STEPS):
-            weight = np.linalg.inv(np.tensordot(variances, parts, 1))
-            weighted = weight @ J
-            C = np.linalg.inv(np.einsum('nia,nib->ab', J, weighted))
-            # the weighted residuals of the least squares, and what of each part they show
-            left = (weight @ r[..., None])[..., 0] - weighted @ (
-                C @ np.einsum('nia,ni->a', weighted, r))
-            shown = np.einsum('ni,cnij,nj->c', left, parts, left)
-            expected = np.einsum('nij,cnji->c', weight, parts) - np.einsum(
-                'nia,cnij,nja->c', weighted @ C, parts, weighted)
+            weight = np.linalg.inv(np.tensordot(variances, covariances, 1))
+            weighted_J = weight @ J
+            C = np.linalg.inv(np.einsum('nia,nib->ab', J, weighted_J))
+            # the weighted residuals of the least squares; their squares by cause, as they are and
+            # as they are expected
+            residuals = (weight @ differences[..., None])[..., 0] - weighted_J @ (
+                C @ np.einsum('nia,ni->a', weighted_J, differences))
+            squares = np.einsum('ni,cnij,nj->c', residuals, covariances, residuals)
+            expected = np.einsum('nij,cnji->c', weight, covariances) - np.einsum(
+                'nia,cnij,nja->c', weighted_J @ C, covariances, weighted_J)
             variances = np.maximum(SMALLEST_VARIANCE, variances * np.sqrt(
-                (shown * variances + PRIOR_FREEDOM * typical / variances)
+                (squares * variances + PRIOR_FREEDOM * typical / variances)
                 / (expected * variances + PRIOR_FREEDOM)))
         return variances
 
     def residuals(self, X: Array, fitted: Indices, measured: Indices) -> Array:
-        """Return distances (m) of `measured` rows for X, the rest fitted to `fitted` ones."""
+        """
+        Return the distances (m) of the rows `measured` for X (4, 4).
+
+        What else is unknown is fitted to the rows `fitted`.
+        """
         state = self.subset(fitted).state_of(X)
-        return _lengths(self.subset(measured).linear(state)[0])[:, 0]
+        return _lengths(self.subset(measured).linearised(state)[0])[:, 0]
 
 
 def _positions(values: Array) -> Array:
@@ -232,8 +243,8 @@ def _positions(values: Array) -> Array:
 
 def _lengths(differences: Array) -> Array:
     """Return the lengths (n, 2) of translation and rotation of differences (n, 3) or (n, 6)."""
-    both = np.pad(differences, ((0, 0), (0, 6 - differences.shape[1])))
-    return np.asarray(np.linalg.norm(both.reshape(-1, 2, 3), axis=2))
+    padded = np.pad(differences, ((0, 0), (0, 6 - differences.shape[1])))
+    return np.asarray(np.linalg.norm(padded.reshape(-1, 2, 3), axis=2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,14 +254,14 @@ class PointPairs(PairedRows):
     name = 'points'
     calibration_types = ('eye_on_base',)
     advice = 'take more points, spread over a larger volume'
-    check = 'do both lists hold the same points in the same order, and which are their units?'
-    over = 'the points of the file'
+    to_check = 'do both lists hold the same points in the same order, and which are their units?'
+    field_text = 'the points of the file'
     prefixes = ('camera', 'base')
     fewest = 4
-    typical = np.array([1e-18])
+    typical_variances = np.array([1e-18])
 
     @classmethod
-    def of(cls, table: Table, config: Config) -> Self:
+    def from_table(cls, table: Table, config: Config) -> Self:
         return cls(config, *map(table.points, cls.prefixes))
 
     def in_other_notations(self, table: Table) -> Iterator[Misreading]:
@@ -263,19 +274,19 @@ class PointPairs(PairedRows):
         require_count('the transform between two sets of points', self.fewest, 'points',
                       len(self))
         along, across = np.linalg.svd(self.robot - self.robot.mean(axis=0), compute_uv=False)[:2]
-        if across < SMALLEST_ANGLE * along:
+        if across < SMALLEST_WIDTH * along:
             raise DataError('the points lie in one line, so a turn about it is free; put some of '
                             'them well outside it')
 
     def closed_form(self) -> Array:
-        seen, robot = self.seen.mean(axis=0), self.robot.mean(axis=0)
-        R = Rotation.align_vectors(self.robot - robot, self.seen - seen)[0].as_matrix()
-        return se3.transform(R, robot - R @ seen)
+        seen_mean, robot_mean = self.seen.mean(axis=0), self.robot.mean(axis=0)
+        R = Rotation.align_vectors(self.robot - robot_mean, self.seen - seen_mean)[0].as_matrix()
+        return se3.transform(R, robot_mean - R @ seen_mean)
 
     def state_of(self, X: Array) -> Array:
         return X[None]
 
-    def linear(self, state: Array) -> tuple[Array, Array, Array]:
+    def linearised(self, state: Array) -> tuple[Array, Array, Array]:
         turned = self.seen @ state[0, :3, :3].T
         return (turned + state[0, :3, 3] - self.robot, se3.wrt_perturbation(turned),
                 np.broadcast_to(np.eye(3), (1, len(self), 3, 3)))
@@ -287,21 +298,21 @@ class PosePairs(PairedRows):
     Poses (n, 4, 4) at the same times (CN105021139A).
 
     seen: T_camera_target; robot: of what carries the camera (the flange, or with eye_on_base the
-    base) in what carries the target. State (2, 4, 4): X, the camera in its mount, and Z, the
+    base) in what carries the target. State (2, 4, 4): X, of the camera in its mount, and Z, of the
     target in the frame where it is fixed.
     """
 
     name = 'hand_eye'
     calibration_types = ('eye_in_hand', 'eye_on_base')
     advice = 'take more poses, turned by 30 degrees or more about two axes'
-    check = 'are both lists of the same moments, is no pose inverted, and which are the units?'
-    over = 'the positions of the target in the file'
+    to_check = 'are both lists of the same moments, is no pose inverted, and which are the units?'
+    field_text = 'the positions of the target in the file'
     prefixes = ('target', 'flange')
     fewest = 5
-    typical = 1e-8 * np.array([1e-8, 1e-6, 1e-7])  # 0.1 mm, 1 mrad and 0.3 mrad
+    typical_variances = 1e-8 * np.array([1e-8, 1e-6, 1e-7])  # 0.1 mm, 1 mrad and 0.3 mrad
 
     @classmethod
-    def of(cls, table: Table, config: Config) -> Self:
+    def from_table(cls, table: Table, config: Config) -> Self:
         flange = table.poses('flange', config.target.angles)
         return cls(config, table.poses('target'), mount_poses(flange, config))
 
@@ -310,22 +321,22 @@ class PosePairs(PairedRows):
                          'or, if it is right, give the flange in the base and the target in the '
                          'camera', replace(self, robot=se3.inverse(self.robot)))
         for prefixes in (('flange',), ('target',), ('flange', 'target')):
-            named = {f'{prefix}_q{old}': f'{prefix}_q{new}' for prefix in prefixes
-                     for old, new in zip('xyzw', 'wxyz', strict=True)}
+            new_names = {f'{prefix}_q{old}': f'{prefix}_q{new}' for prefix in prefixes
+                         for old, new in zip('xyzw', 'wxyz', strict=True)}
             yield Misreading(f'{" and ".join(prefixes)} quaternions as w x y z',
                              'name the columns in the order of their values',
-                             self.of(table.renamed(named), self.config))
+                             self.from_table(table.renamed(new_names), self.config))
         # angles of the flange as other controllers mean them, of the same columns first
-        used = table.notation('flange', self.config.target.angles)
-        columns = used.columns('flange')
-        others = {name: notation.columns('flange') for name, notation in NOTATIONS.items()
-                  if used.angle and notation.angle}
+        notation = table.notation('flange', self.config.target.angles)
+        columns = notation.columns('flange')
+        others = {name: other.columns('flange') for name, other in NOTATIONS.items()
+                  if notation.angle and other.angle}
         for name, names in sorted(others.items(), key=lambda item: item[1] != columns):
             yield Misreading(
                 f'the flange written as {name}', f'set target.angles to {name}' + (
                     '' if names == columns else f' and name the columns {", ".join(names)}'),
-                self.of(table.renamed(dict(zip(columns, names, strict=True))),
-                        with_values(self.config, {'target.angles': name})))
+                self.from_table(table.renamed(dict(zip(columns, names, strict=True))),
+                                with_values(self.config, {'target.angles': name})))
 
     def require_determined(self) -> None:
         """Raise DataError for few poses, and for poses that turn about one axis or none."""
@@ -340,21 +351,21 @@ class PosePairs(PairedRows):
         throughout.
         """
         T, seen = self.robot, self.seen
-        i, j = np.random.default_rng(SEED).integers(len(T), size=(2, PAIRS))
+        i, j = np.random.default_rng(SEED).integers(len(T), size=(2, PAIR_COUNT))
         A, B = se3.inverse(T[j]) @ T[i], seen[j] @ se3.inverse(seen[i])
-        sure = se3.angle(np.stack([A, B])[..., :3, :3]).max(axis=0) < LARGEST_ANGLE
-        return solve_motions(A[sure], B[sure])
+        has_axis = se3.angle(np.stack([A, B])[..., :3, :3]).max(axis=0) < LARGEST_ANGLE
+        return solve_motions(A[has_axis], B[has_axis])
 
     def state_of(self, X: Array) -> Array:
         return np.stack([X, se3.mean_pose(self.robot @ X @ self.seen)])
 
-    def linear(self, state: Array) -> tuple[Array, Array, Array]:
+    def linearised(self, state: Array) -> tuple[Array, Array, Array]:
         """
-        Return what is left of the views in the camera frame; see PairedRows.
+        Return the differences of the target's poses in the camera; see PairedRows.
 
-        Causes: translation (of target and robot together, as their effects are the same),
-        rotation of the target, rotation of the robot about its flange, which also shifts the
-        target.
+        Causes of errors: translation (of target and robot together, as their effects are the
+        same), rotation of the target, rotation of the robot about its flange, which also shifts
+        the target.
         """
         (X, Z), T, n = state, self.robot, len(self)
         to_camera = np.swapaxes(T[:, :3, :3] @ X[:3, :3], 1, 2)
@@ -365,7 +376,8 @@ class PosePairs(PairedRows):
         J[:, :3, 6:9], J[:, 3:, 9:] = -to_camera, -to_camera
         flange = T[:, :3, 3] if self.config.in_hand else 0.0
         turned = np.concatenate([-to_camera @ se3.skew(Z[:3, 3] - flange), to_camera], axis=1)
-        own = np.broadcast_to(np.eye(6), (n, 6, 6))
-        causes = np.array([own * ([1] * 3 + [0] * 3), own * ([0] * 3 + [1] * 3),
-                           turned @ np.swapaxes(turned, 1, 2)])
-        return se3.difference(self.seen, se3.inverse(T @ X) @ Z), J, causes
+        covariances = np.array([
+            np.broadcast_to(np.diag([1.0] * 3 + [0.0] * 3), (n, 6, 6)),
+            np.broadcast_to(np.diag([0.0] * 3 + [1.0] * 3), (n, 6, 6)),
+            turned @ np.swapaxes(turned, 1, 2)])
+        return se3.difference(self.seen, se3.inverse(T @ X) @ Z), J, covariances

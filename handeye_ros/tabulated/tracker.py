@@ -41,30 +41,30 @@ import numpy as np
 
 FEWEST_POINTS = {'arc': 6, 'line': 3, 'face_c': 3, 'face_d': 3, 'ball': 1}  # points in the file
 SWEPT_PARTS = ('swept_ball', 'swept_face_c', 'swept_face_d')
-PARTS = ('arc', 'line', 'face_c', 'face_d', *SWEPT_PARTS)  # all but the mean of the ball's points
-UNKNOWNS = 28  # that fits to the points of the parts have
-IN_ORDER = 0.9  # share of the way along arc and line that leads forward, at least
+PARTS = ('arc', 'line', 'face_c', 'face_d', *SWEPT_PARTS)  # the ball counts by its mean alone
+UNKNOWNS = 28  # number of unknowns in the fits to the points of these parts
+SMALLEST_FORWARD_SHARE = 0.9  # of the way along arc and line
 LARGEST_TURN = 0.35  # largest angle between the sweep (by the ball) and the line (rad)
-LARGEST_RMS, LARGEST_OF_ROW = 3.0, 10.0  # sigmas of the points of a part, of a row of the file
+LARGEST_PART_RMS, LARGEST_ROW_RMS = 3.0, 10.0  # sigmas of the points of a part, of a row
 NOISE_DRAWS, SEED = 100, 0  # of the noise, for the covariance
 # of the sweep
 RIDGE_ANGLE = 0.35  # smallest angle between two faces that meet (rad)
 LARGEST_SWEEP_TURN = 2e-3  # largest rotation of the flange during a sweep (rad)
 LARGEST_ASIDE = 2e-4  # largest deviation of the flange from its line (m, RMS)
-SMALLEST_WAY = 0.02  # m
-FEWEST_PROFILES = 5
+SMALLEST_TRAVEL = 0.02  # m: shortest travel of P3
+FEWEST_PROFILES = 5  # of the ball, and of the block
 # consecutive profiles without two faces that do not end a run of block profiles
 MOST_MISSED_PROFILES = 3
 
 
 class Piece(NamedTuple):
     """
-    Points of a part of ball, block or arm: a row of the file, or what one profile shows of it.
+    Points of one part of ball, block or arm: a row of the file, or what one profile shows of it.
 
-    sample: the row or the stamp
-    part: of SWEPT_PARTS (face_c is the face at smaller x), or the kind in the file
-    points: (k, 3), in the tracker's frame, swept ones x and z in the sensor plane and the reading
-        of P3
+    sample: the number of the row, or the stamp of the profile (ns)
+    part: one of PARTS; face_c is the face at smaller x
+    points: (k, 3) in the tracker's frame; of swept parts x and z in the sensor plane and the
+        reading of P3 (m)
     """
 
     sample: int
@@ -75,11 +75,11 @@ class Piece(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class TrackerSession(TableProblem):
     """
-    The points of both instruments.
+    The points that tracker and profiler measured.
 
-    pieces: of the arc, the line, the faces and the sweep
-    ball: (3,) its centre by the tracker
-    q30: the reading of P3 where the flange frame is taken (metres)
+    pieces: of all PARTS
+    ball: (3,) its centre by the tracker (m)
+    q30: the reading of P3 at which the flange frame is taken (m)
     """
 
     pieces: Sequence[Piece]
@@ -89,23 +89,23 @@ class TrackerSession(TableProblem):
     name = 'tracker'
     calibration_types = ('eye_in_hand',)
     advice = 'measure a longer arc and line, sweep over more of ball and faces'
-    check = 'which face is which, h0 and h1, and the readings of P3?'
-    over = FIELD_TEXT
+    to_check = 'which face is which, h0 and h1, and the readings of P3?'
+    field_text = FIELD_TEXT
 
     @classmethod
     def read(cls, path: Path, config: Config) -> Self:
-        """Read the reflector's points, and the bag of the sweep; raises InputError, DataError."""
-        known = config.tracker
-        if not any(known.direction):
-            raise BadValueError('tracker.direction', list(known.direction),
+        """Return the reflector's points and the sweep in a bag; raises InputError, DataError."""
+        tracker = config.tracker
+        if not any(tracker.direction):
+            raise BadValueError('tracker.direction', list(tracker.direction),
                                 'a direction that is not zero')
-        file = (path if path.is_dir() else path.parent) / known.file
+        file = (path if path.is_dir() else path.parent) / tracker.file
         recording = read_bag(path, config)
         if not file.is_file():
             raise TableError(file, 'no such file: put the reflector points beside the bag, or set '
                              'tracker.file')
         missing = [f'tracker.{name}' for name in ('h0', 'h1', 'first_reading')
-                   if math.isnan(getattr(known, name))]
+                   if math.isnan(getattr(tracker, name))]
         if missing:
             raise InputError(f'{" and ".join(missing)} must be set: the answer changes by their '
                              'full size, so they have no default; see config/tracker.yaml')
@@ -121,38 +121,37 @@ class TrackerSession(TableProblem):
                 if piece.part == part]
 
     @property
-    def axes(self) -> Array:
-        """Return T_sensor_plane (4, 4)."""
+    def T_sensor_plane(self) -> Array:
         return T_sensor_plane(self.config)
 
     def field(self) -> Array:
         return field_points()
 
     @cached_property
-    def measured(self) -> jing2020.Readings:
+    def readings(self) -> jing2020.Readings:
         """Return the points of both instruments by part."""
         parts = {part: np.concatenate([p.points for p in self.pieces if p.part == part])
                  for part in PARTS}
         return jing2020.Readings(parts | {'ball': self.ball[None]},
                                  self.config.tracker.h0 + self.config.tracker.h1, self.q30)
 
-    def chain(self, measured: jing2020.Readings) -> jing2020.Result:
-        """Return the published answer, of the sensor plane; raises DataError."""
-        direction = self.axes[:3, :3].T @ np.array(self.config.tracker.direction)
-        return jing2020.solve(measured, direction / np.linalg.norm(direction))
+    def published_answer(self, readings: jing2020.Readings) -> jing2020.Result:
+        """Return the answer of Jing 2020, of the sensor plane; raises DataError."""
+        direction = self.T_sensor_plane[:3, :3].T @ np.array(self.config.tracker.direction)
+        return jing2020.solve(readings, direction / np.linalg.norm(direction))
 
     def require_determined(self) -> None:
         """Raise DataError for points in the wrong order, and for a sweep beside the line."""
-        arc, line = self.measured.parts['arc'], self.measured.parts['line']
+        arc, line = self.readings.parts['arc'], self.readings.parts['line']
         centre, axis = jing2020.fit_arc(arc)
-        for what, steps in (
+        for part, steps in (
                 ('arc', np.cross(arc[:-1] - centre, arc[1:] - centre) @ axis),
                 ('line', np.diff(line, axis=0) @ jing2020.fit_line(line))):
-            if steps.sum() < IN_ORDER * np.abs(steps).sum():
-                raise DataError(f'the points of the {what} go back and forth; list them in the '
+            if steps.sum() < SMALLEST_FORWARD_SHARE * np.abs(steps).sum():
+                raise DataError(f'the points of the {part} go back and forth; list them in the '
                                 'order measured')
-        chain = self.chain(self.measured)
-        turn = math.acos(min(1.0, float(chain.direction @ chain.T_flange_sensor[2, :3])))
+        answer = self.published_answer(self.readings)
+        turn = math.acos(min(1.0, float(answer.direction @ answer.T_flange_sensor[2, :3])))
         if turn > LARGEST_TURN:
             raise DataError(
                 f'the sweep runs {math.degrees(turn):.0f} degrees beside the line of the '
@@ -161,70 +160,74 @@ class TrackerSession(TableProblem):
 
     def solve(self) -> TableAnswer:
         """Return the published answer, its covariance by draws of noise; raises DataError."""
-        chain, reflector = self.chain(self.measured), self.config.tracker.noise
-        noise, off, wrong = {'ball': reflector}, list[float](), list[tuple[float, str]]()
-        for part, away in self.distances(chain).items():
+        answer, tracker_noise = self.published_answer(self.readings), self.config.tracker.noise
+        noise, residuals = {'ball': tracker_noise}, list[float]()
+        contradicting = list[tuple[float, str]]()
+        for part, distances in self.distances(answer).items():
             pieces, is_swept = [p for p in self.pieces if p.part == part], part in SWEPT_PARTS
-            of_part = [rms(of_piece) for of_piece in np.split(
-                away, np.cumsum([len(piece.points) for piece in pieces])[:-1])]
-            off, noise[part] = off + of_part, max(rms(away), 0.0 if is_swept else reflector)
+            ends = np.cumsum([len(piece.points) for piece in pieces])
+            piece_rms = [rms(of_piece) for of_piece in np.split(distances, ends[:-1])]
+            residuals += piece_rms
+            noise[part] = max(rms(distances), 0.0 if is_swept else tracker_noise)
             # the distance of a reflector from a swept face has the noise of both instruments
-            stated = math.hypot(0.0 if is_swept else reflector,
+            stated = math.hypot(0.0 if is_swept else tracker_noise,
                                 0.0 if part in ('arc', 'line') else self.config.noise.sensor)
-            limit = math.inf if is_swept else LARGEST_OF_ROW  # a single profile matters little
-            what = f'{part} of {"profile" if is_swept else "row"}'
-            wrong += [(of_row, f'{what} {piece.sample}, by {mm(of_row)}')
-                      for piece, of_row in zip(pieces, of_part, strict=True)
-                      if max(of_row / limit, rms(away) / LARGEST_RMS) > stated]
-            typical = float(np.median(of_part))  # one wrong row pulls the others by less
-            if part in ('face_c', 'face_d') and typical > max(
-                    LARGEST_RMS * stated, max(of_part) / 2):
-                raise DataError(
-                    f'most rows of {part} contradict the sweep, typically by {mm(typical)}: check '
-                    'the unit of the table, which face is which, tracker.h0 and tracker.h1, and '
-                    'the noise of both instruments', reason='misfit')
-        if wrong:
+            row_limit = math.inf if is_swept else LARGEST_ROW_RMS  # one profile matters little
+            contradicting += [
+                (distance, f'{part} of {"profile" if is_swept else "row"} {piece.sample}')
+                for piece, distance in zip(pieces, piece_rms, strict=True)
+                if max(distance / row_limit, rms(distances) / LARGEST_PART_RMS) > stated]
+        if contradicting:
+            distance, worst = max(contradicting)
             raise DataError(
-                f'the points contradict each other, most of all {max(wrong)[1]}: measure again or '
-                'leave that row out, and check which face is which and the noise of both '
-                'instruments', reason='misfit')
-        rng, drawn = np.random.default_rng(SEED), []
+                f'the points contradict each other, most of all {worst}, by {mm(distance)}: '
+                'measure again or leave that row out, and check which face is which, the unit of '
+                'the table, tracker.h0 and tracker.h1, and the noise of both instruments',
+                reason='misfit')
+        rng, errors = np.random.default_rng(SEED), []
         for _ in range(NOISE_DRAWS):  # of each coordinate, but not of the reading of P3
             parts = {part: points + noise[part] * rng.normal(size=points.shape) * [
-                1, 1, part not in SWEPT_PARTS] for part, points in self.measured.parts.items()}
-            X = self.chain(replace(self.measured, parts=parts)).T_flange_sensor
-            drawn.append(se3.difference(X, chain.T_flange_sensor))
-        # left out: by generalised cross-validation
-        residual, count = rms(np.array(off)), sum(map(len, self.measured.parts.values()))
+                1, 1, part not in SWEPT_PARTS] for part, points in self.readings.parts.items()}
+            X = self.published_answer(replace(self.readings, parts=parts)).T_flange_sensor
+            errors.append(se3.difference(X, answer.T_flange_sensor))
+        residual_rms = rms(np.array(residuals))
+        point_count = sum(map(len, self.readings.parts.values()))
         return TableAnswer(
-            chain.T_flange_sensor, np.asarray(np.transpose(drawn) @ drawn / NOISE_DRAWS),
-            np.ones(len(off), dtype=bool), np.array(off), residual,
-            residual / (1 - UNKNOWNS / count),
-            target={'radius': chain.radius, 'face_angle': float(chain.angles[0])})
+            answer.T_flange_sensor, np.asarray(np.transpose(errors) @ errors / NOISE_DRAWS),
+            np.ones(len(residuals), dtype=bool), np.array(residuals), residual_rms,
+            residual_rms / (1 - UNKNOWNS / point_count),  # generalised cross-validation
+            target={'radius': answer.radius, 'face_angle': float(answer.angles[0])})
 
-    def distances(self, chain: jing2020.Result) -> dict[str, Array]:
-        """Return how far the points of each part are from what all show by the chain (m)."""
-        parts, direction = self.measured.parts, chain.direction
-        _, centre, radius = jing2020.fit_swept_ball(parts['swept_ball'], self.q30, direction)
-        pivot, axis = jing2020.fit_arc(parts['arc'])
-        spokes, line = parts['arc'] - pivot, parts['line'] - parts['line'].mean(axis=0)
-        reach = np.linalg.norm(spokes, axis=1)
+    def distances(self, answer: jing2020.Result) -> dict[str, Array]:
+        """
+        Return the distances (n,) of the points of each of PARTS from what all show (m).
+
+        Of the arc from a circle, of the line from a straight line, of the swept ball from a
+        sphere, and of each face, by both instruments, from its swept plane.
+        """
+        parts, direction = self.readings.parts, answer.direction
+        _, ball, radius = jing2020.fit_swept_ball(parts['swept_ball'], self.q30, direction)
+        centre, axis = jing2020.fit_arc(parts['arc'])
+        spokes, line = parts['arc'] - centre, parts['line'] - parts['line'].mean(axis=0)
+        radii = np.linalg.norm(spokes, axis=1)
         swept = {part: jing2020.swept(parts[part], self.q30, direction) for part in SWEPT_PARTS}
-        T_sensor_tracker = se3.inverse(jing2020.link_frame(self.measured) @ chain.T_flange_sensor)
-        away = {'arc': np.hypot(spokes @ axis, reach - reach.mean()),
-                'line': np.linalg.norm(np.cross(line, jing2020.fit_line(line)), axis=1),
-                'swept_ball': np.linalg.norm(swept['swept_ball'] - centre, axis=1) - radius}
+        T_sensor_tracker = se3.inverse(jing2020.link_frame(self.readings)
+                                       @ answer.T_flange_sensor)
+        distances = {
+            'arc': np.hypot(spokes @ axis, radii - radii.mean()),
+            'line': np.linalg.norm(np.cross(line, jing2020.fit_line(line)), axis=1),
+            'swept_ball': np.linalg.norm(swept['swept_ball'] - ball, axis=1) - radius}
         for face in ('face_c', 'face_d'):
-            on_face = swept[f'swept_{face}']
-            middle, normal = on_face.mean(axis=0), jing2020.fit_plane(on_face)
-            away[f'swept_{face}'] = (on_face - middle) @ normal
-            away[face] = (se3.apply(T_sensor_tracker, parts[face]) - middle) @ normal
-        return {part: away[part] for part in PARTS}
+            points = swept[f'swept_{face}']
+            middle, normal = points.mean(axis=0), jing2020.fit_plane(points)
+            distances[f'swept_{face}'] = (points - middle) @ normal
+            distances[face] = (se3.apply(T_sensor_tracker, parts[face]) - middle) @ normal
+        return {part: distances[part] for part in PARTS}
 
 
 def read_table(path: Path) -> tuple[list[Piece], Array]:
     """
-    Return the positions of the reflector, row by row, and the centre (3,) of the ball.
+    Return the positions of the reflector, row by row, and the centre (3,) of the ball (m).
 
     Columns kind (arc, line, ball, face_c or face_d) and x, y, z with their unit, as in `x [mm]`,
     in the order measured. Raises TableError.
@@ -254,56 +257,58 @@ def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], confi
     DataError.
     """
     first, last = poses[0].stamp, poses[-1].stamp
-    inside = [p for p in profiles if first <= p.stamp <= last]
-    if not inside:
+    profiles = [profile for profile in profiles if first <= profile.stamp <= last]
+    if not profiles:
         raise DataError('no profile lies within the time of the poses; record both together')
-    q3 = config.tracker.first_reading + _ways(interpolate(poses, [
-        first, *(p.stamp for p in inside)]))
-    seen = dict[int, list[Piece]]()
-    for index, (profile, reading) in enumerate(zip(inside, q3.tolist(), strict=True)):
+    q3 = config.tracker.first_reading + _travel(interpolate(poses, [
+        first, *(profile.stamp for profile in profiles)]))
+    pieces = dict[int, list[Piece]]()  # by the index of the profile
+    for index, (profile, reading) in enumerate(zip(profiles, q3.tolist(), strict=True)):
         with suppress(UnusableMessageError, FeatureError):
-            seen[index] = [Piece(profile.stamp, part, np.insert(points, 2, reading, axis=1))
-                           for part, points in _seen(profile.read().points, config)]
-    # the rim of the ball shows so little that two lines may fit it as well
-    corners = np.array([index for index, pieces in seen.items() if len(pieces) == 2], dtype=int)
+            pieces[index] = [Piece(profile.stamp, part, np.insert(points, 2, reading, axis=1))
+                             for part, points in _parts_in(profile.read().points, config)]
+    # two lines may also fit the rim of the ball: the block is the longest run of two faces
+    corners = np.array([index for index in pieces if len(pieces[index]) == 2], dtype=int)
     gaps = np.flatnonzero(np.diff(corners) > 1 + MOST_MISSED_PROFILES) + 1
     block = max(np.split(corners, gaps), key=len).tolist()
-    ball = [index for index, pieces in seen.items() if len(pieces) == 1]
-    for what, count in (('ball', len(ball)), ('block', len(block))):
-        if count < FEWEST_PROFILES:
-            raise DataError(f'{count} profiles show the {what}; sweep over it slowly, at least '
-                            f'{FEWEST_PROFILES} profiles')
-    return [piece for index in (*ball, *block) for piece in seen[index]], (
+    ball = [index for index in pieces if len(pieces[index]) == 1]
+    for name, indices in (('ball', ball), ('block', block)):
+        if len(indices) < FEWEST_PROFILES:
+            raise DataError(f'{len(indices)} profiles show the {name}; sweep over it slowly, at '
+                            f'least {FEWEST_PROFILES} profiles')
+    return [piece for index in (*ball, *block) for piece in pieces[index]], (
         q3.min() + q3.max()) / 2
 
 
-def _ways(T: Array) -> Array:
-    """Return the travel (n - 1,) along the flange's z from the first of poses (n, 4, 4), m."""
+def _travel(T: Array) -> Array:
+    """
+    Return the travel (n - 1,) along the flange's z from the first of poses (n, 4, 4) (m).
+
+    Raises DataError for another motion than along a line, without a turn.
+    """
     turn = float(np.max(se3.angle(T[:, :3, :3] @ T[0, :3, :3].T)))
-    if turn > LARGEST_SWEEP_TURN:
-        raise DataError(f'the flange turns by {degrees(turn)} during the sweep; move P3 alone')
     moved = (T[:, :3, 3] - T[0, :3, 3]) @ T[0, :3, :3]
-    aside = float(np.sqrt((moved[:, :2] ** 2).sum(axis=1).mean()))
-    if np.ptp(moved[:, 2]) < SMALLEST_WAY or aside > LARGEST_ASIDE:
+    along, aside = np.ptp(moved[:, 2]), rms(np.linalg.norm(moved[:, :2], axis=1))
+    if turn > LARGEST_SWEEP_TURN or aside > LARGEST_ASIDE or along < SMALLEST_TRAVEL:
         raise DataError(
-            f'the flange moves {np.ptp(moved[:, 2]) * 1e3:.1f} mm along its z, and '
-            f'{aside * 1e3:.2f} mm aside; move P3 alone, over ball and block; the flange frame '
-            'has z along P3')
+            f'in the sweep the flange moves {along * 1e3:.1f} mm along its z and '
+            f'{aside * 1e3:.2f} mm aside, and turns by {degrees(turn)}: move P3 alone, over ball '
+            'and block; the flange frame has z along P3')
     return np.asarray(moved[1:, 2])
 
 
-def _seen(points: Array, config: Config) -> list[tuple[str, Array]]:
+def _parts_in(points: Array, config: Config) -> list[tuple[str, Array]]:
     """
-    Return the part of the ball, or the two faces of the block, in a profile (n, 2).
+    Return what a profile (n, 2) shows, with its points (k, 2): swept_ball, or both swept faces.
 
-    Points (k, 2) of each. Raises FeatureError for a profile of neither.
+    Raises FeatureError for a profile of neither.
     """
     with suppress(FeatureError):
         arc, = arc_features(points, config)
-        return [(SWEPT_PARTS[0], arc.points)]
+        return [('swept_ball', arc.points)]
     left, right = corner_features(points, config)[:2]
-    # nearer to the sensor in the middle, so the range falls towards it from both sides
+    # a ridge is nearer to the sensor in the middle: the range falls towards it from both sides
     bend = float(np.linalg.det([left.direction, right.direction])) * config.profile.range_sign
     if bend < math.sin(RIDGE_ANGLE):
         raise FeatureError('a groove, or an edge too blunt')
-    return [(SWEPT_PARTS[1], left.points), (SWEPT_PARTS[2], right.points)]
+    return [('swept_face_c', left.points), ('swept_face_d', right.points)]

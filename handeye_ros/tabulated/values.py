@@ -12,7 +12,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, KW_ONLY
-import math
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
 
@@ -31,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 LARGEST_RMS, LARGEST_ANGLE = 5e-3, 0.05  # of the residuals of values that agree (m, rad)
-CLEAR_SHARE = 0.2  # of the misfit: a misreading with more does not explain the values
+MISREADING_RMS = 1e-3  # m: the same of values that are read otherwise, to be named as the cause
 
 Indices: TypeAlias = NDArray[np.intp]
 
@@ -39,20 +38,20 @@ Indices: TypeAlias = NDArray[np.intp]
 @dataclass(frozen=True, eq=False)
 class TableProblem(ABC):
     """
-    What is read from the files of a target, and how it is solved.
+    The values measured for a target, as its files hold them, and how they are solved.
 
-    A sample is a row of a table, or what a profile shows.
+    A sample is a row of a table, or what one profile shows of the target.
 
-    frame: of the sensor
+    frame: frame id of the sensor
     inputs: path and sha256 of every file
     warnings: what was lost in reading
-    misreadings: the values as other units and notations would give them
+    misreadings: the same values in other units and notations
 
-    name: of the target
-    calibration_types: that it can have
+    name: of the target, as in target.type
+    calibration_types: those that the target can have
     advice: what makes an answer more certain
-    check: what to check where values contradict each other
-    over: `field` in words
+    to_check: what to check where the values contradict each other
+    field_text: the points of `field` in words
     """
 
     config: Config
@@ -65,13 +64,13 @@ class TableProblem(ABC):
     name: ClassVar[str]
     calibration_types: ClassVar[tuple[str, ...]]
     advice: ClassVar[str]
-    check: ClassVar[str]
-    over: ClassVar[str]
+    to_check: ClassVar[str]
+    field_text: ClassVar[str]
 
     @classmethod
     @abstractmethod
     def read(cls, path: Path, config: Config) -> Self:
-        """Return what a file holds, with all that belongs to it; raises InputError, DataError."""
+        """Return the values in a file, and in those beside it; raises InputError, DataError."""
 
     @property
     @abstractmethod
@@ -84,20 +83,24 @@ class TableProblem(ABC):
 
     @abstractmethod
     def solve(self) -> TableAnswer:
-        """Return the answer; raises DataError."""
+        """Return the answer, however uncertain; raises DataError."""
 
     @abstractmethod
     def field(self) -> Array:
-        """Return points (k, 3) in the frame of the values over which errors are reported (m)."""
+        """Return the points (k, 3) over which errors are reported, in the plane's frame (m)."""
 
     @property
-    def axes(self) -> Array:
-        """Return T_sensor_values (4, 4), of the frame in which the values and X are."""
+    def T_sensor_plane(self) -> Array:
+        """Return (4, 4): the frame of the values in the sensor's; of profiles their plane."""
         return np.eye(4)
 
 
 class Misreading(NamedTuple):
-    """Values as they would be otherwise: after "with" in words, and the remedy."""
+    """
+    The values of a problem in another unit or notation.
+
+    words: what is different, after "with"; remedy: what to do if this is right.
+    """
 
     words: str
     remedy: str
@@ -107,20 +110,21 @@ class Misreading(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class TableAnswer:
     """
-    The transform X (4, 4) from the mount to the frame of the values, with its statistics.
+    The transform X (4, 4) of the frame of the values in the mount, with its statistics.
 
-    covariance: (6, 6), x y z rx ry rz in the mount
+    covariance: (6, 6), x y z rx ry rz in the mount (m, rad)
     used: (n,) whether each sample is used
-    off: (n,) residuals of all (m)
-    residual_rms, holdout_rms: of the used ones (m), the latter with each predicted without itself
-    angle_rms: RMS residual of measured rotations (rad)
+    residuals: (n,) of all samples (m)
+    residual_rms: of the used ones (m)
+    holdout_rms: the same, each predicted from the others (m)
+    angle_rms: of the residuals of measured rotations (rad)
     target: other estimates, as plain values
     """
 
     X: Array
     covariance: Array
     used: NDArray[np.bool_]
-    off: Array
+    residuals: Array
     residual_rms: float
     holdout_rms: float
     angle_rms: float = 0.0
@@ -132,14 +136,8 @@ class TableAnswer:
         return bool(1 - self.used.mean() <= LARGEST_DROPPED_SHARE
                     and self.residual_rms <= LARGEST_RMS and self.angle_rms <= LARGEST_ANGLE)
 
-    @property
-    def misfit(self) -> float:
-        """Return the residual (m) that most samples stay below, infinite with wrong rotations."""
-        off = float(np.quantile(self.off, 1 - LARGEST_DROPPED_SHARE))
-        return off if self.angle_rms <= LARGEST_ANGLE else math.inf
-
     def require_trusted(self, problem: TableProblem) -> None:
-        """Raise DataError for an answer beyond the limits of the problem that it is of."""
+        """Raise DataError for an answer of a problem that is beyond its limits."""
         require_certain(self.covariance, problem.config, problem.advice)
         require_left_out(self.holdout_rms, self.residual_rms, problem.config.limits.residual)
 
@@ -151,10 +149,11 @@ def calibrate(problem: TableProblem) -> Calibration:
     answer.require_trusted(problem)
     warnings = {'warnings': list(problem.warnings)} if problem.warnings else {}
     return assemble_calibration(
-        problem.config, problem.name, problem.frame, answer.X @ se3.inverse(problem.axes),
-        answer.covariance, answer.residual_rms, answer.holdout_rms, answer.target,
-        [report_of_row(number, kind, used, off) for (number, kind), used, off in zip(
-            problem.samples, answer.used, answer.off, strict=True)],
+        problem.config, problem.name, problem.frame,
+        answer.X @ se3.inverse(problem.T_sensor_plane), answer.covariance, answer.residual_rms,
+        answer.holdout_rms, answer.target,
+        [report_of_row(number, kind, used, residual) for (number, kind), used, residual in zip(
+            problem.samples, answer.used, answer.residuals, strict=True)],
         {'inputs': list(problem.inputs), **warnings})
 
 
@@ -162,20 +161,18 @@ def solve(problem: TableProblem) -> TableAnswer:
     """
     Return the answer of values that agree; raises DataError.
 
-    It names a misreading that explains the values, if all that do so give the same answer.
+    The refusal names a misreading that explains the values, if all that do give the same answer.
     """
-    misfit = math.inf
     try:
         problem.require_determined()
         answer = problem.solve()
         if answer.agrees:
             return answer
-        misfit = answer.misfit
         turned = f' and {degrees(answer.angle_rms)}' if answer.angle_rms else ''
         refusal = DataError(
             f'no transform brings all samples together: the {answer.used.sum()} of '
             f'{len(answer.used)} that agree best differ by {mm(answer.residual_rms)}{turned} RMS: '
-            f'{problem.check}', reason='misfit')
+            f'{problem.to_check}', reason='misfit')
     except DataError as error:
         refusal = error
     explaining = list[tuple[Array, str]]()
@@ -183,9 +180,9 @@ def solve(problem: TableProblem) -> TableAnswer:
         with suppress(DataError):
             values.require_determined()
             answer = values.solve()
-            if answer.agrees and answer.misfit < CLEAR_SHARE * misfit:
+            if answer.agrees and answer.residual_rms < MISREADING_RMS:
                 explaining.append((answer.X, f'the values contradict each other, but with {words} '
-                                   f'they agree to {mm(answer.misfit)}: {remedy}'))
+                                   f'they agree to {mm(answer.residual_rms)}: {remedy}'))
     if explaining and all(np.allclose(X, explaining[0][0], atol=1e-9) for X, _ in explaining):
         raise DataError(explaining[0][1], reason='convention')
     raise refusal

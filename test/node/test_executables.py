@@ -223,7 +223,7 @@ def test_profiles_from_before_the_clock_was_set_back_are_not_scanned(
 
 def test_a_corrected_pose_follows_every_joint_state(tmp_path: Path, client: Client) -> None:
     pytest.importorskip('pinocchio', reason='needs pinocchio')
-    urdf = robot.urdf().replace('0 0 0.75', '0.002 0 0.75')
+    urdf = robot.URDF.replace('0 0 0.75', '0.002 0 0.75')
     (tmp_path / 'arm.urdf').write_text(urdf)
     got: list[PoseStamped] = []
     client.node.create_subscription(PoseStamped, '/corrected_pose', got.append, BEST_EFFORT)

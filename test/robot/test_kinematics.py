@@ -301,7 +301,7 @@ def test_a_urdf_of_another_robot_is_refused(recorded):
 
 
 def test_a_solve_with_a_corrected_arm_is_as_uncertain_as_the_arm_makes_it(tmp_path):
-    stated, rng, scenario = arm_of(simulated_arm.urdf()), np.random.default_rng(1), SCENARIOS[
+    stated, rng, scenario = arm_of(simulated_arm.URDF), np.random.default_rng(1), SCENARIOS[
         'sphere']
     scenario = replace(scenario, stations=(30, 0), tilt=0.6, robot=replace(
         scenario.robot, geometry=1e-9, systematic=(0.0, 0.0)))
@@ -314,7 +314,7 @@ def test_a_solve_with_a_corrected_arm_is_as_uncertain_as_the_arm_makes_it(tmp_pa
     method = target_for(config)
     problem = Problem(method, stated.forward(q), method.observe(samples), config)
     answer = sources.solve_sources([sources.Source(Session(config), samples, problem, q)], stated)
-    answer.save(simulated_arm.urdf(), tmp_path, ())
+    answer.save(simulated_arm.URDF, tmp_path, ())
     corrected = [replace(s, T_base_flange=T) for s, T in zip(
         samples, read_arm(tmp_path).forward(q), strict=True)]
     config = replace(config, kinematics=str(tmp_path / 'kinematics.yaml'))

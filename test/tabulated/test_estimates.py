@@ -60,7 +60,7 @@ def test_wrong_points_are_left_out(count: int, wrong: int) -> None:
         T, points = pairs(seed, count, wrong)
         found = solve(points)
         assert np.flatnonzero(~found.used).tolist() == list(range(wrong))
-        assert found.off[:wrong].min() > 5 * found.residual_rms
+        assert found.residuals[:wrong].min() > 5 * found.residual_rms
         assert found.residual_rms < found.holdout_rms < 1e-3
 
 
@@ -172,7 +172,7 @@ def test_what_of_the_tracker_cannot_carry_an_answer_is_refused() -> None:
             ({'face_d': parts['face_c'] + 1e-3 * np.ones(3)}, 'check which face is which'),
             ({'arc': parts['arc'][order]}, 'the points of the arc go back and forth'),
             ({'line': parts['line'][order]}, 'the points of the line go back and forth'),
-            ({'face_c': wrong}, 'most rows of face_c contradict')):
+            ({'face_c': wrong}, 'most of all face_c of row')):
         with pytest.raises(DataError, match=words):
             tracked(replace(measured, parts=parts | change))
 
@@ -184,8 +184,8 @@ def test_a_sweep_that_is_none_is_refused() -> None:
     aside = [replace(pose, translation=pose.translation[[1, 0, 2]]) for pose in cell.poses]
     late = [replace(pose, stamp=pose.stamp + 10 ** 12) for pose in cell.poses]
     for profiles, poses, words in (
-            (cell.profiles, turned, 'the flange turns by'),
-            (cell.profiles, aside, 'mm aside; move P3 alone'),
+            (cell.profiles, turned, 'mm aside, and turns by'),
+            (cell.profiles, aside, 'mm aside, and turns by .*: move P3 alone'),
             (cell.profiles[:50], cell.poses, 'profiles show the block'),
             (cell.profiles[80:], cell.poses, '0 profiles show the ball'),
             (cell.profiles, late, 'no profile lies within the time of the poses')):

@@ -100,7 +100,7 @@ def test_solve_answers_near_the_truth_and_says_how_near(name: str, handeye: Run,
         assert hashlib.sha256(Path(path).read_bytes()).hexdigest() == digest
     read = read_configured(name, folder)
     errors = errors_against(found.T_flange_sensor, T_true, read.field())
-    told = f'mapped points {errors.mapped_points * 1e3:.3f} mm RMS over {read.over}'
+    told = f'mapped points {errors.mapped_points * 1e3:.3f} mm RMS over {read.field_text}'
     assert told in run.stdout
     found.provenance.pop('created')
     assert equal(found, calibrate(read))
@@ -258,7 +258,7 @@ INVERTED = 'set calibration_type to the other one, or, if it is right, give the 
     ('small_tracker', replaced(('face_c', 'x_'), ('face_d', 'face_c'), ('x_', 'face_d')), 3,
      'check which face is which'),
     ('small_tracker', replaced(('[mm]', '[m]')), 3,
-     'contradict the sweep, typically by more than a metre: check the unit of the table'),
+     'by more than a metre: measure again or leave that row out, and check which face'),
     ('hand_eye calibration_type=eye_on_base', str, 3, INVERTED),
     ('hand_eye_on_base calibration_type=eye_in_hand', str, 3, INVERTED)])
 def test_files_without_an_answer(name: str, change: Callable[[str], str], code: int, words: str,
