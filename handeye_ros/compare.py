@@ -68,14 +68,14 @@ class ComparedStations:
     estimate: Estimate
     noise: Noise
 
-    over = FIELD_TEXT
+    field_text = FIELD_TEXT
 
     def __len__(self) -> int:
         """Return the number of stations."""
         return len(self.samples)
 
     @property
-    def axes(self) -> Array:
+    def T_sensor_plane(self) -> Array:
         """Return T_sensor_plane (4, 4), of the sensor plane in which X and field are."""
         return T_sensor_plane(self.config)
 
@@ -256,14 +256,14 @@ class Comparison:
 
     used, rejected: number of stations given to every estimator, and of the others
     refusal: why the answer of the target's own method is none, or None
-    over: region of the errors, in words
+    field_text: region of the errors, in words
     """
 
     rows: tuple[Row, ...]
     used: int
     rejected: int
     refusal: DataError | None
-    over: str
+    field_text: str
 
 
 def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
@@ -378,7 +378,7 @@ def tables(comparison: Comparison) -> RenderableType:
     legend = ('residual: RMS of what the first method minimises, with each transform, the target '
               'fitted to it; left out: of samples the estimator was not given')
     if with_errors:
-        legend += f'\nerror: against truth.yaml; mapped: RMS over {comparison.over}'
+        legend += f'\nerror: against truth.yaml; mapped: RMS over {comparison.field_text}'
     return Group(Text(title), transforms, figures, Text(legend))
 
 
