@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from handeye_ros.calibration import block_estimates, NOTED_SIGMAS, PLATE_LENGTHS
+from handeye_ros.calibration import block_estimates, NOTED_SIGMAS
 from handeye_ros.checks.hypotheses import Explanation, explanation_of_problem, Hypothesis
 from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.errors import DataError
@@ -23,7 +23,6 @@ from handeye_ros.frames import mount_poses
 import numpy as np
 
 VERY_STRONG_EVIDENCE = 10.0  # twice the log of a Bayes factor (Kass and Raftery)
-FREED_SIZE_STD = 3e-3  # m: 1 sigma of a length of the plate that is stated wrongly
 FREED_FROM_SIGMAS = 2.5  # an estimated length is used; it costs little where the stated is right
 SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
 
@@ -54,23 +53,25 @@ def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random
 
 def with_free_size_if_needed(agreed: Solution) -> Solution:
     """
-    Return the refined consensus with the lengths of a plate estimated, if the stated are wrong.
+    Return the refined consensus with the target's lengths estimated, if the stated are wrong.
 
     Otherwise the scale of the robot, which is stated less exactly, stands for a wrong length: they
     are estimated too where such a scale is seen with the stated lengths alone.
     """
     config, problem = agreed.full_problem.config, agreed.problem
-    stated = config.target.size_std
-    if not config.target.size or stated >= FREED_SIZE_STD:
+    free = replace(config, target=replace(config.target, **problem.target.loose_lengths))
+    stated, loose = (problem.target.stated_values(settings) for settings in (config, free))
+    lengths = [name for name, (_, std) in loose.items() if std > stated[name][1]]
+    if not lengths:
         return agreed
-    free = replace(config, target=replace(config.target, size_std=FREED_SIZE_STD))
     # solved anew from the observations and the estimate; what is linearised here is not used
     other = with_systematic_errors(replace(
         agreed, full_problem=replace(agreed.full_problem, config=free),
         linear=replace(agreed.linear, problem=replace(problem, config=free))))
     freed, before = (block_estimates(one.conservative) for one in (other, agreed))
-    lengths = [freed[name] for name in PLATE_LENGTHS if name in freed]
-    wrong = any(abs(one.value) > max(FREED_FROM_SIGMAS * one.std, 2 * stated) for one in lengths)
+    wrong = any(
+        abs(freed[name].value) > max(FREED_FROM_SIGMAS * freed[name].std, 2 * stated[name][1])
+        for name in lengths if name in freed)
     scales = [each['scale'] for each in (before, freed) if 'scale' in each]
     seen = [abs(one.value) > FREED_FROM_SIGMAS * one.std for one in scales]
     return other if wrong or seen == [True, False] else agreed

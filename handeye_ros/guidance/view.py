@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, FaceLine, Sample
+from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.target import Target
 import numpy as np
 
@@ -110,11 +110,9 @@ def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:
 
     There must be one sample, or one point, at least.
     """
-    points = [] if seen is None else [seen]
-    for feature in (feature for sample in samples for feature in sample.features):
-        points.append(feature.ends if isinstance(feature, FaceLine) else
-                      feature.points if isinstance(feature, Arc) else feature.point[None])
-    return View((extremes(np.concatenate(points)) @ BORDER_NORMALS.T).max(axis=0))
+    polylines = [feature.polyline for sample in samples for feature in sample.features]
+    points = np.concatenate([*([] if seen is None else [seen]), *polylines])
+    return View((extremes(points) @ BORDER_NORMALS.T).max(axis=0))
 
 
 def view_levers(X: Array, view: View) -> Array:

@@ -15,7 +15,6 @@ from itertools import combinations
 
 from handeye_ros.config import Config
 from handeye_ros.data import (
-    Arc,
     Array,
     Calibration,
     EdgePoint,
@@ -157,10 +156,7 @@ def _distances_from_common(points: Array, stop: Indices, dimension: int) -> tupl
 
 def _ends_in_base(feature: Feature, T: Array) -> Array:
     """Return the first and last point (2, 3) of a feature in the base; T: (4, 4) sensor plane."""
-    points = (feature.ends if isinstance(feature, FaceLine) else
-              feature.points[[0, -1]] if isinstance(feature, Arc) else
-              np.array([feature.point, feature.point]))
-    return np.asarray(points @ T[:3, [0, 2]].T + T[:3, 3])
+    return np.asarray(feature.polyline[[0, -1]] @ T[:3, [0, 2]].T + T[:3, 3])
 
 
 def _in_ball(samples: Sequence[Sample], T: Array, region: Sequence[float]) -> list[Sample]:
