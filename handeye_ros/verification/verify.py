@@ -163,7 +163,7 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
     return Verification(
         routine.name, calibration.name, verdict, reasons, config.verify.tolerance,
         config.verify.angle_tolerance, len(np.unique(shape.stations.observations.station)),
-        quantities, fit.scatter, fit.detectable_error, fit.weakest_direction, fit.nominal_chi2,
+        quantities, fit.scatter, fit.smallest_error, fit.weakest_direction, fit.region,
         fit.freedom, fit.claim_p, per_station, stations.surface, says=routine.says,
         recorded=output.time_of(int(stations.stamps.min())), certificate=config.verify.certificate,
         record=dict(config.record))
@@ -214,12 +214,12 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
     failed, undecided = ([sentence for decided, sentence in findings if decided == kind]
                          for kind in (VIOLATES, UNDECIDED))
     verdict = 'fail' if failed else 'undecided' if undecided else 'pass'
-    if not failed and fit.detectable_error > limits.tolerance:
+    if not failed and fit.smallest_error > limits.tolerance:
         verdict = 'insensitive'
         undecided.insert(0, (
             'this decides nothing: an error of the calibration would show only from '
-            f'{mm(fit.detectable_error)} on ({fit.weakest_direction}), and the tolerance is '
-            f'{mm(limits.tolerance)}{remedy(fit.detectable_error, limits.tolerance)}'))
+            f'{mm(fit.smallest_error)} on ({fit.weakest_direction}), and the tolerance is '
+            f'{mm(limits.tolerance)}{remedy(fit.smallest_error, limits.tolerance)}'))
     return verdict, (*failed, *undecided, *_notes(fit, other_size, stations))
 
 
