@@ -70,8 +70,8 @@ class Joint:
     @property
     def twist(self) -> Array:
         """Return its motion (6,) per unit of its value: shift and turn, in its frame."""
-        along, none = self.axis, np.zeros(3)
-        return np.append(none, along) if self.kind == REVOLUTE else np.append(along, none)
+        zero = np.zeros(3)
+        return np.append(zero, self.axis) if self.kind == REVOLUTE else np.append(self.axis, zero)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,8 +158,8 @@ class Arm:
         """Return T_base_flange (n, 4, 4) of reported joint values (n, joints)."""
         pinocchio, model = _pinocchio(), self.model
         data, T = model.createData(), np.empty((len(q), 4, 4))
-        for k, row in enumerate(q + self.errors[:, 0]):
-            pinocchio.framesForwardKinematics(model, data, row)
+        for k, positions in enumerate(q + self.errors[:, 0]):
+            pinocchio.framesForwardKinematics(model, data, positions)
             T[k] = data.oMf[model.nframes - 1].homogeneous
         return T
 
@@ -171,8 +171,8 @@ class Arm:
         """
         pinocchio, model = _pinocchio(), self.model
         data, by_placements = model.createData(), np.empty((len(q), 6, 6 * len(self.joints)))
-        for k, row in enumerate(q + self.errors[:, 0]):
-            pinocchio.forwardKinematics(model, data, row)
+        for k, positions in enumerate(q + self.errors[:, 0]):
+            pinocchio.forwardKinematics(model, data, positions)
             by_placements[k] = pinocchio.computeFrameKinematicRegressor(
                 model, data, model.nframes - 1, pinocchio.LOCAL_WORLD_ALIGNED)
         wrt_errors = np.zeros((len(self.joints), 6, 5))  # of the placements, in their own axes
@@ -186,7 +186,8 @@ class Arm:
         """
         Return joint values (n, joints) at poses (n, 4, 4), from the nearest known configurations.
 
-        Poses beyond reach get those that come near.
+        By Gauss-Newton steps of at most LARGEST_STEP; poses beyond reach get values that come
+        near.
         """
         known, lengths = self.forward(self.configurations), np.repeat([1.0, TURN_LENGTH], 3)
         q = self.configurations[[

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Integral
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, ClassVar, TypeAlias, TypeVar
 
 from handeye_ros.config import ProfileConfig
 from handeye_ros.errors import form_of, InputError, require_type
@@ -195,6 +195,12 @@ class FaceLine:
     points: Array = field(default_factory=lambda: np.empty((0, 2)))
     points_std: Array = field(default_factory=lambda: np.empty(0))
     bins: Array = field(default_factory=lambda: np.empty((0, 2)))
+    noun: ClassVar[str] = 'face line'
+
+    @property
+    def polyline(self) -> Array:
+        """Return its ends and its centre (3, 2), in order."""
+        return np.insert(self.ends, 1, self.centre, axis=0)
 
     @property
     def ends(self) -> Array:
@@ -232,6 +238,12 @@ class EdgePoint:
     arc_offset: Array = field(default_factory=lambda: np.zeros(2))
     arc_std: float = 0.0
     shape_std: float = 0.0
+    noun: ClassVar[str] = 'edge point'
+
+    @property
+    def polyline(self) -> Array:
+        """Return the point, as the only one (1, 2) of what is drawn."""
+        return self.point[None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,6 +262,12 @@ class Arc:
     centre: Array
     radius: float
     raw: Array
+    noun: ClassVar[str] = 'arc'
+
+    @property
+    def polyline(self) -> Array:
+        """Return its normal points (k, 2)."""
+        return self.points
 
     @property
     def circle(self) -> Array:
@@ -257,6 +275,7 @@ class Arc:
         return np.append(self.centre, self.radius)
 
 
+# Each has a noun, and a polyline: points (k, 2) in order that show where it is.
 Feature: TypeAlias = FaceLine | EdgePoint | Arc
 
 

@@ -15,7 +15,7 @@ from itertools import permutations
 from handeye_ros import targets
 from handeye_ros.checks.hypotheses import Fit, fit_of_samples, Hypothesis, stops_to_explain
 from handeye_ros.checks.refusals import UnexplainedError
-from handeye_ros.config import Config, flipped_range, with_assignments
+from handeye_ros.config import Config, flipped_range, TargetConfig, with_assignments
 from handeye_ros.data import EdgePoint, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.edge_shapes import with_common_shape
@@ -127,7 +127,8 @@ def _likely_changes(config: Config) -> list[Values]:
 def with_settings(config: Config, values: Mapping[str, str]) -> Config:
     """Return the configuration with other values; measures of another target are reset."""
     if TARGET_TYPE in values:
-        config = replace(config, method='auto', target=replace(config.target, radius=0.0, size=()))
+        config = replace(config, method='auto',
+                         target=TargetConfig(setback_std=config.target.setback_std))
     return with_assignments(config, [f'{key}={value}' for key, value in values.items()])
 
 

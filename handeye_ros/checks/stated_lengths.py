@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from handeye_ros.calibration import block_estimates, NOTED_SIGMAS, PLATE_LENGTHS
+from handeye_ros.calibration import block_estimates, NOTED_SIGMAS
 from handeye_ros.checks.hypotheses import Fit, fit_of_problem, Hypothesis
 from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.errors import DataError
@@ -27,7 +27,6 @@ from handeye_ros.frames import mount_poses
 import numpy as np
 
 VERY_STRONG_EVIDENCE = 10.0  # twice the log of a Bayes factor (Kass and Raftery)
-FREED_SIZE_STD = 3e-3  # m: 1 sigma of a length of the plate that is stated wrongly
 FREED_FROM_SIGMAS = 2.5  # an estimated length is used; it costs little where the stated is right
 SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
 
@@ -60,22 +59,25 @@ def with_free_shape_if_needed(problem: Problem, solution: Solution, rng: np.rand
 
 def with_free_size_if_needed(solution: Solution) -> Solution:
     """
-    Return a refined solution with the lengths of a plate estimated, if the stated are wrong.
+    Return the refined solution with the target's lengths estimated, if the stated are wrong.
 
     Otherwise the scale of the robot, which is stated less exactly, stands for a wrong length: they
     are estimated too where such a scale is seen with the stated lengths alone.
     """
-    config, stated_std = solution.full_problem.config, solution.full_problem.config.target.size_std
-    if not config.target.size or stated_std >= FREED_SIZE_STD:
+    problem, config = solution.problem, solution.full_problem.config
+    free_config = replace(config, target=replace(config.target, **problem.target.loose_lengths))
+    stated, loose = map(problem.target.stated_values, (config, free_config))
+    lengths = [name for name, (_, std) in loose.items() if std > stated[name][1]]
+    if not lengths:
         return solution
-    free_config = replace(config, target=replace(config.target, size_std=FREED_SIZE_STD))
     # solved anew from the observations and the estimate; what is linearised here is not used
     free = with_systematic_errors(replace(
         solution, full_problem=replace(solution.full_problem, config=free_config),
-        linear=replace(solution.linear, problem=replace(solution.problem, config=free_config))))
+        linear=replace(solution.linear, problem=replace(problem, config=free_config))))
     with_stated, with_free = (block_estimates(each.conservative) for each in (solution, free))
-    wrong = any(abs(length.value) > max(FREED_FROM_SIGMAS * length.std, 2 * stated_std)
-                for name, length in with_free.items() if name in PLATE_LENGTHS)
+    wrong = any(abs(with_free[name].value)
+                > max(FREED_FROM_SIGMAS * with_free[name].std, 2 * stated[name][1])
+                for name in lengths if name in with_free)
     shows_scale = [abs(estimates['scale'].value) > FREED_FROM_SIGMAS * estimates['scale'].std
                    for estimates in (with_stated, with_free) if 'scale' in estimates]
     return free if wrong or shows_scale == [True, False] else solution

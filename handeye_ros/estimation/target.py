@@ -46,6 +46,8 @@ class Target(ABC):
     min_samples: fewest samples
     free_shape: settings of the target with which its shape (the last parameter) is unknown, where
         it has one
+    loose_lengths: settings of the target with which its stated lengths may be wrong, where it has
+        some
     one_axis: what rotations about one axis alone leave undetermined, in words
     face_count: how many straight lines of it one view has, 0 of a round target
     """
@@ -57,6 +59,7 @@ class Target(ABC):
     essential: tuple[str, ...] = ()
     min_samples = 6
     free_shape: ClassVar[Mapping[str, Any]] = {}
+    loose_lengths: ClassVar[Mapping[str, Any]] = {}
     one_axis = 'the position along it is free'
     face_count = 0
 
@@ -133,7 +136,12 @@ class Target(ABC):
 
     @abstractmethod
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
-        """Return the state, with 1 sigma (k,) of the parameters, as plain values."""
+        """
+        Return the state, with 1 sigma (k,) of the parameters, as plain values.
+
+        Of these names results/scene.py draws a pose, a point with a direction, a normal with a
+        distance, and a centre with a radius; results/table.py knows the units of names.
+        """
 
     def describe_strays(self, observations: Observations, p: Array, state: Array, config: Config
                         ) -> str:

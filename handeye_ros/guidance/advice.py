@@ -121,8 +121,8 @@ def advise(samples: Sequence[Sample], config: Config, answer: Answer | None = No
     sigmas = sigma_table(solution.transform_covariance, levers, config)
     proposal = None
     if not sweeping:
-        surely = view.inner(sigmas[-1].std)  # seen there, wherever the sensor is
-        proposal = propose(solution, samples, config, surely, levers, failed_poses)
+        certain_view = view.inner(sigmas[-1].std)  # in view there, however the sensor is off
+        proposal = propose(solution, samples, config, certain_view, levers, failed_poses)
     enough, why = enough_and_why(sigmas[-1].std, sigmas[-1].limit,
                                  proposal.std if proposal else None, largest_cause(solution),
                                  len(samples))
@@ -166,7 +166,7 @@ def sigma_table(covariance: Array, levers: Array, config: Config) -> tuple[Sigma
 
 
 def largest_cause(solution: Solution) -> tuple[Cause, float] | None:
-    """Return the largest cause and its share of the sigma, None if no one is that large."""
+    """Return the largest cause of the sigma and its share; None below SMALLEST_CAUSE."""
     *terms, total = budget(solution)
     squares = dict[Cause, float]()
     for term in terms:

@@ -3,11 +3,12 @@
 """
 The next pose: candidates around the stops so far, and what one more sample at each is worth.
 
-A station of the solution is a template: the sensor is turned, and shifted so that the same part of
-the target appears elsewhere in its view. The template's points take least steps in the sensor
-plane until the conditions of the target hold, so that nothing else of it needs to be known. Rules
-on what the sensor must see there have margins: a stop that is off by STOP_POSE_ERROR gives a
-sample too.
+Some stations of the solution are templates. From a template, a candidate is made by a turn of the
+sensor, and a shift by which the same part of the target appears elsewhere in its view. The
+template's points then move by least steps in the sensor plane until they fulfil the conditions of
+the target, so that nothing else of the target needs to be known. A candidate counts if the sensor
+sees what the template shows, with a margin: a stop that is off by STOP_POSE_ERROR gives a sample
+too.
 """
 from __future__ import annotations
 
@@ -63,20 +64,21 @@ def propose(solution: Solution, samples: Sequence[Sample], config: Config, view:
     """
     rng, problem, X = np.random.default_rng(SEED), solution.problem, solution.estimate.X
     taken = np.array([sample.T_base_flange for sample in samples])
-    least, best = float(se3.mapped_std(levers, solution.transform_covariance)), None
+    lowest, best = float(se3.mapped_std(levers, solution.transform_covariance)), None
     for station in templates(problem):
         template = problem.subset(np.array([station]))
-        sensors, places = _random_poses(template.poses[0] @ X, mount_poses(taken[0], config) @ X,
-                                        anchor_of(template, 0), view, config, rng)
-        poses = sensors @ se3.inverse(X)
+        T_sensor, places = _random_poses(template.poses[0] @ X, mount_poses(taken[0], config) @ X,
+                                         anchor_of(template, 0), view, config, rng)
+        poses = T_sensor @ se3.inverse(X)
         allowed = _allowed(mount_poses(poses, config), taken, failed_poses, config)
-        seen, places = stations_like(template, solution, poses[allowed], places[allowed], view)
-        if not len(seen.poses):
+        candidates, places = stations_like(template, solution, poses[allowed], places[allowed],
+                                           view)
+        if not len(candidates.poses):
             continue
-        std = se3.mapped_std(levers, covariances_with_one_more(solution, seen))
-        i = int(np.argmin(std))
-        if std[i] < least:
-            least, best = std[i], (seen.subset(np.array([i])), places[i])
+        stds = se3.mapped_std(levers, covariances_with_one_more(solution, candidates))
+        i = int(np.argmin(stds))
+        if stds[i] < lowest:
+            lowest, best = stds[i], (candidates.subset(np.array([i])), places[i])
     if best is None:
         return None
     added, place = best
@@ -94,12 +96,13 @@ def templates(problem: Problem) -> list[int]:
 
 
 def anchor_of(problem: Problem, station: int) -> Array:
-    """Return the anchor (2,) of a station: the mean of its edge points, or of all points."""
+    """Return the anchor (2,) of a station: the mean of its edge points, or of all without any."""
     obs = problem.observations.select(problem.observations.station == station)
     return np.asarray(obs.points[_anchored(problem, obs)].mean(axis=0))
 
 
 def _anchored(problem: Problem, obs: Observations) -> NDArray[np.bool_]:
+    """Return which observations (m,) of a station the anchor is the mean of."""
     at_edge = np.isin(obs.kind, problem.target.essential_kinds)
     return at_edge if at_edge.any() else ~at_edge
 
@@ -115,14 +118,15 @@ def _random_poses(T: Array, first: Array, anchor: Array, view: View, config: Con
     """
     keys, zero = config.guidance, np.zeros(CANDIDATES_EACH)
     turn = keys.turn * rng.uniform(-1, 1, CANDIDATES_EACH)
-    way = rng.uniform(0, 2 * np.pi, CANDIDATES_EACH)
+    direction = rng.uniform(0, 2 * np.pi, CANDIDATES_EACH)
     tilt = keys.tilt * np.minimum(np.sqrt(rng.uniform(0, 2, CANDIDATES_EACH)), 0.99)
     R = (first[:3, :3] @ se3.exp_rotation(np.column_stack([zero, zero, turn]))
-         @ se3.exp_rotation(np.column_stack([tilt * np.cos(way), tilt * np.sin(way), zero])))
+         @ se3.exp_rotation(np.column_stack([
+             tilt * np.cos(direction), tilt * np.sin(direction), zero])))
     places = view.middle + rng.uniform(-1, 1, (CANDIDATES_EACH, 2)) * view.size / 2
     across = LARGEST_SHIFT * view.size[0] * rng.uniform(-1, 1, (CANDIDATES_EACH, 1)) * T[:3, 1]
-    spot = T[:3, [0, 2]] @ anchor + T[:3, 3] + across
-    return se3.transform(R, spot - np.einsum('nij,nj->ni', R[:, :, [0, 2]], places)), places
+    aim = T[:3, [0, 2]] @ anchor + T[:3, 3] + across  # what is seen at the place
+    return se3.transform(R, aim - np.einsum('nij,nj->ni', R[:, :, [0, 2]], places)), places
 
 
 def _allowed(flange: Array, taken: Array, failed_poses: Sequence[Array], config: Config
@@ -137,9 +141,9 @@ def _allowed(flange: Array, taken: Array, failed_poses: Sequence[Array], config:
                 sampling.new_rotation + STOP_POSE_ERROR[1])
         visited += [(T, near) for T in taken]
     for T, (shift, angle) in visited:
-        turned = np.einsum('nij,ij->n', flange[:, :3, :3], T[:3, :3])  # trace of the difference
+        trace = np.einsum('nij,ij->n', flange[:, :3, :3], T[:3, :3])  # of the rotation between
         allowed &= ((np.linalg.norm(flange[:, :3, 3] - T[:3, 3], axis=1) >= shift)
-                    | ((turned - 1) / 2 <= math.cos(angle)))
+                    | ((trace - 1) / 2 <= math.cos(angle)))
     return allowed
 
 
@@ -168,51 +172,64 @@ def stations_like(template: Problem, solution: Solution, poses: Array, places: A
     poses, points, share = poses[large], points[large], share[large]
     points = _on_target(template, solution, poses, points, same_point)
     linear = _linear(template, solution, poses, points, 1 / np.sqrt(share))
-    kept = np.flatnonzero(_shows_the_same(linear, points, same_point,
-                                          linearise(template, solution.estimate), view))
-    return linear.problem.subset(kept), points[kept][:, anchored].mean(axis=1)
+    visible = np.flatnonzero(_shows_the_same(linear, points, same_point,
+                                             linearise(template, solution.estimate), view))
+    return linear.problem.subset(visible), points[visible][:, anchored].mean(axis=1)
 
 
-def _shows_the_same(linear: Linear, points: Array, same_point: Array, before: Linear, view: View
+def _shows_the_same(linear: Linear, points: Array, same_point: Array, template: Linear, view: View
                     ) -> NDArray[np.bool_]:
     """
-    Return which stations see the target as the template does; before: the template's problem.
+    Return which stations (n,) of linear see the target as the template does.
 
-    points: (n, c, 2) of the stations of linear; same_point: (c, c) 1 where conditions are of one.
+    points: (n, c, 2) of the stations; same_point: (c, c) 1 where two conditions are of one point.
     """
     A = linear.wrt_point.reshape(points.shape)
     in_view = view.room(points).min(axis=1) > -1e-4
     on_target = np.abs(linear.residuals).reshape(A.shape[:2]).max(axis=1) < ON_TARGET
-    corner = (_corner_seen(A, points, before, view) if linear.problem.target.face_count == 2 else
-              np.True_)
-    return np.asarray(in_view & on_target & corner & _crossed_steeply(A, same_point, before)
-                      & _from_same_side(A, same_point, before))
+    two_faces = linear.problem.target.face_count == 2
+    corner = _corner_seen(A, points, template, view) if two_faces else np.True_
+    return np.asarray(in_view & on_target & corner & _crossed_steeply(A, same_point, template)
+                      & _from_same_side(A, same_point, template))
 
 
-def _crossed_steeply(A: Array, same_point: Array, before: Linear) -> NDArray[np.bool_]:
-    """Return where moves along the laser line show at edges, and moves in the plane at faces."""
-    problem = before.problem
+def _crossed_steeply(A: Array, same_point: Array, template: Linear) -> NDArray[np.bool_]:
+    """
+    Return which stations (n,) see edges and faces at a large enough angle.
+
+    That is, moves along the laser line show at edges, moves in the sensor plane at faces. A:
+    (n, c, 2) derivatives of the conditions by the points; same_point as in _shows_the_same.
+    """
+    problem = template.problem
     crossing = problem.config.sampling.min_crossing_angle + STOP_POSE_ERROR[1]
     at_edge = np.isin(problem.observations.kind, problem.target.essential_kinds) @ same_point > 0
     steep = np.where(at_edge, A[..., 0] ** 2, (A ** 2).sum(axis=2)) @ same_point
     return np.asarray((steep > np.sin(crossing) ** 2).all(axis=1))
 
 
-def _from_same_side(A: Array, same_point: Array, before: Linear) -> NDArray[np.bool_]:
-    """Return where each point is seen from the side of the template, where that shows one."""
-    by_range = before.wrt_point[:, 1]  # of single conditions it depends on the choice of axes
+def _from_same_side(A: Array, same_point: Array, template: Linear) -> NDArray[np.bool_]:
+    """
+    Return which stations (n,) see each surface from the side from which the template sees it.
+
+    Points at which the template does not tell a side are not asked; see _crossed_steeply.
+    """
+    by_range = template.wrt_point[:, 1]  # of single conditions it depends on the choice of axes
     size = np.sqrt(by_range ** 2 @ same_point)
-    towards = (A[..., 1] * by_range) @ same_point > SMALLEST_COSINE * size
-    return np.asarray((towards | (size <= SMALLEST_COSINE)).all(axis=1))
+    same_side = (A[..., 1] * by_range) @ same_point > SMALLEST_COSINE * size
+    return np.asarray((same_side | (size <= SMALLEST_COSINE)).all(axis=1))
 
 
 def _linear(template: Problem, solution: Solution, poses: Array, points: Array, noise: Array
             ) -> Linear:
-    """Return the stations at poses (n, 4, 4) with points (n, c, 2) and noise (n,) as factor."""
-    many = template.observations.repeated(len(poses), points.reshape(-1, 2))
+    """
+    Return the conditions of stations like the template, linearised at the solution's estimate.
+
+    poses: (n, 4, 4); points: (n, c, 2); noise: (n,) the factor of each station's noise.
+    """
+    observations = template.observations.repeated(len(poses), points.reshape(-1, 2))
     factors = np.repeat(noise, len(template.observations))[:, None, None]
-    many = replace(many, error_factor=many.error_factor * factors)
-    return linearise(replace(template, poses=poses, observations=many), solution.estimate)
+    observations = replace(observations, error_factor=observations.error_factor * factors)
+    return linearise(replace(template, poses=poses, observations=observations), solution.estimate)
 
 
 def _on_target(template: Problem, solution: Solution, poses: Array, points: Array,
@@ -230,35 +247,37 @@ def _on_target(template: Problem, solution: Solution, poses: Array, points: Arra
 
 def _corner_seen(A: Array, points: Array, template: Linear, view: View) -> NDArray[np.bool_]:
     """
-    Return where the corner of two faces is in view, sharp, and both face the sensor as before.
+    Return which stations (n,) have the corner of two faces in view, and sharp enough.
 
-    A: (n, c, 2) derivatives of the conditions by points (n, c, 2), of both faces.
+    Both faces must face the sensor as in the template. A: (n, c, 2) derivatives of the conditions
+    by points (n, c, 2), of both faces.
     """
-    of_face = np.array([template.problem.observations.kind == k for k in (0, 1)], dtype=float)
-    of_face /= of_face.sum(axis=1, keepdims=True)
-    facing = np.sign(of_face @ template.wrt_point[:, 1]) * (of_face @ A)[..., 1]
-    normals = of_face @ A
-    normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-9)
-    height = (normals * (of_face @ points)).sum(axis=2, keepdims=True)
-    corners = np.linalg.solve(normals + 1e-9 * np.eye(2), height)[..., 0]
+    mean_of_face = np.array([template.problem.observations.kind == k for k in (0, 1)], dtype=float)
+    mean_of_face /= mean_of_face.sum(axis=1, keepdims=True)
+    normals = mean_of_face @ A  # of the faces, in the sensor plane
+    facing = np.sign(mean_of_face @ template.wrt_point[:, 1]) * normals[..., 1]
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-9)
+    offsets = (normals * (mean_of_face @ points)).sum(axis=2, keepdims=True)
+    corners = np.linalg.solve(normals + 1e-9 * np.eye(2), offsets)[..., 0]
     return np.asarray((facing > SMALLEST_COSINE).all(axis=1) & (view.room(corners) > 0)
                       & (np.abs(np.linalg.det(normals)) > np.sin(SMALLEST_CORNER)))
 
 
-def covariances_with_one_more(solution: Solution, seen: Problem) -> Array:
+def covariances_with_one_more(solution: Solution, candidates: Problem) -> Array:
     """
     Return the covariances (n, 6, 6) of the transform, each with one of n further stations.
 
-    seen: equally many observations at each. The blocks count as errors of the station.
+    candidates: with equally many observations at each. The blocks count as errors of the station.
     """
     C, noise = solution.reported_covariance, replace(solution.noise, blocks_as_noise=True)
-    A = Solution.of_linear(linearise(seen, solution.estimate), noise).jacobian
-    A = A.reshape(len(seen.poses), -1, len(C))
+    A = Solution.of_linear(linearise(candidates, solution.estimate), noise).jacobian
+    A = A.reshape(len(candidates.poses), -1, len(C))
     # (N + A'A)^-1 = C - C A' (1 + A C A')^-1 A C inverts only a small matrix
-    carried = A @ C
-    inner = carried @ np.swapaxes(A, 1, 2) + np.eye(A.shape[1])
-    X = carried[:, :, :6]
-    return np.asarray(C[:6, :6] - np.swapaxes(X, 1, 2) @ np.linalg.solve(inner, X))
+    AC = A @ C
+    inner = AC @ np.swapaxes(A, 1, 2) + np.eye(A.shape[1])
+    AC_transform = AC[:, :, :6]
+    return np.asarray(C[:6, :6] - np.swapaxes(AC_transform, 1, 2)
+                      @ np.linalg.solve(inner, AC_transform))
 
 
 def std_with_one_more(solution: Solution, levers: Array, added: Problem) -> float:
@@ -269,13 +288,15 @@ def std_with_one_more(solution: Solution, levers: Array, added: Problem) -> floa
     """
     conservative = solution.conservative
     problem = conservative.problem
-    more = replace(added.observations, station=added.observations.station + len(problem.poses))
-    both = replace(problem, poses=np.concatenate([problem.poses, added.poses]),
-                   observations=type(more)(*(
-                       np.concatenate([getattr(problem.observations, f.name),
-                                       getattr(more, f.name)]) for f in fields(more))))
+    observations = [problem.observations, replace(
+        added.observations, station=added.observations.station + len(problem.poses))]
+    with_added = replace(
+        problem, poses=np.concatenate([problem.poses, added.poses]),
+        observations=Observations(*(np.concatenate([getattr(obs, item.name)
+                                                    for obs in observations])
+                                    for item in fields(Observations))))
     before, after = (
-        se3.mapped_std(levers, solution_at(p, solution.estimate, conservative.noise
-                                           ).covariance[:6, :6]) for p in (problem, both))
+        se3.mapped_std(levers, solution_at(each, solution.estimate, conservative.noise
+                                           ).covariance[:6, :6]) for each in (problem, with_added))
     now = se3.mapped_std(levers, solution.transform_covariance)
     return float(now) * min(float(after / before), 1.0)

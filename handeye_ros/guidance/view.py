@@ -3,11 +3,12 @@
 """
 The visible field of view, and the first moves, before the sensor is roughly known.
 
-They are those of a fixed design, described from the first pose in axes that can be seen: the laser
-line, the light plane, the viewing direction. Searches by exchange, and for a sphere by small steps
-after it, found for each sort of target the moves that leave mapped points least uncertain once
-there are as many samples as an answer needs: with the noise of a common robot (0.05 mm, 0.02
-degrees), over several sensors on the flange, with moves that are off by 4 degrees and 3 mm.
+The moves are a fixed design (below: a table for each sort of target), described from the first
+pose in axes that can be seen: the laser line, the light plane, the viewing direction. Exchange
+searches, and for a sphere small steps after them, found the moves that leave mapped points least
+uncertain once there are as many samples as an answer needs: with the noise of a common robot
+(0.05 mm, 0.02 degrees), over several sensors on the flange, with moves that are off by 4 degrees
+and 3 mm.
 """
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, FaceLine, Sample
+from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.target import Target
 import numpy as np
 
@@ -25,10 +26,10 @@ USED_VIEW_SHARE = 0.88  # share of the view for features: the rest is a margin f
 _ANGLES = np.arange(32) * 2 * np.pi / 32
 BORDER_NORMALS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])  # outwards from the borders
 
-# Turn about the viewing direction, in shares of the largest; tilts about the laser line and about
-# the normal of the light plane, in shares of the largest; place along the line and in range, -1
-# to 1; and for a sphere how far its middle is off the light plane, in radii. The first sample
-# looks squarely.
+# A row for each sample, the first looks squarely. Columns: turn about the viewing direction, in
+# shares of the largest; tilts about the laser line and about the normal of the light plane, in
+# shares of the largest; place along the line and in range, -1 to 1; and for a sphere how far its
+# middle is off the light plane, in radii.
 SPHERE_MOVES = np.array([
     [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
     [-1.0, 0.81, 0.5, 0.55, 0.68, -0.6],
@@ -38,7 +39,7 @@ SPHERE_MOVES = np.array([
     [1.0, -0.77, -0.55, -0.47, 0.7, 0.6],
     [-1.0, 0.95, 0.0, -0.7, 0.7, 0.6],
 ])
-ONE_EDGE = np.array([
+ONE_EDGE_MOVES = np.array([
     [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
     [-1.0, 0.67, -0.67, -0.7, 0.7, 0.0],
     [-0.7, 0.0, -0.95, 0.7, -0.7, 0.0],
@@ -48,7 +49,7 @@ ONE_EDGE = np.array([
     [1.0, 0.67, 0.67, 0.7, 0.7, 0.0],
     [-1.0, -0.67, 0.67, -0.7, 0.7, 0.0],
 ])
-TWO_EDGES = np.array([
+TWO_EDGES_MOVES = np.array([
     [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
     [-1.0, -0.67, 0.67, -0.7, 0.0, 0.0],
     [-1.0, 0.67, -0.67, 0.0, -0.7, 0.0],
@@ -95,7 +96,7 @@ class View:
 
 def extremes(points: Array) -> Array:
     """
-    Return the extreme ones (k, 2) of points (n, 2), which determine a view, in order around it.
+    Return the points (k, 2) of (n, 2) that are farthest along BORDER_NORMALS, in order around.
 
     NaN rows are ignored.
     """
@@ -110,11 +111,9 @@ def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:
 
     There must be one sample, or one point, at least.
     """
-    points = [] if seen is None else [seen]
-    for feature in (feature for sample in samples for feature in sample.features):
-        points.append(feature.ends if isinstance(feature, FaceLine) else
-                      feature.points if isinstance(feature, Arc) else feature.point[None])
-    return View((extremes(np.concatenate(points)) @ BORDER_NORMALS.T).max(axis=0))
+    polylines = [feature.polyline for sample in samples for feature in sample.features]
+    points = np.concatenate([*([] if seen is None else [seen]), *polylines])
+    return View((extremes(points) @ BORDER_NORMALS.T).max(axis=0))
 
 
 def view_levers(X: Array, view: View) -> Array:
@@ -151,8 +150,8 @@ def noun(target: Target) -> str:
 def next_move(taken: int, target: Target, config: Config, view: View) -> Move:
     """Return the move after a number of samples (at least one)."""
     is_round, two_edges = not target.face_count, len(target.essential) > 1
-    steps = SPHERE_MOVES if is_round else TWO_EDGES if two_edges else ONE_EDGE
-    turn, *shares, beside = steps[taken % len(steps)]
+    moves = SPHERE_MOVES if is_round else TWO_EDGES_MOVES if two_edges else ONE_EDGE_MOVES
+    turn, *shares, beside = moves[taken % len(moves)]
     tilt = np.round(np.array(shares[:2]) * config.guidance.tilt, 3)
     inner = view.inner()
     place = inner.middle + shares[2:] * inner.size / 2
@@ -164,16 +163,16 @@ def next_move(taken: int, target: Target, config: Config, view: View) -> Move:
     angle = abs(turn) * max(largest - SPARE_TURN, 0.0)
     if edge:  # obliquely across the other one
         angle = min(np.pi / 2 - angle, config.guidance.turn)
-    every_other = -1.0 if taken // len(steps) % 2 else 1.0
-    turn = float(np.copysign(angle, turn * every_other))
+    mirrored = -1.0 if taken // len(moves) % 2 else 1.0  # every other time through the table
+    turn = float(np.copysign(angle, turn * mirrored))
     return Move(_in_words(target, turn, tilt, place, edge, beside), turn, tilt, place, edge,
                 float(beside))
 
 
 def _in_words(target: Target, turn: float, tilt: Array, place: Array, edge: int, beside: float
               ) -> str:
-    at = ('at the other edge, that meets the first one in the corner, ' if edge else
-          'at the same edge, ' if len(target.essential) > 1 else '')
+    where = ('at the other edge, that meets the first one in the corner, ' if edge else
+             'at the same edge, ' if len(target.essential) > 1 else '')
     turns = ', then '.join(f'{np.degrees(angle):+.0f} degrees about {axis}' for angle, axis in (
         (turn, 'its viewing direction'), (tilt[0], 'the laser line'),
         (tilt[1], 'the normal of the light plane')) if angle)
@@ -182,5 +181,5 @@ def _in_words(target: Target, turn: float, tilt: Array, place: Array, edge: int,
     side = 'positive' if beside > 0 else 'negative'
     crossing = f'; let the line cross the ball {abs(beside):.1f} of its radius beside the top, ' \
                f'its middle on the {side} side of the light plane' if beside else ''
-    return (f'from the pose of the first sample, {at}{turned}; keep the {noun(target)} in view, '
-            f'at x = {x:.0f} mm, range {z:.0f} mm{crossing}')
+    return (f'from the pose of the first sample, {where}{turned}; keep the {noun(target)} in '
+            f'view, at x = {x:.0f} mm, range {z:.0f} mm{crossing}')

@@ -13,7 +13,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature
+from handeye_ros.data import Array, Calibration, Feature
 from handeye_ros.frames import T_sensor_plane, target_frame
 import numpy as np
 
@@ -115,21 +115,7 @@ def rounded(values: Array | Sequence[float]) -> Any:
 
 def in_plane(features: Iterable[Feature]) -> Array:
     """Return points (k, 2) of the sensor plane that represent features: ends, edges, arcs."""
-    lines, spots = lines_and_spots(features)
-    return np.concatenate([np.empty((0, 2)), *lines, *spots])
-
-
-def lines_and_spots(features: Iterable[Feature]) -> tuple[list[Array], list[Array]]:
-    """Return the lines (n, 2) and the single points (1, 2) of features in the sensor plane."""
-    lines, spots = [], []
-    for f in features:
-        if isinstance(f, FaceLine):
-            lines.append(np.insert(f.ends, 1, f.centre, axis=0))
-        elif isinstance(f, Arc):
-            lines.append(f.points)
-        elif isinstance(f, EdgePoint):
-            spots.append(f.point[None])
-    return lines, spots
+    return np.concatenate([np.empty((0, 2)), *(feature.polyline for feature in features)])
 
 
 def profile_picture(points: Array, features: Iterable[Feature]) -> dict[str, Any]:
@@ -139,10 +125,10 @@ def profile_picture(points: Array, features: Iterable[Feature]) -> dict[str, Any
     points: (n, 2) metres, as many as there are pixels at most; features: found in it.
     """
     points = points[np.isfinite(points).all(axis=1)]
-    lines, spots = lines_and_spots(features)
+    polylines = [feature.polyline for feature in features]
     return {'points': rounded(points[::-(-len(points) // MOST_OF_PROFILE) or 1]),
-            'lines': [rounded(line) for line in lines],
-            'spots': [rounded(spot[0]) for spot in spots]}
+            'lines': [rounded(line) for line in polylines if len(line) > 1],
+            'spots': [rounded(line[0]) for line in polylines if len(line) == 1]}
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,11 +12,8 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import RECORD_PREFIX
 from handeye_ros.data import (
-    Arc,
     Array,
     Calibration,
-    EdgePoint,
-    FaceLine,
     Quality,
     Reject,
     Sample,
@@ -30,7 +27,6 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-FEATURE_NAMES = {FaceLine: 'face line', EdgePoint: 'edge point', Arc: 'arc'}
 # Other estimates by their key: its pattern, a label ('' is that of the key), the words around the
 # value, factor to their unit, digits.
 FOUND_TEXT = '{} (1 sigma, found and allowed for)'
@@ -187,7 +183,7 @@ def sample_summary(sample: Sample | Reject) -> str:
     """Return what a sample shows, or why there is none, in words."""
     if isinstance(sample, Reject):
         return sample.reason
-    counts = Counter(FEATURE_NAMES[type(feature)] for feature in sample.features)
+    counts = Counter(feature.noun for feature in sample.features)
     seen = ', '.join(count_of(count, name) for name, count in counts.items())
     return f'{seen} from {count_of(sample.profiles, "profile")}'
 

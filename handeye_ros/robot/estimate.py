@@ -40,7 +40,7 @@ from scipy.linalg import block_diag
 
 SMOOTH_ERROR_STD = 2e-4  # prior 1 sigma of the remaining error of the robot, each axis (m)
 MINIMUM = 12  # stops
-# iterations of prior scales and noise; relative change that ends them
+# iterations of prior scales and noise; relative change below which they end
 MOST_ROUNDS, CONVERGED_CHANGE = 6, 0.02
 POOLED_FREEDOM = 4.0  # degrees of freedom by which the noise of all axes counts for each axis
 LEAST_NOISE = 1e-6  # rounding of the values (m)
@@ -50,17 +50,18 @@ LARGEST_SCALE = 1e3  # largest prior scale
 @dataclass(frozen=True, eq=False)
 class Residuals:
     """
-    Residuals (m,) of one target in metres, and their derivatives.
+    The residuals of one target, and their derivatives.
 
+    values: (m,) in metres
     station: (m,) the stop of each
-    wrt_own: (m, 6 + k) by X and the target
+    wrt_X_and_target: (m, 6 + k) by X and the k parameters of the target
     wrt_pose: (m, 6) by a shift of the flange and a turn about it, in the base
     whiten: what whitens values (m, ...)
     """
 
     values: Array
     station: NDArray[np.intp]
-    wrt_own: Array
+    wrt_X_and_target: Array
     wrt_pose: Array
     whiten: Callable[[Array], Array] = identity
 
@@ -107,12 +108,13 @@ class ArmPoints:
         to_mount = np.broadcast_to(X[:3, :3].T, (n, 3, 3))
         to_fixed = to_mount @ np.swapaxes(T[:, :3, :3], 1, 2)
         values = to_fixed @ (in_fixed - target)[:, :, None]
-        wrt_own = np.concatenate([to_mount @ se3.wrt_perturbation(lever), -to_fixed], axis=2)
+        wrt_X_and_target = np.concatenate(
+            [to_mount @ se3.wrt_perturbation(lever), -to_fixed], axis=2)
         wrt_shift, from_flange = (to_fixed, in_fixed - T[:, :3, 3]) if self.in_hand else (
             -to_mount, target @ T[:, :3, :3])
         wrt_pose = wrt_shift @ se3.wrt_perturbation(from_flange)
-        return Residuals(values.ravel(), np.repeat(np.arange(n), 3), wrt_own.reshape(3 * n, -1),
-                         wrt_pose.reshape(3 * n, 6))
+        return Residuals(values.ravel(), np.repeat(np.arange(n), 3),
+                         wrt_X_and_target.reshape(3 * n, -1), wrt_pose.reshape(3 * n, 6))
 
     def moved(self, target: Array, step: Array) -> Array:
         """Return the position of the target after a step (3,)."""
@@ -127,13 +129,14 @@ class ArmFit:
     """
     An estimate from n stops, target by target, and their weights; the state of a least squares.
 
-    Its unknowns: sensor in its mount X (4, 4), values of the arm, smooth, state of each target.
+    Its unknowns (u of them): sensor in its mount X (4, 4), errors of the arm, smooth error of the
+    robot, state of each target.
 
     smooth: (3 r,) coefficients of smooth functions, the remaining error of the robot
-    noise: (axes,) sigma of each axis of the vectors that the residuals are
+    noise: (axes,) 1 sigma of the residuals: of points one for each axis, else one
     used: (n,) which stops count
     variances: (g,) of each kind of error of the robot, relative to its prior
-    root: (n, r) the smooth functions
+    root: (n, r) the smooth functions at the stops
     """
 
     measured: tuple[Measurement, ...]
@@ -150,9 +153,9 @@ class ArmFit:
     def of_arm(cls, arm: Arm, measured: Sequence[Measurement], X: Array,
                targets: Iterable[Array], noise: Array) -> ArmFit:
         """Return a start with all stops, without errors of the robot."""
-        n, none = sum(len(data.q) for data in measured), np.zeros(0)
-        return cls(tuple(measured), X, arm, none, tuple(targets), noise, np.ones(n, dtype=bool),
-                   none, np.zeros((n, 0)))
+        n, empty = sum(len(data.q) for data in measured), np.zeros(0)
+        return cls(tuple(measured), X, arm, empty, tuple(targets), noise, np.ones(n, dtype=bool),
+                   empty, np.zeros((n, 0)))
 
     @cached_property
     def q(self) -> Array:
@@ -173,18 +176,18 @@ class ArmFit:
 
     @property
     def errors(self) -> Array:
-        """Return the errors (p,) of the arm, and the smooth ones."""
+        """Return the errors (p,) of the robot: those of the arm, and the smooth ones."""
         return np.append(self.arm.values, self.smooth)
 
     @property
     def kind_numbers(self) -> NDArray[np.intp]:
-        """Return the number of the kind of each (p,), from 0; the smooth ones are the last."""
+        """Return the kind (p,) of each error as a number from 0; the smooth ones are the last."""
         _, kind = np.unique(ERROR_KINDS[np.nonzero(self.arm.free)[1]], return_inverse=True)
         return np.append(kind, np.full(len(self.smooth), kind.max(initial=-1) + 1))
 
     @property
     def stds(self) -> Array:
-        """Return their prior sigmas (p,), as estimated."""
+        """Return the prior sigmas (p,) of the errors, scaled by their estimated variances."""
         stated = np.append(self.arm.priors[self.arm.free],
                            np.full(len(self.smooth), SMOOTH_ERROR_STD))
         return stated * np.sqrt(self.variances[self.kind_numbers])
@@ -212,23 +215,24 @@ class ArmFit:
         """Return the residuals (m,) of used stops in sigmas, and their derivatives (m, u)."""
         shifts = np.einsum('nr,tx->ntrx', self.root, np.eye(6, 3)).reshape(len(self.q), 6, -1)
         twists = np.append(self.arm.twists(self.q)[:, :, self.arm.free], shifts, axis=2)
-        values, wrt_own, wrt_pose = (np.concatenate(parts) for parts in zip(*(
-            (residual.values, residual.wrt_own[:, :6], residual.wrt_pose)
+        values, wrt_X, wrt_pose = (np.concatenate(parts) for parts in zip(*(
+            (residual.values, residual.wrt_X_and_target[:, :6], residual.wrt_pose)
             for residual in self.residuals), strict=True))
         wrt_errors = (wrt_pose[:, None] @ twists[self.station])[:, 0]
         values = values + wrt_errors[:, len(self.arm.values):] @ self.smooth
-        wrt_targets = block_diag(*(residual.wrt_own[:, 6:] for residual in self.residuals))
-        rows = np.column_stack([values, wrt_own, wrt_errors, wrt_targets])
+        wrt_targets = block_diag(*(residual.wrt_X_and_target[:, 6:]
+                                   for residual in self.residuals))
+        rows = np.column_stack([values, wrt_X, wrt_errors, wrt_targets])
         counts = [len(residual.values) for residual in self.residuals]
-        parts = np.split(rows, np.cumsum(counts)[:-1])
+        rows_of_targets = np.split(rows, np.cumsum(counts)[:-1])
         whitened = np.concatenate([residual.whiten(part) for residual, part in zip(
-            self.residuals, parts, strict=True)])[self.rows]
+            self.residuals, rows_of_targets, strict=True)])[self.rows]
         whitened /= self.noise[self.rows % len(self.noise), None]
         return whitened[:, 0], whitened[:, 1:]
 
     @cached_property
     def with_priors(self) -> tuple[Array, Array]:
-        """Return the same with the errors of the robot in sigmas as further residuals."""
+        """Return `linear` with the errors of the robot in sigmas as further residuals."""
         (r, J), stds = self.linear, self.stds
         by_priors = np.eye(len(stds), J.shape[1], 6) / stds[:, None]
         return np.append(r, self.errors / stds), np.vstack([J, by_priors])
@@ -248,13 +252,13 @@ class ArmFit:
     def moved(self, step: Array) -> ArmFit:
         """Return the estimate after a step (u,)."""
         sizes = [6, len(self.arm.values), len(self.smooth),
-                 *(residual.wrt_own.shape[1] - 6 for residual in self.residuals)]
-        of_X, of_arm, smooth, *of_targets = np.split(step, np.cumsum(sizes)[:-1])
-        targets = tuple(data.moved(*of) for data, *of in zip(
-            self.measured, self.targets, of_targets, strict=True))
-        return replace(self, X=se3.perturb(self.X, of_X), targets=targets,
-                       arm=replace(self.arm, values=self.arm.values + of_arm),
-                       smooth=self.smooth + smooth)
+                 *(residual.wrt_X_and_target.shape[1] - 6 for residual in self.residuals)]
+        X_step, arm_step, smooth_step, *target_steps = np.split(step, np.cumsum(sizes)[:-1])
+        targets = tuple(data.moved(target, target_step) for data, target, target_step in zip(
+            self.measured, self.targets, target_steps, strict=True))
+        return replace(self, X=se3.perturb(self.X, X_step), targets=targets,
+                       arm=replace(self.arm, values=self.arm.values + arm_step),
+                       smooth=self.smooth + smooth_step)
 
     def solved(self) -> ArmFit:
         """Return the least-squares estimate with these weights, near this one."""
@@ -265,7 +269,8 @@ def noise_and_scales(fit: ArmFit, conservative: bool = False) -> tuple[Array, Ar
     """
     Return noise (axes,) and variances (g,) of ArmFit as the residuals of a fit show them.
 
-    conservative: the wider variances, for a reported covariance.
+    The variances of all kinds of errors are the most likely ones; conservative: wider ones, for a
+    reported covariance. The noise of each axis is pooled with that of all axes.
     """
     variances = fit.variances
     if len(variances):
@@ -277,10 +282,11 @@ def noise_and_scales(fit: ArmFit, conservative: bool = False) -> tuple[Array, Ar
             covariance / np.outer(stated, stated), fit.errors[order] / stated, counts,
             variances, np.full(len(variances), LARGEST_SCALE))[int(conservative)]
     (r, J), axis = fit.linear, fit.rows % len(fit.noise)
-    free, squares = (np.bincount(axis, values) for values in (
-        1 - np.einsum('mi,mi->m', J @ fit.covariance, J), (r * fit.noise[axis]) ** 2))
-    pooled = squares.sum() / max(free.sum(), 1.0)
-    noise = np.sqrt((squares + POOLED_FREEDOM * pooled) / (np.maximum(free, 0.0) + POOLED_FREEDOM))
+    redundancy = 1 - np.einsum('mi,mi->m', J @ fit.covariance, J)
+    freedom, squares = np.bincount(axis, redundancy), np.bincount(axis, (r * fit.noise[axis]) ** 2)
+    pooled = squares.sum() / max(freedom.sum(), 1.0)
+    noise = np.sqrt((squares + POOLED_FREEDOM * pooled)
+                    / (np.maximum(freedom, 0.0) + POOLED_FREEDOM))
     return np.maximum(noise, LEAST_NOISE), variances
 
 
@@ -298,17 +304,17 @@ def with_estimated_weights(fit: ArmFit, conservative: bool = False, rounds: int 
 
 def without_outliers(fit: ArmFit) -> ArmFit:
     """Return a fit without the stops that the others do not predict."""
-    every = np.arange(len(fit.q))
+    stops = np.arange(len(fit.q))
 
-    def fitted_to(before: ArmFit | None, used: NDArray[np.intp]) -> ArmFit:
-        return with_estimated_weights(replace(before or fit, used=np.isin(every, used)))
+    def fitted_to(previous: ArmFit | None, used: NDArray[np.intp]) -> ArmFit:
+        return with_estimated_weights(replace(previous or fit, used=np.isin(stops, used)))
 
     def left_out_squares(fit: ArmFit) -> tuple[Array, NDArray[np.intp]]:
         _, item = np.unique(fit.station[fit.rows], return_inverse=True)
         (r, J), freedom = fit.linear, np.bincount(item)
         left_out = leave_one_out(r, J, fit.covariance, item)
         return np.bincount(item, r * left_out) / freedom, freedom
-    return drop_outliers(every[fit.used], len(every), MINIMUM, fitted_to, left_out_squares)[0]
+    return drop_outliers(stops[fit.used], len(stops), MINIMUM, fitted_to, left_out_squares)[0]
 
 
 def with_arm(fit: ArmFit, arm: Arm) -> ArmFit:
@@ -319,22 +325,25 @@ def with_arm(fit: ArmFit, arm: Arm) -> ArmFit:
 
 def reported_covariance(fit: ArmFit, chosen: ArmFit) -> tuple[Array, float]:
     """
-    Return the covariance of X and the errors of the arm in a chosen fit, by the richest fit.
+    Return the covariance (6 + k, 6 + k) of X and the errors of the arm in a chosen fit.
 
-    With conservative prior scales, how far these move X and the errors, and a smooth remaining
-    error of the robot, which neighbouring stops have in common; also its RMS per axis (m).
+    And the RMS per axis (m) of the smooth remaining error of the robot, which neighbouring stops
+    have in common. Both come from fit, which has all kinds of errors of the arm, with conservative
+    prior scales and the smooth error; the covariance includes how far X and the errors of the arm
+    are from those of the chosen fit there.
     """
     wide = with_estimated_weights(fit, conservative=True)
-    of_arm, noise, root = wide.variances, wide.noise, smooth_basis(wide.arm.forward(wide.q))
+    arm_variances, noise = wide.variances, wide.noise
+    root = smooth_basis(wide.arm.forward(wide.q))
     wide = replace(wide, root=root, smooth=np.zeros(3 * root.shape[1]),
-                   variances=np.append(of_arm, 1.0))
+                   variances=np.append(arm_variances, 1.0))
     for _ in range(2):  # iterations of the noise beside a smooth error
         wide = replace(wide, noise=noise).solved()
         noise, variances = noise_and_scales(wide, conservative=True)
-    wide = replace(wide, variances=np.append(of_arm, variances[-1]))
-    free = chosen.arm.free[wide.arm.free]
-    kept = np.append(np.arange(6), 6 + np.flatnonzero(free))
+    wide = replace(wide, variances=np.append(arm_variances, variances[-1]))
+    in_chosen = chosen.arm.free[wide.arm.free]
+    rows = np.append(np.arange(6), 6 + np.flatnonzero(in_chosen))
     difference = np.append(se3.difference(wide.X, chosen.X),
-                           wide.arm.values[free] - chosen.arm.values)
-    covariance = wide.covariance[np.ix_(kept, kept)] + np.outer(difference, difference)
+                           wide.arm.values[in_chosen] - chosen.arm.values)
+    covariance = wide.covariance[np.ix_(rows, rows)] + np.outer(difference, difference)
     return covariance, rms((root @ wide.smooth.reshape(-1, 3))[wide.used])

@@ -132,7 +132,7 @@ def solve(fit: ArmFit, q: Array, limit: float, residual_with: Callable[[Array], 
 
 
 def _regions(q: Array, most: int = REGION_COUNT) -> NDArray[np.intp]:
-    """Return the region (n,) of stops (n, joints): halves of halves, across the longest axis."""
+    """Return the region (n,) of stops (n, joints): halves of halves, across the widest axis."""
     region = np.zeros(len(q), dtype=np.intp)
     if most > 1 and len(q) >= 2 * FEWEST_OF_REGION:
         centred = q - q.mean(axis=0)
@@ -147,10 +147,11 @@ def _validated(fit: ArmFit, fold: NDArray[np.intp]) -> Model:
     """Return the model of a fit; fold: (n,) regions of the stops, left out one by one."""
     errors, variance_ratio = np.empty(len(fold)), 1.0
     for number in np.unique(fold):
-        rest = replace(fit, used=fit.used & (fold != number))
-        without = with_estimated_weights(rest, rounds=FOLD_ROUNDS)
-        errors[fold == number] = without.distances[fold == number]
-        r, J = replace(without, used=fit.used & (fold == number)).linear
+        left_out = fold == number
+        without = with_estimated_weights(replace(fit, used=fit.used & ~left_out),
+                                         rounds=FOLD_ROUNDS)
+        errors[left_out] = without.distances[left_out]
+        r, J = replace(without, used=fit.used & left_out).linear
         predicted = len(r) + np.sum((J @ without.covariance) * J)
         variance_ratio = max(variance_ratio, float(r @ r / max(predicted, 1.0)))
     return Model(fit, errors, variance_ratio)
@@ -181,11 +182,11 @@ def _require_same_robot(arm: Arm) -> None:
 
 
 def _notes(models: Sequence[Model], chosen: Model) -> Iterator[str]:
-    last = models[-1]
-    if dropped := int((~last.fit.used).sum()):
-        yield f'{dropped} of {len(last.fit.used)} points contradict the others and are left out'
-    if chosen is not last:
-        rich, simple = (' and '.join(model.fit.arm.kinds) for model in (last, chosen))
+    richest = models[-1]
+    if dropped := int((~richest.fit.used).sum()):
+        yield f'{dropped} of {len(richest.fit.used)} points contradict the others and are left out'
+    if chosen is not richest:
+        rich, simple = (' and '.join(model.fit.arm.kinds) for model in (richest, chosen))
         yield (f'the model with {rich} predicts left-out points no better than '
                f'{simple or UNCHANGED_ARM}: the simpler one is the answer')
 
@@ -198,8 +199,8 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
     """
     sentences = []
     for joint, low, high in zip(arm.joints, q.min(axis=0), q.max(axis=0), strict=True):
-        beyond = LARGEST_EXTRAPOLATION[joint.kind]
-        if low < joint.lower - beyond or high > joint.upper + beyond:
+        tolerance = LARGEST_EXTRAPOLATION[joint.kind]
+        if low < joint.lower - tolerance or high > joint.upper + tolerance:
             raise DataError(
                 f'{joint.name} goes from {low:.4g} to {high:.4g}, and the URDF limits it to '
                 f'{joint.lower:.4g} to {joint.upper:.4g} (radians or metres): check '
@@ -220,12 +221,12 @@ def _contradiction(arm: Arm, q: Array, limit: float, residual_with: Callable[[Ar
     stated = residual_with(np.eye(len(arm.joints)))
     cause = ('check that the URDF is of this robot, --base and --flange, the sign of each '
              'joint, all units, calibration_type, and that the target is the stated one and fixed')
-    best = CURED_SHARE * stated
+    lowest = CURED_SHARE * stated
     for words, joints in _changes(arm, q):
         with suppress(DataError, np.linalg.LinAlgError):
-            missed = residual_with(joints)
-            if missed < best:
-                best, cause = missed, words
+            residual = residual_with(joints)
+            if residual < lowest:
+                lowest, cause = residual, words
     return DataError(f'joint values and measured points contradict each other by {mm(stated)}, '
                      f'beyond the {mm(limit)} of a robot that is only inaccurate: {cause}',
                      reason=UNSOLVED)

@@ -129,8 +129,10 @@ def fit_of_sources(sources: Sequence[Source], arm: Arm) -> ArmFit:
         noise = replace(config.noise, robot_smooth=UNCORRECTED_STD)
         agreed = robust_solution(replace(source.problem, config=replace(config, noise=noise)),
                                  np.random.default_rng(0), subsets=True)
-        exact = replace(config, noise=replace(noise, robot_smooth=0.0))
-        measured.append(ArmProfiles(source.q[agreed.used], replace(agreed.problem, config=exact)))
+        # the arm's errors and a smooth one of their own stand for robot_smooth from here on
+        without_smooth = replace(config, noise=replace(noise, robot_smooth=0.0))
+        measured.append(ArmProfiles(source.q[agreed.used],
+                                    replace(agreed.problem, config=without_smooth)))
         estimates.append(agreed.estimate)
         apart = se3.difference(estimates[-1].X, estimates[0].X)
         if max(np.linalg.norm(apart[:3]), np.linalg.norm(apart[3:])) > LARGEST_APART:
@@ -142,12 +144,12 @@ def fit_of_sources(sources: Sequence[Source], arm: Arm) -> ArmFit:
 
 
 def _median_residual(source: Source, arm: Arm, joints: Array) -> float:
-    """Return the median residual (m) of the stops; see selection.solve."""
+    """Return the median residual (m) of all stops with q multiplied by joints (joints, joints)."""
     q = source.q @ joints.T
     poses = mount_poses(arm.forward(q), source.problem.config)
     agreed = robust_solution(replace(source.problem, poses=poses), np.random.default_rng(0))
-    every = ArmProfiles(q, agreed.full_problem)
-    fit = ArmFit.of_arm(arm, [every], agreed.estimate.X, [agreed.estimate.state], np.ones(1))
+    all_stops = ArmProfiles(q, agreed.full_problem)
+    fit = ArmFit.of_arm(arm, [all_stops], agreed.estimate.X, [agreed.estimate.state], np.ones(1))
     return float(np.median(fit.distances))
 
 
@@ -257,8 +259,8 @@ def fit_of_rows(rows: PointRows, arm: Arm) -> ArmFit:
     parts = [rows.target == k for k in range(len(rows.names))]
     T = arm.forward(rows.q)
     T = T if rows.in_hand else se3.inverse(T)
-    most = max(parts, key=np.count_nonzero)
-    X, _ = jing2020.fixed_point_linear(T[most], rows.points[most])
+    largest = max(parts, key=np.count_nonzero)
+    X, _ = jing2020.fixed_point_linear(T[largest], rows.points[largest])
     places = se3.apply(T @ X, rows.points[:, None])[:, 0]
     start = ArmFit.of_arm(
         arm, [ArmPoints(rows.q[part], rows.points[part], rows.in_hand) for part in parts], X,

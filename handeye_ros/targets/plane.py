@@ -20,29 +20,29 @@ from handeye_ros.estimation.search import shortlisted
 from handeye_ros.profiles.faces import plane_features
 from handeye_ros.targets.profile_target import ProfileTarget
 from handeye_ros.targets.starts import (
+    best_fitting_first,
     DIRECTION_COUNT,
-    fitting_first,
+    linear_solutions,
     lines_of_pieces,
-    over_directions,
     with_few_stations,
     with_one_piece,
 )
 import numpy as np
 
 CANDIDATE_COUNT = 10
-ONE_ANGLE = 0.05  # rad: angles to the plane that differ by less count as one
+SAME_ANGLE = 0.05  # rad: angles to the plane that differ by less are the same
 
 
-def one_surface(problem: Problem) -> list[Problem]:
-    """Return problems with one surface per station: the nearest, longest, or farthest."""
+def problems_with_one_surface(problem: Problem) -> list[Problem]:
+    """Return problems with one surface per station: its nearest, its longest, or its farthest."""
     if not PLANE.ambiguous(problem.observations):
         return [problem]
     surface = PLANE.pieces(problem.observations)
     x, z, slope = lines_of_pieces(problem.observations, surface)
-    # of tilted surfaces, the nearer one lies above the extended line of the longest
+    # at the middle of the first surface, the longest: a nearer one lies above its extended line
     depth = problem.config.profile.range_sign * (z - slope[:, :1] * x)
-    order = np.where(np.isnan(depth), np.nan, np.arange(depth.shape[1]))
-    return with_one_piece(problem, surface, (depth, order, -depth))
+    by_length = np.where(np.isnan(depth), np.nan, np.arange(depth.shape[1]))
+    return with_one_piece(problem, surface, (depth, by_length, -depth))
 
 
 class Plane(ProfileTarget):
@@ -57,21 +57,22 @@ class Plane(ProfileTarget):
     one_axis = ('the position along it is free, and if it is the normal of the plane (yaw only) '
                 'all of the position and part of the rotation')
 
-    def starts(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
+    def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts, best first; of few stations, which fit in many wrong ways, then all."""
-        problem = with_few_stations(replace(whole, target=PLANE), rng)
-        times = (1, DIRECTION_COUNT // CANDIDATE_COUNT) if whole.needs_more_starts else (1,)
-        return fitting_first(problem, (
-            [start for part in one_surface(problem) for start in shortlisted(
-                part, over_directions(part, [1, 2, 0], slice(2, 3), CANDIDATE_COUNT * more), more)]
-            for more in times))
+        few = with_few_stations(replace(problem, target=PLANE), rng)
+        factors = [1] + [DIRECTION_COUNT // CANDIDATE_COUNT] * problem.needs_more_starts
+        return best_fitting_first(few, (
+            [start for choice in problems_with_one_surface(few) for start in shortlisted(
+                choice, linear_solutions(choice, [1, 2, 0], slice(2, 3), CANDIDATE_COUNT * factor),
+                factor)]
+            for factor in factors))
 
     def views_alike(self, problem: Problem, estimate: Estimate) -> str:
         """Return in words that all samples see the plane at one angle, '' if they do not."""
         range_axes = problem.poses[:, :3, :3] @ estimate.X[:3, 2]
         normal = estimate.state.reshape(4, 4)[:3, 2]
         angles = np.arccos(np.clip(np.abs(range_axes @ normal), 0.0, 1.0))
-        if np.ptp(angles) > ONE_ANGLE:
+        if np.ptp(angles) > SAME_ANGLE:
             return ''
         mean = np.degrees(angles.mean())
         return (f'all samples see the plane at one angle ({mean:.0f} degrees between its normal '

@@ -124,6 +124,7 @@ class Plate(ProfileTarget):
     extract = staticmethod(face_features)
     essential = KINDS[1:]
     free_shape = {'edge_angle_free': True}
+    loose_lengths = {'size_std': 3e-3}
     edge_kinds = (P,)  # until an edge is found for it
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:

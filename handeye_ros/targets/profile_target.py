@@ -22,7 +22,7 @@ from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.problem import Linear, Observations, UNUSED
 from handeye_ros.estimation.target import Conditions, Target
-from handeye_ros.targets.starts import nearest_piece
+from handeye_ros.targets.starts import of_nearest_piece
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,33 +52,33 @@ class ObservationRows:
         """
         Append a condition for each of points (k, 2), with factors (k, 2, 2); see Observations.
 
-        error: of the first point, each has its own; edge: that the points are on, or None.
+        error: number of the first point's error in its station, the next points have the next
+        numbers; edge: that the points are on, or None.
         """
-        each = np.ones(len(points), dtype=np.intp)
+        ones = np.ones(len(points), dtype=np.intp)
         ending, outward, shape_std = (
             (1 + ENDINGS.index(edge.ending), edge.direction, edge.shape_std) if edge else
             (0, NO_OUTWARD, 0.0))
-        self.parts.append((station * each, points, kind * each, factor, error - 1 + each.cumsum(),
-                           ending * each, outward * each[:, None], shape_std * each))
+        self.parts.append((station * ones, points, kind * ones, factor, error - 1 + ones.cumsum(),
+                           ending * ones, outward * ones[:, None], shape_std * ones))
 
     def observations(self) -> Observations:
         """Return the observations collected."""
-        self.add(0, np.empty((0, 2)), 0, np.empty((0, 2, 2)))  # so that none are observations too
+        self.add(0, np.empty((0, 2)), 0, np.empty((0, 2, 2)))  # concatenate needs one part
         return Observations(*map(np.concatenate, zip(*self.parts, strict=True)))
 
 
 def edge_error_factor(edge: EdgePoint) -> Array:
     """Return the factor (2, 2) of an edge point's covariance."""
-    along = edge.direction
-    across = np.array([-along[1], along[0]])
-    return np.column_stack([along * edge.std, across * edge.std_across])
+    across = np.array([-edge.direction[1], edge.direction[0]])
+    return np.column_stack([edge.direction * edge.std, across * edge.std_across])
 
 
 def _normal_points(feature: FaceLine | Arc) -> tuple[Array, Array]:
-    """Return the points (k, 2) of a line or an arc, and 1 sigma across it at each (k, 2)."""
+    """Return the normal points (k, 2) of a line or an arc, and 1 sigma across it as vectors."""
     if isinstance(feature, Arc):
-        across = feature.points - feature.centre
-        return feature.points, (feature.std / np.linalg.norm(across, axis=1))[:, None] * across
+        radial = feature.points - feature.centre
+        return feature.points, (feature.std / np.linalg.norm(radial, axis=1))[:, None] * radial
     points, std = feature.points, feature.points_std
     if not len(points):  # only the line is known: two decorrelated points
         points = feature.centre + np.outer([-1.0, 1.0], feature.spread * feature.direction)
@@ -97,8 +97,8 @@ class ProfileTarget(Target):
 
     pose_axes: which of x y z rx ry rz, along and about its own axes, are parameters; the others
         leave it the same. The measures are parameters after them.
-    normals: (kinds, 3) of the surfaces through the origin that the conditions of each kind are of
-    edge_kinds: of the conditions of one edge point
+    normals: (kinds, 3) by kind, of the surface through the origin on which its points lie
+    edge_kinds: the kinds of the conditions that one edge point gives, before it is reassigned
     several_in_view: whether a profile may show several surfaces, or pairs of them, of which one is
         the target
     """
@@ -181,8 +181,8 @@ class ProfileTarget(Target):
         if not self.ambiguous(observations):
             return observations
         squares = self.conditions(p, observations.kind, state, config).g ** 2
-        chosen = nearest_piece(observations, self.pieces(observations), squares)
-        return replace(observations, kind=np.where(chosen, observations.kind, UNUSED))
+        nearest = of_nearest_piece(observations, self.pieces(observations), squares)
+        return replace(observations, kind=np.where(nearest, observations.kind, UNUSED))
 
     def blocks(self, linear: Linear) -> Blocks:
         """Yield the blocks of the ends of faces, of their flatness, and of grazing light."""
@@ -211,10 +211,10 @@ def ends_of_faces(linear: Linear) -> Blocks:
     std, end = linear.problem.config.target.setback_std, obs.ending > 0
     _, feature, count = np.unique(obs.error_source, return_inverse=True, return_counts=True)
     kind = np.where(count[feature] > 1, 0, obs.kind)  # conditions of one point share its edge
-    # by outward moves, of unit length per feature
-    along = out_of_face(linear)
-    length = np.sqrt(np.bincount(feature, along ** 2))[feature]
-    outwards = np.divide(along, length, out=np.zeros(len(along)), where=length > 0)
+    # derivatives by outward moves, scaled to unit length per feature
+    by_move = out_of_face(linear)
+    length = np.sqrt(np.bincount(feature, by_move ** 2))[feature]
+    outwards = np.divide(by_move, length, out=np.zeros(len(by_move)), where=length > 0)
     for k, e in sorted({*zip(kind[end].tolist(), obs.ending[end].tolist(), strict=True)}):
         rows = (kind == k) & (obs.ending == e)
         name = f'setback_{kinds[k]}_{ENDINGS[e - 1]}'
@@ -256,8 +256,8 @@ def grazing(linear: Linear) -> Blocks:
     problem, std = linear.problem, linear.problem.config.noise.distortion
     points = problem.observations.points
     on_face = np.isin(problem.observations.kind, face_kinds(problem.target))
-    along = np.abs((linear.wrt_point * points).sum(axis=1)) / np.linalg.norm(points, axis=1)
-    cosine = np.where(on_face, along, 1.0)
+    to_ray = np.abs((linear.wrt_point * points).sum(axis=1)) / np.linalg.norm(points, axis=1)
+    cosine = np.where(on_face, to_ray, 1.0)
     least = cosine.min(initial=1.0)
     if std and least < GRAZING_COSINE:
         share = np.where(cosine < GRAZING_COSINE, least / np.maximum(cosine, least), 0.0)

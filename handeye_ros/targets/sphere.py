@@ -87,10 +87,10 @@ class Sphere(ProfileTarget):
         points = np.concatenate([f.raw for f in sample.features if isinstance(f, Arc)])
         return points, np.zeros(len(points), dtype=np.intp)
 
-    def starts(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
+    def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts, best first, from a sweep of rotations of the sensor."""
-        problem = with_few_stations(whole, rng)
-        yield from shortlisted(problem, _candidates(problem, rng))
+        few = with_few_stations(problem, rng)
+        yield from shortlisted(few, _candidates(few, rng))
 
     def half_turn_misfit(self, linear: Linear) -> tuple[str, float]:
         """
@@ -99,8 +99,8 @@ class Sphere(ProfileTarget):
         An arc does not tell on which side of the sensor plane its centre lies.
         """
         poses, T = linear.problem.poses @ linear.estimate.X, linear.estimate.state[:16]
-        away = T.reshape(4, 4)[:3, 3] - poses[:, :3, 3]
-        centres = away[:, None] @ poses[:, :3, [0, 2]]
+        from_sensor = T.reshape(4, 4)[:3, 3] - poses[:, :3, 3]
+        centres = from_sensor[:, None] @ poses[:, :3, [0, 2]]  # in the sensor plane
         across = np.linalg.svd(centres[:, 0] - centres[:, 0].mean(axis=0))[1][-1]
         return 'on one line', float(across) / len(poses) ** 0.5
 

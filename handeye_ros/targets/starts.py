@@ -1,10 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Starts of the targets: some stations, one piece of each profile, and a linear sweep.
+What the targets' starts have in common: few stations, one piece of each profile, a linear sweep.
 
-A piece is what may be the target in a profile, of which only one is: a surface, a pair of faces,
-an end of a face.
+A piece is a part of a profile that may be the target: a surface, a pair of faces, an end of a
+face. At most one piece of a profile is.
 """
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 GUESS_STATIONS = 40  # more only take longer
 SAME_SURFACE = 3e-4  # m: largest distance between pieces of one surface
-NEAR_SHARE = 0.7  # of the stations
-AS_NEAR = 2.0  # ratio to the smallest distance of a start, up to which their order decides
+FITTING_SHARE = 0.7  # of the stations that a start should fit
+SIMILAR_RATIO = 2.0  # to the best start's distance: up to it the given order decides
 DIRECTION_COUNT = 400  # that a sweep tries
 TINY = 1e-30  # m^2
 
@@ -36,16 +36,21 @@ def some_stations(count: int, most: int, rng: np.random.Generator) -> NDArray[np
     return np.sort(rng.permutation(count)[:most])
 
 
-def fitting_first(problem: Problem, rounds: Iterable[Iterable[Estimate]]) -> Iterator[Estimate]:
-    """Yield the starts of each round: first those that most stations of the problem fit."""
-    known: list[Estimate] = []
+def best_fitting_first(problem: Problem, rounds: Iterable[Iterable[Estimate]]
+                       ) -> Iterator[Estimate]:
+    """
+    Yield the starts of each round, those that most stations of the problem fit before the others.
+
+    Starts that repeat one of before are left out.
+    """
+    earlier: list[Estimate] = []
     for candidates in rounds:
-        starts = [*known, *candidates]
-        new = [k for k in distinct(np.array([start.X for start in starts])) if k >= len(known)]
-        away = {k: _typical_distance(problem, starts[k]) for k in new}
+        starts = [*earlier, *candidates]
+        new = [k for k in distinct(np.array([start.X for start in starts])) if k >= len(earlier)]
+        distance = {k: _typical_distance(problem, starts[k]) for k in new}
         yield from (starts[k] for k in sorted(
-            new, key=lambda k: away[k] > AS_NEAR * min(away.values())))
-        known = starts
+            new, key=lambda k: distance[k] > SIMILAR_RATIO * min(distance.values())))
+        earlier = starts
 
 
 def _typical_distance(problem: Problem, estimate: Estimate) -> float:
@@ -56,7 +61,7 @@ def _typical_distance(problem: Problem, estimate: Estimate) -> float:
     squares = target.conditions(p[used], kind[used], estimate.state, problem.config).g ** 2
     station = problem.observations.station[used]
     mean = np.bincount(station, squares, n) / np.maximum(np.bincount(station, minlength=n), 1)
-    return float(np.quantile(mean, NEAR_SHARE) ** 0.5)
+    return float(np.quantile(mean, FITTING_SHARE) ** 0.5)
 
 
 def with_one_piece(problem: Problem, piece: NDArray[np.intp], choices: Iterable[Array]
@@ -69,27 +74,31 @@ def with_one_piece(problem: Problem, piece: NDArray[np.intp], choices: Iterable[
     problems with too few stations while others have more.
     """
     obs = problem.observations
-    chosen = [np.where(np.isnan(ranks).all(axis=1), -1,
-                       np.where(np.isnan(ranks), np.inf, ranks).argmin(axis=1))
-              for ranks in choices]
-    most = max((int((each >= 0).sum()) for each in chosen), default=0)
-    return [replace(problem, observations=obs.select(each[obs.station] == piece)).subset(
-                np.flatnonzero(each >= 0))
-            for each in {each.tobytes(): each for each in chosen}.values()
-            if (each >= 0).sum() >= min(problem.target.min_samples, most)]
+    selections = dict[bytes, NDArray[np.intp]]()  # the piece of each station, -1: none
+    for ranks in choices:
+        best = np.where(np.isnan(ranks), np.inf, ranks).argmin(axis=1)
+        selection = np.where(np.isnan(ranks).all(axis=1), -1, best)
+        selections[selection.tobytes()] = selection
+    counts = [int((selection >= 0).sum()) for selection in selections.values()]
+    enough = min(problem.target.min_samples, max(counts, default=0))
+    return [replace(problem, observations=obs.select(selection[obs.station] == piece)).subset(
+                np.flatnonzero(selection >= 0))
+            for selection, count in zip(selections.values(), counts, strict=True)
+            if count >= enough]
 
 
-def nearest_piece(observations: Observations, piece: NDArray[np.intp], squares: Array
-                  ) -> NDArray[np.bool_]:
+def of_nearest_piece(observations: Observations, piece: NDArray[np.intp], squares: Array
+                     ) -> NDArray[np.bool_]:
     """
     Return which observations (m,) belong to the nearest piece of their station.
 
-    piece: (m,) the piece of each observation; squares: (m,) its squared distance (m^2).
+    Of pieces about as near, it is the first. piece: (m,) the piece of each observation; squares:
+    (m,) its squared distance (m^2).
     """
-    number, total = (sums_by_piece(observations, piece, values)
-                     for values in (np.ones(len(piece)), squares))
-    away = np.sqrt(np.where(number > 0, total / np.maximum(number, 1), np.inf))
-    near = away <= away.min(axis=1, keepdims=True) + SAME_SURFACE
+    count, total = (sums_by_piece(observations, piece, values)
+                    for values in (np.ones(len(piece)), squares))
+    distance = np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.inf))
+    near = distance <= distance.min(axis=1, keepdims=True) + SAME_SURFACE
     return np.asarray(near.argmax(axis=1)[observations.station] == piece)
 
 
@@ -102,7 +111,7 @@ def sums_by_piece(observations: Observations, piece: NDArray[np.intp], values: A
 
 def lines_of_pieces(observations: Observations, piece: NDArray[np.intp]
                     ) -> tuple[Array, Array, Array]:
-    """Return the middle x and z, and the slope (stations, pieces) of lines; NaN without a line."""
+    """Return middle x, middle z and slope of the line of each piece (stations, pieces), or NaN."""
     x, z = observations.points.T
     n, x, z, xx, xz = (sums_by_piece(observations, piece, values)
                        for values in (np.ones(len(x)), x, z, x * x, x * z))
@@ -126,26 +135,29 @@ def frames_along(x: Array) -> Array:
     return np.stack([x, np.cross(z, x), z], axis=2)
 
 
-def over_directions(problem: Problem, axes: list[int], across: slice, count: int
-                    ) -> list[Estimate]:
+def linear_solutions(problem: Problem, axes: list[int], across: slice, count: int
+                     ) -> list[Estimate]:
     """
-    Return the best linear solutions for a line or a plane, over all its directions.
+    Return the count best linear solutions for a line or a plane, over all its directions.
 
-    axes: order of the axes of a frame whose first one is along the direction; across: the axes W
-    along which its points have the same coordinates c. Then W' (R (x r1 + z r3 + t) + a) = c is
-    linear in r1, r3, t and c. Solutions with small residuals, and with r1 and r3 near orthonormal,
-    come first.
+    axes: the order of the axes of the target's frame, of which the first becomes the direction;
+    across: the axes W of the frame along which all points of the target have the same
+    coordinates c. With the columns r1, r3 and t of X, a point (x, z) seen from a pose (R, a) gives
+    W' (R (x r1 + z r3 + t) + a) = c, which is linear in r1, r3, t and c. The best solutions have
+    small residuals, and r1 and r3 that are nearly orthonormal.
     """
     frames = frames_along(hemisphere(DIRECTION_COUNT))[:, :, axes]
     T, W = problem.poses[problem.observations.station], frames[:, :, across]
     R, a, middle = T[:, :3, :3], T[:, :3, 3], problem.poses[:, :3, 3].mean(axis=0)
     x, z = problem.observations.points.T[:, :, None, None]
-    # in the base: derivatives (m, 3, 9) of the points by r1, r3 and t, and what they must add to
-    known = np.concatenate([x * R, z * R, R, (middle - a)[:, :, None]], axis=2)
-    m, (k, _, q) = len(known), W.shape
-    along = (np.swapaxes(W, 1, 2)[:, None] @ known).reshape(k, m * q, 10)
-    A = np.concatenate([along[..., :9], np.tile(-np.eye(q), (k, m, 1))], axis=2)
-    b = along[..., 9:]
+
+    # for each frame the rows A (r1, r3, t, c) = b, with a relative to the middle of the poses
+    wrt_X_and_b = np.concatenate([x * R, z * R, R, (middle - a)[:, :, None]], axis=2)
+    m, (k, _, q) = len(wrt_X_and_b), W.shape
+    along_W = (np.swapaxes(W, 1, 2)[:, None] @ wrt_X_and_b).reshape(k, m * q, 10)
+    A = np.concatenate([along_W[..., :9], np.tile(-np.eye(q), (k, m, 1))], axis=2)
+    b = along_W[..., 9:]
+
     # least squares of each; what the points do not show, such as r3 of one height, is 0
     transposed = np.swapaxes(A, 1, 2)
     N = transposed @ A
@@ -157,9 +169,11 @@ def over_directions(problem: Problem, axes: list[int], across: slice, count: int
     defect = (np.abs((r1 ** 2).sum(1) - 1) + np.abs((r3 ** 2).sum(1) - 1)
               + np.abs((r1 * r3).sum(1)))
     best = np.argsort(rms / 1e-3 + defect)[:count]
+
+    # the nearest rotation of each, and the frame with its origin on the target
     U, _, Vt = np.linalg.svd(np.stack([r1, r3], axis=1)[best], full_matrices=False)
     r1, r3 = np.moveaxis(U @ Vt, 1, 0)
     X = se3.transform(np.stack([r1, np.cross(r3, r1), r3], axis=-1), t[best])
-    place = middle + (W[best] @ c[best, :, None])[..., 0]
-    states = se3.transform(frames[best], place).reshape(-1, 16)
+    origin = middle + (W[best] @ c[best, :, None])[..., 0]
+    states = se3.transform(frames[best], origin).reshape(-1, 16)
     return [Estimate(*each) for each in zip(X, states, strict=True)]

@@ -22,7 +22,7 @@ from handeye_ros.profiles.faces import corner_features
 from handeye_ros.targets import line as edge_line
 from handeye_ros.targets.profile_target import ObservationRows, ProfileTarget, xyz
 from handeye_ros.targets.starts import (
-    fitting_first,
+    best_fitting_first,
     lines_of_pieces,
     with_few_stations,
     with_one_piece,
@@ -35,7 +35,7 @@ ANGLE_SHARES = np.array([-0.5, 0.5])
 CORNER_STD = 1e-5  # 1 sigma of where two lines cross, for a start (m)
 
 
-def one_corner(problem: Problem) -> list[Problem]:
+def problems_with_one_corner(problem: Problem) -> list[Problem]:
     """
     Return problems with one pair of lines per station, chosen in several ways.
 
@@ -46,12 +46,13 @@ def one_corner(problem: Problem) -> list[Problem]:
     obs, pair = problem.observations, WEDGE.pieces(problem.observations)
     if not WEDGE.ambiguous(obs):
         return [problem]
-    corner, middle = corners(obs, pair)
-    depth, middle = (problem.config.profile.range_sign * z for z in (corner[..., 1], middle))
-    order = np.where(np.isnan(depth), np.nan, np.arange(depth.shape[1]))
+    corner, mean_range = corners(obs, pair)
+    sign = problem.config.profile.range_sign
+    depth, is_convex = sign * corner[..., 1], sign * mean_range > sign * corner[..., 1]
+    by_length = np.where(np.isnan(depth), np.nan, np.arange(depth.shape[1]))
     return with_one_piece(problem, pair, [
-        *(np.where(middle > depth, rank, np.nan) for rank in (order, depth, -depth)),
-        np.where(middle <= depth, order, np.nan), order])
+        *(np.where(is_convex, rank, np.nan) for rank in (by_length, depth, -depth)),
+        np.where(is_convex, np.nan, by_length), by_length])
 
 
 def corners(observations: Observations, pair: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -60,17 +61,18 @@ def corners(observations: Observations, pair: NDArray[np.intp]) -> tuple[Array, 
 
     pair: (m,) the pair of each observation. Both are NaN where a station has no such pair.
     """
-    (x_a, x), (z_a, z), (slope_a, slope) = (
-        (of_lines[:, ::2], of_lines[:, 1::2])
-        for of_lines in lines_of_pieces(observations, 2 * pair + observations.kind))
+    (x_1, x_2), (z_1, z_2), (slope_1, slope_2) = (
+        (values[:, ::2], values[:, 1::2])
+        for values in lines_of_pieces(observations, 2 * pair + observations.kind))
     # two lines that are parallel cross nowhere: any point of one of them then
-    apart = np.where(slope_a == slope, np.inf, slope_a - slope)
-    away = (z - z_a - slope * (x - x_a)) / apart
-    return np.stack([x_a + away, z_a + slope_a * away], axis=-1), (z_a + z) / 2
+    difference = np.where(slope_1 == slope_2, np.inf, slope_1 - slope_2)
+    along_x = (z_2 - z_1 - slope_2 * (x_2 - x_1)) / difference
+    return (np.stack([x_1 + along_x, z_1 + slope_1 * along_x], axis=-1),
+            (z_1 + z_2) / 2)
 
 
 def _starts(problem: Problem) -> list[Estimate]:
-    """Return starts: the crossings of two lines per station lie on one edge, for any labels."""
+    """Return starts by the crossing of the two lines of each station: these lie on one edge."""
     rows, obs = ObservationRows(), problem.observations
     for station, corner in enumerate(corners(obs, np.zeros_like(obs.kind))[0]):
         for kind in (edge_line.EDGE_Y, edge_line.EDGE_Z):
@@ -85,8 +87,8 @@ def _with_faces(problem: Problem, edge: Estimate) -> Estimate:
     T[:3, :3] = se3.nearest_rotation(T[:3, :3])
     _, y, z = ((problem.points_in_base(edge.X) - T[:3, 3]) @ T[:3, :3]).T
     across = y + 1j * z  # the mean of all lies between the faces
-    side = (across * across.sum().conjugate()).imag > 0
-    turns = [np.angle(across[face].sum()) + np.pi / 2 for face in (side, ~side)]
+    is_first = (across * across.sum().conjugate()).imag > 0
+    turns = [np.angle(across[face].sum()) + np.pi / 2 for face in (is_first, ~is_first)]
     return Estimate(edge.X, np.append(T.ravel(), turns))
 
 
@@ -102,7 +104,8 @@ class Wedge(ProfileTarget):
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts; where several edges are visible, from each choice of one."""
         few = with_few_stations(problem, rng)
-        return fitting_first(few, [[e for part in one_corner(few) for e in _starts(part)]])
+        return best_fitting_first(few, [[start for choice in problems_with_one_corner(few)
+                                         for start in _starts(choice)]])
 
     def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
                          ) -> tuple[Array, Array, Array]:
@@ -121,7 +124,7 @@ class Wedge(ProfileTarget):
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:
-        """Return two lines per station, the best fitting ones, assigned to the two faces."""
+        """Return the observations with the best pair of lines per station, each on its face."""
         kind, pair = observations.kind, self.pieces(observations)
         group = observations.station * (int(pair.max()) + 1) + pair
         as_is, swapped = (self.conditions(p, k, state, config).g ** 2 for k in (kind, 1 - kind))

@@ -16,7 +16,7 @@ sentence names these and their odds; if nothing changed, the smallest change tha
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 import math
 from typing import Any, NamedTuple
@@ -37,6 +37,7 @@ from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.blocks import wrt_smooth
 from handeye_ros.estimation.noise import Noise, Whitening, whitening
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem, UNUSED
+from handeye_ros.estimation.target import Target
 from handeye_ros.frames import mount_frame, name_direction, target_frame
 from handeye_ros.sampling.stops import evenly
 from handeye_ros.targets import TARGETS
@@ -60,7 +61,7 @@ MOVE_SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a pr
 TURN_LEVER = 0.1  # m: a scale over it is that of a turn
 MOST_ITERATIONS = 6
 NAMED_FROM = 0.95  # probability with which one cause, or some together, are named
-KEPT_SAMPLES = 30  # samples of a sweep: neighbours share the errors of the robot
+MOST_OF_SWEEP = 30  # samples of a sweep: neighbours share the errors of the robot
 UNSEEN_SHIFT = 0.01  # m: a shift that would show only from here on is called unseen
 NO_MOVE = np.zeros(6)
 MOVABLE = 'target', 'sensor'
@@ -135,8 +136,8 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
     answer = pipeline.answer_session(session, config)
     offset, solution = answer.require_calibration().time_offset, answer.require_solution()
     used = [answer.samples[i] for i in solution.used]
-    some = [replace(sample, trajectory=None) for sample in evenly(used, KEPT_SAMPLES)]
-    result = check(some, calibration, config, session.rejects,
+    still = [replace(sample, trajectory=None) for sample in evenly(used, MOST_OF_SWEEP)]
+    result = check(still, calibration, config, session.rejects,
                    [stop.stamp for stop in session.stops])
     return _with_offset(result, offset, calibration) if offset else result
 
@@ -150,46 +151,42 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     samples are single profiles. Raises DataError, and InputError for a calibration without a
     target to compare with.
     """
-    problem, known = _compared_with(samples, calibration, config, others)
+    calibrated = _Calibrated.read(calibration, config)
+    problem = _observed(samples, calibrated, config, others)
 
     def compared_at(stops: Indices) -> tuple[_Comparison, Array, Array, Indices]:
-        some = _comparison(problem.subset(stops), *known)
-        station = some.linear.problem.observations.station
+        comparison = _comparison(problem.subset(stops), calibrated)
+        station = comparison.linear.problem.observations.station
         require_stations([len(np.unique(station))])
         # whatever moved, and however the calibration errs
-        moves = [some.moved(name)[1] * _move_sigmas(MOVE_SCALES[-1]) for name in MOVABLE]
-        return some, some.residuals, np.hstack([some.errors, *moves]), stops[station]
+        moves = [comparison.moved(name)[1] * _move_sigmas(MOVE_SCALES[-1]) for name in MOVABLE]
+        return (comparison, comparison.residuals, np.hstack([comparison.errors, *moves]),
+                stops[station])
 
-    comparison, _, left_out = fit_without_outliers(
+    comparison, _, contradicting = fit_without_outliers(
         np.unique(problem.observations.station), compared_at)
-    causes = {name: _moved(comparison, name) for name in MOVABLE}
-    causes['robot'] = _Cause(_robot_likelihood(comparison), ROBOT_CHANGED)
+    target, sensor = (_moved(comparison, name) for name in MOVABLE)
+    causes = {'target': target, 'sensor': sensor,
+              'robot': _Cause(_robot_likelihood(comparison), ROBOT_CHANGED)}
     likelihoods = [cause.likelihood for cause in causes.values()]
     evidence = _log_mean(likelihoods) - _log_likelihood(comparison.residuals, comparison.errors)
     odds = dict(zip(causes, softmax(likelihoods).tolist(), strict=True))
-    shows = {name: _smallest_shifts(comparison, name) for name in MOVABLE}
+    (target_axes, target_shows), (sensor_axes, sensor_shows) = (
+        _smallest_shifts(comparison, name) for name in MOVABLE)
     if evidence < math.log(LEAST_EVIDENCE):
-        of_target, of_sensor = (_in_words(*shows[name], frame) for name, frame in zip(
-            MOVABLE, (target_frame(config), mount_frame(config)), strict=True))
         verdict, sentence = 'unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
-            f'have shown from {of_target} on, one of the sensor from {of_sensor} on')
+            f'have shown from {_shifts_in_words(target_axes, target_shows, target_frame(config))} '
+            f'on, one of the sensor from '
+            f'{_shifts_in_words(sensor_axes, sensor_shows, mount_frame(config))} on')
     else:
-        likeliest = sorted(odds, key=odds.__getitem__, reverse=True)
-        sums = np.cumsum([odds[name] for name in likeliest])
-        named = likeliest[:int(np.searchsorted(sums, NAMED_FROM)) + 1]
-        verdict, sentence = ' or '.join(named), '; or '.join(
-            causes[name].sentence for name in named)
-        if len(named) > 1:
-            text = ', '.join(f'{name} {odds[name]:.0%}' for name in named)
-            sentence = f'these stops cannot decide ({text}): {sentence}. {MORE_STOPS}'
-    starts = passes or sorted([*(one.stamp for one in samples), *(one.stamp for one in others)])
-    left_out = sorted({bisect_right(starts, samples[k].stamp) for k in left_out})
+        verdict, sentence = _verdict_and_sentence(causes, odds)
+    stamps = passes or sorted([*(sample.stamp for sample in samples),
+                               *(reject.stamp for reject in others)])
+    left_out = sorted({bisect_right(stamps, samples[k].stamp) for k in contradicting})
     if left_out:
         what = 'profiles of the passes' if passes else 'stops'
         sentence += f'. Left out, as they contradict the others: {what} {left_out}'
-    target, sensor = (causes[name] for name in MOVABLE)
-    (target_axes, target_shows), (sensor_axes, sensor_shows) = shows.values()
     return Check(
         samples[0].stamp, verdict, sentence, len(comparison.linear.problem.poses),
         rms(comparison.linear.residuals), math.exp(min(evidence, 700.0)), odds, target.shift,
@@ -198,15 +195,79 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
         left_out)
 
 
+def _verdict_and_sentence(causes: Mapping[str, _Cause], odds: Mapping[str, float]
+                          ) -> tuple[str, str]:
+    """Return the fewest causes that are together as probable as NAMED_FROM, and what follows."""
+    ranked = sorted(odds, key=odds.__getitem__, reverse=True)
+    probability = np.cumsum([odds[name] for name in ranked])
+    named = ranked[:int(np.searchsorted(probability, NAMED_FROM)) + 1]
+    sentence = '; or '.join(causes[name].sentence for name in named)
+    if len(named) > 1:
+        text = ', '.join(f'{name} {odds[name]:.0%}' for name in named)
+        sentence = f'these stops cannot decide ({text}): {sentence}. {MORE_STOPS}'
+    return ' or '.join(named), sentence
+
+
+class _Calibrated(NamedTuple):
+    """
+    What a calibration says of sensor and target.
+
+    root: R with R R' the joint covariance (6 + k, 6 + k) of transform and target
+    variance_factor: by which its residuals exceed the noise as configured, at least 1
+    smooth_std: 1 sigma of the robot's smooth error (m)
+    """
+
+    target: Target
+    estimate: Estimate
+    root: Array
+    variance_factor: float
+    smooth_std: float
+
+    @classmethod
+    def read(cls, calibration: Calibration, config: Config) -> _Calibrated:
+        """Return what a stored calibration says; raises InputError where its target is missing."""
+        try:
+            target, joint = TARGETS[calibration.method], calibration.target['joint']
+            parameter_count = len(target.parameter_names)
+            state = np.array(joint['state'], dtype=float)
+            if len(state) == 4:  # of a sphere, as version 0.1.0 wrote it: centre and radius
+                state = np.append(se3.transform(np.eye(3), state[:3]), state[3])
+            state = state.reshape(16 + parameter_count - len(target.pose_axes))
+            covariance = np.array(joint['covariance'], dtype=float).reshape(
+                2 * [6 + parameter_count])
+            factor = max(float(joint['variance_factor']), 1.0)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(
+                f'the calibration (method {calibration.method}) does not hold what a check '
+                'compares with: the target with its covariance. Solve its recording again with '
+                f'this version, as one of {", ".join(TARGETS)}, or measure a known object with '
+                '"handeye verify"') from error
+        X = calibration.T_flange_sensor @ frames.T_sensor_plane(config)
+        return cls(target, Estimate(X, state), root_of(covariance), factor,
+                   float(calibration.target.get('robot_position_error', 0.0)))
+
+
+def _observed(samples: Sequence[Sample], calibrated: _Calibrated, config: Config,
+              others: Sequence[Reject]) -> Problem:
+    """Return the samples as a problem, with only what they show of the calibrated target."""
+    target, estimate = calibrated.target, calibrated.estimate
+    problem = Problem(target, frames.mount_poses_of(samples, config), target.observe(samples),
+                      config, long_errors=True)
+    require_stations([len(np.unique(problem.observations.station))], others)
+    labelled = target.reassign(problem.observations, problem.points_in_base(estimate.X),
+                               estimate.state, config)
+    return replace(problem, observations=labelled.select(labelled.kind != UNUSED))
+
+
 @dataclass(frozen=True, eq=False)
 class _Comparison:
     """
-    A recording with the calibration that it is compared with.
+    What a recording shows where a calibration is right and nothing has changed.
 
-    linear: if nothing has changed
-    whiten: of the noise
+    linear: at the calibrated estimate
+    whiten: what makes the noise white
     residuals (m,): white
-    errors (m, k): white derivatives by the errors e, in their sigmas
+    errors (m, k): white derivatives of the residuals by the errors e, in their sigmas
     """
 
     linear: Linear
@@ -216,10 +277,10 @@ class _Comparison:
 
     def moved(self, name: str, move: Array = NO_MOVE) -> tuple[Array, Array, Array]:
         """
-        Return the white residuals (m,) as if what has moved (target, sensor) had moved back.
+        Return the white residuals (m,) with a move of the target or the sensor (name) undone.
 
-        And their derivatives (m, 6) by the move, and the points (m, 3) from what it turns about:
-        the middle of the points, or the sensor's origin.
+        With their derivatives (m, 6) by the move, and the points (m, 3) relative to the centre of
+        its turn: the middle of the points for the target, the sensor's origin for the sensor.
         """
         problem, calibrated = self.linear.problem, self.linear.estimate
         X = calibrated.X
@@ -227,74 +288,46 @@ class _Comparison:
             linear = linearise(problem, replace(calibrated, X=se3.perturb(X, move)))
             wrt_move, lever = -linear.jacobian[:, :6], linear.lever
         else:
-            there = se3.transform(np.eye(3), problem.points_in_base(X).mean(axis=0))
-            back = there @ se3.inverse(se3.perturb(np.eye(4), move)) @ se3.inverse(there)
-            linear = linearise(replace(problem, poses=back @ problem.poses), calibrated)
-            lever = linear.problem.points_in_base(X) - there[:3, 3]
+            centre = se3.transform(np.eye(3), problem.points_in_base(X).mean(axis=0))
+            undone = centre @ se3.inverse(se3.perturb(np.eye(4), move)) @ se3.inverse(centre)
+            linear = linearise(replace(problem, poses=undone @ problem.poses), calibrated)
+            lever = linear.problem.points_in_base(X) - centre[:3, 3]
             wrt_move = np.hstack([linear.wrt_base, np.cross(lever, linear.wrt_base)])
         return self.whiten(linear.residuals), self.whiten(wrt_move), lever
 
 
-def _comparison(problem: Problem, calibrated: Estimate, root: Array, factor: float, smooth: float
-                ) -> _Comparison:
-    """Return a recording compared with what _compared_with returns of the calibration."""
-    obs, config = problem.observations, problem.config
+def _comparison(problem: Problem, calibrated: _Calibrated) -> _Comparison:
+    """Return what a recording shows at the calibrated estimate."""
+    obs, config, estimate = problem.observations, problem.config, calibrated.estimate
     # the range of faces seen at grazing incidence may be off by as much as a calibration allows
     ranges = [block.columns * block.largest_variance ** 0.5
-              for block in grazing(linearise(problem, calibrated))]
+              for block in grazing(linearise(problem, estimate))]
     # the error of the sensor's field differs from stop to stop, as that of the pose does
     noise = replace(config.noise, distortion=0.0, robot_translation=math.hypot(
         config.noise.robot_translation, config.noise.distortion))
-    linear = linearise(replace(problem, config=replace(config, noise=noise)), calibrated)
-    whiten = whitening(linear, Noise(np.full(len(Noise().variance_factors), factor)))
+    linear = linearise(replace(problem, config=replace(config, noise=noise)), estimate)
+    whiten = whitening(linear, Noise(np.full(
+        len(Noise().variance_factors), calibrated.variance_factor)))
     # the set-backs of the ends of each kind at each edge
-    out = out_of_face(linear) * config.target.setback_std
+    by_setback = out_of_face(linear) * config.target.setback_std
     ends = np.unique(np.column_stack([obs.kind, obs.ending])[obs.ending > 0], axis=0)
-    setbacks = [np.where((obs.kind == k) & (obs.ending == e), out, 0.0) for k, e in ends]
+    setbacks = [np.where((obs.kind == kind) & (obs.ending == ending), by_setback, 0.0)
+                for kind, ending in ends]
     # what all stops share was part of the calibration too
     basis = problem.smooth_error_basis
-    own = (basis - basis.mean(axis=0))[obs.station] * smooth
+    differences = (basis - basis.mean(axis=0))[obs.station] * calibrated.smooth_std
     errors = np.column_stack([
-        linear.jacobian @ root, wrt_smooth(linear.wrt_pose, own), *setbacks, *ranges])
+        linear.jacobian @ calibrated.root, wrt_smooth(linear.wrt_pose, differences), *setbacks,
+        *ranges])
     return _Comparison(linear, whiten, whiten(linear.residuals), whiten(errors))
 
 
-def _compared_with(
-        samples: Sequence[Sample], calibration: Calibration, config: Config,
-        others: Sequence[Reject]) -> tuple[Problem, tuple[Estimate, Array, float, float]]:
-    """
-    Return a recording as a problem, and what the calibration knows.
-
-    Its estimate; R with R R' the joint covariance (6 + k, 6 + k); the variance factor; 1 sigma of
-    the robot's smooth error (m).
-    """
-    try:
-        target, joint = TARGETS[calibration.method], calibration.target['joint']
-        size = 6 + len(target.parameter_names)
-        state = np.array(joint['state'], dtype=float)
-        if len(state) == 4:  # of a sphere, as version 0.1.0 wrote it: centre and radius
-            state = np.append(se3.transform(np.eye(3), state[:3]), state[3])
-        state = state.reshape(16 + len(target.parameter_names) - len(target.pose_axes))
-        covariance = np.array(joint['covariance'], dtype=float).reshape(size, size)
-        factor = max(float(joint['variance_factor']), 1.0)
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f'the calibration (method {calibration.method}) does not hold what a check compares '
-            'with: the target with its covariance. Solve its recording again with this version, '
-            f'as one of {", ".join(TARGETS)}, or measure a known object with "handeye verify"'
-            ) from error
-    X = calibration.T_flange_sensor @ frames.T_sensor_plane(config)
-    problem = Problem(target, frames.mount_poses_of(samples, config), target.observe(samples),
-                      config, long_errors=True)
-    require_stations([len(np.unique(problem.observations.station))], others)
-    obs = target.reassign(problem.observations, problem.points_in_base(X), state, config)
-    problem = replace(problem, observations=obs.select(obs.kind != UNUSED))
-    smooth = float(calibration.target.get('robot_position_error', 0.0))
-    return problem, (Estimate(X, state), root_of(covariance), factor, smooth)
-
-
 def _log_likelihood(residuals: Array, errors: Array) -> float:
-    """Return the log likelihood of white residuals (m,), errors: by values in their sigmas."""
+    """
+    Return the log likelihood of white residuals (m,) whose errors have a normal prior.
+
+    errors: (m, k) derivatives by values of unit variance.
+    """
     _, covariance, square = likeliest(errors, residuals)
     return float(np.linalg.slogdet(covariance)[1] - square) / 2
 
@@ -311,9 +344,10 @@ def _move_sigmas(scale: float) -> Array:
 
 class _Cause(NamedTuple):
     """
-    Log likelihood of a cause, what follows from it, and its most likely move: shift, turn.
+    A possible change: its log likelihood, and what follows from it in words.
 
-    In m and rad. displacement: the largest of a point by this move, and its std (m).
+    shift (m), turn (rad): the most likely move; displacement, std: the largest displacement of a
+    point by this move, and its 1 sigma (m).
     """
 
     likelihood: float
@@ -325,11 +359,15 @@ class _Cause(NamedTuple):
 
 
 def _moved(comparison: _Comparison, name: str) -> _Cause:
-    """Return the cause of a moved target or sensor."""
+    """
+    Return the cause "target" or "sensor" (name): that it moved.
+
+    Gauss-Newton steps for the move; the scale of its prior is the likeliest of MOVE_SCALES.
+    """
     move, sigmas = NO_MOVE, _move_sigmas(MOVE_SCALES[-1])
     for _ in range(MOST_ITERATIONS):
         r, D, lever = comparison.moved(name, move)
-        r = r + D @ move
+        r = r + D @ move  # of no move, in this linearisation
         x, C, _ = likeliest(np.hstack([comparison.errors, D * sigmas]), r)
         move, C = sigmas * x[-6:], C[-6:, -6:] * np.outer(sigmas, sigmas)
         likelihoods = [_log_likelihood(r, np.hstack([
@@ -349,45 +387,48 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
 
 
 def _robot_likelihood(comparison: _Comparison) -> float:
-    """Return the log likelihood of pose errors, smooth over the poses or white."""
+    """Return the log likelihood of a robot whose poses err otherwise, smoothly or each alone."""
     problem, wrt_pose = comparison.linear.problem, comparison.whiten(comparison.linear.wrt_pose)
     smooth = problem.smooth_error_basis
     # the root of four is alike over twice the distance, as one joint's error reaches further
     values, axes = np.linalg.eigh(np.abs(smooth @ smooth.T) ** 0.25)
-    roots = [root[problem.observations.station] for root in (
-        smooth, axes * np.sqrt(np.maximum(values, 0.0)), np.eye(len(problem.poses)))]
-    return _log_mean([_log_likelihood(comparison.residuals, np.hstack([
-        comparison.errors, (sized[:, :, None] * root[:, None]).reshape(len(sized), -1)]))
-        for sized in (wrt_pose * _move_sigmas(scale) for scale in MOVE_SCALES) for root in roots])
+    likelihoods = []
+    for root in smooth, axes * np.sqrt(np.maximum(values, 0.0)), np.eye(len(problem.poses)):
+        of_rows = root[problem.observations.station]
+        for scale in MOVE_SCALES:
+            by_twists = (wrt_pose * _move_sigmas(scale))[:, :, None] * of_rows[:, None]
+            likelihoods.append(_log_likelihood(comparison.residuals, np.hstack([
+                comparison.errors, by_twists.reshape(len(of_rows), -1)])))
+    return _log_mean(likelihoods)
 
 
 def _smallest_shifts(comparison: _Comparison, name: str) -> tuple[Array, Array]:
     """
-    Return axes (3, 3), as rows, and the smallest detectable shifts (3,) along them (m).
+    Return axes (3, 3), as rows, and the smallest detectable shift along each (3,), in m.
 
-    name: of what moves. The smallest comes first; nan where none would show.
+    name: of what moves, target or sensor. The smallest comes first; nan where none would show.
     """
     _, D, _ = comparison.moved(name)
-    A = comparison.errors
-    unexplained = D - A @ np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T @ D)
-    information = D.T @ unexplained
+    A = comparison.errors  # a move that they explain as well does not show
+    information = D.T @ (D - A @ np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T @ D))
     occam = np.linalg.slogdet(np.eye(6) + information * _move_sigmas(1e-3) ** 2)[1]
-    sigmas = np.sqrt(2 * np.log(3 * len(MOVE_SCALES) * LEAST_EVIDENCE) + occam) + 1.64  # with 95 %
+    # of the shift for the evidence, which takes several causes and scales; and with 95 %
+    sigmas = np.sqrt(2 * np.log(3 * len(MOVE_SCALES) * LEAST_EVIDENCE) + occam) + 1.64
     values, axes = np.linalg.eigh(information[:3, :3])
     sizes = (sigmas / np.sqrt(np.maximum(values, 1e-300)))[::-1]
     return axes.T[::-1], np.where(sizes < UNSEEN_SHIFT, sizes, np.nan)
 
 
-def _in_words(axes: Array, shifts: Array, frame: str) -> str:
+def _shifts_in_words(axes: Array, shifts: Array, frame: str) -> str:
     """Return in words from which size on shifts along the axes (3, 3) show, and which do not."""
-    named = [(size, name_direction(axis, frame)) for size, axis in zip(shifts, axes, strict=True)]
-    unseen = ' or '.join(name for size, name in named if np.isnan(size))
-    return ', '.join(f'{mm(size)} along {name}' for size, name in named if size < UNSEEN_SHIFT) + (
+    along = [(size, name_direction(axis, frame)) for size, axis in zip(shifts, axes, strict=True)]
+    unseen = ' or '.join(name for size, name in along if np.isnan(size))
+    return ', '.join(f'{mm(size)} along {name}' for size, name in along if size < UNSEEN_SHIFT) + (
         f' (a slide along {unseen} cannot be seen)' if unseen else '')
 
 
 def _with_offset(result: Check, offset: ClockEstimate, calibration: Calibration) -> Check:
-    """Return a check with the time offset of a sweep."""
+    """Return the check of a sweep with the change of its time offset since the calibration."""
     previous, verdict = calibration.time_offset, result.verdict
     if previous is None:
         return result

@@ -128,10 +128,10 @@ class StationSet:
 
     def of_groups(self, groups: Indices) -> StationSet:
         """Return the points of some groups; raises DataError where a recording has too few."""
-        kept = np.isin(self.group_of_point, groups)
-        rest = self.with_observations(self.observations.select(kept))
-        rest.require_enough()
-        return rest
+        chosen = np.isin(self.group_of_point, groups)
+        stations = self.with_observations(self.observations.select(chosen))
+        stations.require_enough()
+        return stations
 
     def require_enough(self, others: Sequence[Reject] = ()) -> None:
         """Raise DataError where a recording has too few usable poses; see require_stations."""
@@ -140,12 +140,16 @@ class StationSet:
 
 
 def require_stations(usable: Sequence[int], others: Sequence[Reject] = ()) -> None:
-    """Raise DataError for a recording with too few usable stations; others: gave no sample."""
+    """
+    Raise DataError where a recording has fewer than LEAST_STATIONS usable stations.
+
+    usable: their number in each recording; others: the stops that gave no sample.
+    """
     least = min(usable)
     if least < LEAST_STATIONS:
-        of = f' of recording {usable.index(least) + 1}' if len(usable) > 1 else ''
+        where = f' of recording {usable.index(least) + 1}' if len(usable) > 1 else ''
         raise DataError(
-            f'{least} usable stations{of}, fewer than {LEAST_STATIONS}'
+            f'{least} usable stations{where}, fewer than {LEAST_STATIONS}'
             f'{f" (of the others: {others[0].reason})" if others else ""}: measure more, with the '
             'sensor turned differently at each')
 
@@ -186,8 +190,9 @@ class Shape:
     """
     A shape with k unknowns, and the stations whose points lie on it.
 
-    start: (k,); distance(p (m, 3), q (k,)): signed distances (m,) of these points, in the base;
-    values(q): the measured values, of which quantities tell name, unit and nominal value.
+    start: (k,) the unknowns q to start from
+    distance(p, q): the signed distances (m,) of its points p (m, 3) in the base
+    values(q): the measured values; quantities: name, unit and nominal value of each
     """
 
     stations: StationSet
@@ -252,11 +257,11 @@ class Fit:
     scatter: of the distances
     distances (m,): of the points from the shape (m)
     distance_std (m,): their 1 sigma due to sensor and robot (m)
-    nominal_chi2: (v - nominal)' cov^-1 (v - nominal) of the values v with a nominal, cov the sum
+    region: (v - nominal)' cov^-1 (v - nominal) of the values v with a nominal, cov the sum
         of their covariances by measurement and calibration
     freedom: number of values with a nominal
     claim_p: probability of a larger one if the calibration's covariance is true
-    detectable_error: the smallest error of the calibration that would show, in the direction in
+    smallest_error: the smallest error of the calibration that would show, in the direction in
         which it shows least, as RMS displacement of the points (m)
     weakest_direction: this direction in words
     error (6,): most likely error of the calibration, of the sensor plane in the mount (m, rad)
@@ -273,10 +278,10 @@ class Fit:
     scatter: Scatter
     distances: Array
     distance_std: Array
-    nominal_chi2: float
+    region: float
     freedom: int
     claim_p: float
-    detectable_error: float
+    smallest_error: float
     weakest_direction: str
     error: Array
     p_error: float
@@ -301,52 +306,58 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
         return Whitening(tuple(group.rows for group in groups), tuple(
             inverse_roots(_covariance(linear, group)) for group in groups))
 
-    # the shape q, at which all is linear: white distances r, their derivatives J by the shape, and
-    # E by the errors e, of the calibration and of the robot (of unit covariance)
+    # at the fitted shape q: white distances r, their derivatives J by the shape, and E by the
+    # errors e, of the calibration and of the robot (these of unit covariance)
     q = shape.fitted(problem.points_in_base(X), lambda q: whitening(shape.linear(X, q)))
     linear = shape.linear(X, q)
     distances, lever = linear.residuals, linear.lever
     basis = problem.smooth_error_basis[problem.observations.station]
-    robot = wrt_smooth(linear.wrt_pose, basis * smooth_std)
+    by_robot = wrt_smooth(linear.wrt_pose, basis * smooth_std)
     r, E, J = np.split(whitening(linear)(np.column_stack([
-        distances, linear.jacobian[:, :6], robot, linear.jacobian[:, 6:]])),
-        [1, 7 + robot.shape[1]], axis=1)
-    gain, r = np.asarray(np.linalg.pinv(J), dtype=float), r[:, 0]
-    left, E_left = r - J @ (gain @ r), E - J @ (gain @ E)  # what the shape does not take up
-    claim = scipy.linalg.block_diag(root_of(C), np.eye(robot.shape[1]))
-    quantities, deviation, by_error, nominal_chi2 = _values(shape, q, J, E, claim)
-    freedom, size, known = max(len(r) - len(gain), 1), np.abs(distances), len(deviation)
+        distances, linear.jacobian[:, :6], by_robot, linear.jacobian[:, 6:]])),
+        [1, 7 + by_robot.shape[1]], axis=1)
+    r = r[:, 0]
+    claim = scipy.linalg.block_diag(root_of(C), np.eye(by_robot.shape[1]))
+    quantities, deviation, deviation_wrt_errors, region = _values(shape, q, J, E, claim)
+    nominal_count = len(deviation)
+
+    # whether the points agree: what the shape does not take up of distances and errors
+    gain = np.asarray(np.linalg.pinv(J), dtype=float)
+    r_left, E_left = r - J @ (gain @ r), E - J @ (gain @ E)
+    sizes, freedom = np.abs(distances), max(len(r) - len(gain), 1)
     scatter = Scatter(
-        len(r), float(size.mean()), float(size.std()), rms(size), float(size.max()),
-        float(chi2_sf(likeliest(E_left @ claim, left)[2], freedom)))
+        len(r), float(sizes.mean()), float(sizes.std()), rms(sizes), float(sizes.max()),
+        float(chi2_sf(likeliest(E_left @ claim, r_left)[2], freedom)))
+
     # the error of the calibration that distances and nominal values show, whatever is claimed
-    A, b = np.vstack([E_left, -by_error]), np.append(left, deviation)
-    prior = np.append(LARGEST_ERROR ** -2.0, np.ones(len(claim) - 6))
-    errors, covariance, square = likeliest(A, b, prior)
-    _, _, square_without = likeliest(A[:, 6:], b, prior[6:])
+    A, b = np.vstack([E_left, -deviation_wrt_errors]), np.append(r_left, deviation)
+    information = np.append(LARGEST_ERROR ** -2.0, np.ones(len(claim) - 6))
+    errors, covariance, square = likeliest(A, b, information)
     error, covariance = errors[:6], covariance[:6, :6]
-    square -= float(error ** 2 @ prior[:6])
-    all_freedom = max(freedom + known - 6, 1)
-    factor = max(square / all_freedom, 1.0)
-    detectable_error, weakest_direction = _weakest(covariance, lever, mount_frame(problem.config))
+    square -= float(error ** 2 @ information[:6])
+    _, _, square_without = likeliest(A[:, 6:], b, information[6:])
+    freedom = max(freedom + nominal_count - 6, 1)
+    factor = max(square / freedom, 1.0)
+    smallest_error, weakest_direction = _weakest(covariance, lever, mount_frame(problem.config))
     largest_error, largest_error_std = largest_displacement(lever, error, factor * covariance)
+
     # of each point what sensor and robot add; and what a fit of other groups would leave unknown
-    variances = np.square(robot).sum(axis=1)
+    variances = np.square(by_robot).sum(axis=1)
     for group in groups:
         variances[group.rows] += np.einsum('nii->ni', _covariance(linear, group))
     unknowns = np.hstack([J, E[:, :6]])
     unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
     return Fit(
-        quantities, scatter, distances, np.sqrt(variances), nominal_chi2, known,
-        float(chi2_sf(nominal_chi2, known)) if known else 1.0, detectable_error,
-        weakest_direction, error, p_error=float(chi2_sf(square, all_freedom)),
+        quantities, scatter, distances, np.sqrt(variances), region, nominal_count,
+        float(chi2_sf(region, nominal_count)) if nominal_count else 1.0, smallest_error,
+        weakest_direction, error, p_error=float(chi2_sf(square, freedom)),
         p_of_error=float(chi2_sf((square_without - square) / factor, 6)),
         largest_error=largest_error, largest_error_std=largest_error_std, white_distances=r,
         wrt_unknowns=np.hstack([unknowns, E[:, 6:]]))
 
 
 def _covariance(linear: Linear, group: StationGroup) -> Array:
-    """Return the covariance (stations, c, c) of the noise, with the doubt of steep faces."""
+    """Return the covariance (stations, c, c) of noise and range errors of steep faces."""
     total = total_covariance(linear, group, NOISE)
     for block in grazing(linear):
         columns = block.columns[group.rows] * block.largest_variance ** 0.5
@@ -354,13 +365,14 @@ def _covariance(linear: Linear, group: StationGroup) -> Array:
     return total
 
 
-def likeliest(A: Array, b: Array, prior: Array | float = 1.0) -> tuple[Array, Array, float]:
+def likeliest(A: Array, b: Array, information: Array | float = 1.0
+              ) -> tuple[Array, Array, float]:
     """
-    Return the x of least |b - A x|^2 + x' diag(prior) x, its covariance, and this sum.
+    Return the x of least |b - A x|^2 + x' diag(information) x, its covariance, and this sum.
 
-    A: (m, u), b: (m,), white; prior: (u,) information.
+    A: (m, u), b: (m,), white; information: (u,) of the prior, whose mean is 0.
     """
-    covariance = np.asarray(np.linalg.inv(A.T @ A + prior * np.eye(A.shape[1])), dtype=float)
+    covariance = np.asarray(np.linalg.inv(A.T @ A + information * np.eye(A.shape[1])), float)
     explained = A.T @ b
     x = covariance @ explained
     return x, covariance, float(b @ b - explained @ x)
@@ -369,19 +381,19 @@ def likeliest(A: Array, b: Array, prior: Array | float = 1.0) -> tuple[Array, Ar
 def _values(shape: Shape, q: Array, J: Array, E: Array, claim: Array
             ) -> tuple[tuple[Quantity, ...], Array, Array, float]:
     """
-    Return the values of a shape q (k,) as quantities.
+    Return the measured quantities of a shape q (k,), and how the v with a nominal value deviate.
 
-    And of the v with nominal values: white deviations (v,) from these, their derivatives
-    (v, 6 + s) by the errors, and nominal_chi2 of a Fit. J, E: of the white distances; claim: root
-    of the covariance of the errors.
+    That is the white deviations (v,), their derivatives (v, 6 + s) by the errors, and the region
+    of a Fit. J, E: derivatives of the white distances by shape and errors; claim: root of the
+    covariance of the errors.
     """
     certificate = shape.stations.problem.config.verify.certificate  # U of nominal lengths
-    values, by_shape = shape.values(q), derivatives(shape.values, q)
-    by_distances = by_shape @ np.asarray(np.linalg.pinv(J), dtype=float)
-    by_error = by_distances @ E
-    by_claim, by_smooth = np.split(by_error @ claim, [6], axis=1)
-    covariance, claimed = by_distances @ by_distances.T, by_claim @ by_claim.T
-    unseen = np.abs(by_shape - by_distances @ J).max(axis=1, initial=0.0) > UNSEEN_CHANGE
+    values, wrt_shape = shape.values(q), derivatives(shape.values, q)
+    wrt_distances = wrt_shape @ np.asarray(np.linalg.pinv(J), dtype=float)
+    wrt_errors = wrt_distances @ E
+    by_claim, by_smooth = np.split(wrt_errors @ claim, [6], axis=1)
+    covariance, claimed = wrt_distances @ wrt_distances.T, by_claim @ by_claim.T
+    unseen = np.abs(wrt_shape - wrt_distances @ J).max(axis=1, initial=0.0) > UNSEEN_CHANGE
     nominal = np.array([quantity.nominal for quantity in shape.quantities], dtype=float)
     known = np.flatnonzero(np.isfinite(nominal) & ~unseen)
     is_length = np.array([quantity.unit == 'm' for quantity in shape.quantities])
@@ -389,13 +401,13 @@ def _values(shape: Shape, q: Array, J: Array, E: Array, claim: Array
     deviation, block = (values - nominal)[known], np.ix_(known, known)
     whiten = np.linalg.inv(np.linalg.cholesky(covariance[block]))  # the smooth error is an error
     covariance += by_smooth @ by_smooth.T
-    chi2 = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
+    region = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
     covariance[unseen, unseen] = np.inf
-    stds, claims = (np.sqrt(np.maximum(np.diag(each), 0.0)) for each in (covariance, claimed))
-    quantities = (replace(quantity, value=float(value), std=float(std), claimed=float(claim))
-                  for quantity, value, std, claim in zip(
-                      shape.quantities, values, stds, claims, strict=True))
-    return tuple(quantities), whiten @ deviation, whiten @ by_error[known], chi2
+    stds, claimed_stds = (np.sqrt(np.maximum(np.diag(C), 0.0)) for C in (covariance, claimed))
+    quantities = (replace(quantity, value=float(value), std=float(std), claimed=float(claimed_std))
+                  for quantity, value, std, claimed_std in zip(
+                      shape.quantities, values, stds, claimed_stds, strict=True))
+    return tuple(quantities), whiten @ deviation, whiten @ wrt_errors[known], region
 
 
 def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, float]:
@@ -408,16 +420,17 @@ def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, fl
 
 def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
     """
-    Return detectable_error and weakest_direction of a Fit.
+    Return smallest_error and weakest_direction of a Fit.
 
     covariance (6, 6): of the calibration's error, in its mount; lever (m, 3): from the sensor.
     """
     wrt_move = se3.wrt_perturbation(lever)
-    shift = np.einsum('mik,mil->kl', wrt_move, wrt_move) / len(lever)  # mean square displacement
-    shift += 1e-12 * np.trace(shift) * np.eye(6)
-    power, directions = scipy.linalg.eigh(np.linalg.inv(covariance), shift)
+    # x' mean_square x: the mean square displacement of the points by a move x
+    mean_square = np.einsum('mik,mil->kl', wrt_move, wrt_move) / len(lever)
+    mean_square += 1e-12 * np.trace(mean_square) * np.eye(6)
+    power, directions = scipy.linalg.eigh(np.linalg.inv(covariance), mean_square)
     worst = directions[:, 0]  # displaces the points by 1 m RMS
-    by_rotation = np.sqrt(worst[3:] @ shift[3:, 3:] @ worst[3:])
+    by_rotation = np.sqrt(worst[3:] @ mean_square[3:, 3:] @ worst[3:])
     motion, axis = (('position along', worst[:3]) if np.linalg.norm(worst[:3]) >= by_rotation else
                     ('rotation about', worst[3:]))
     return (DETECTION_SIGMAS / math.sqrt(max(power[0], 1e-12)),
@@ -481,10 +494,10 @@ def _left_out_squares(r: Array, wrt_unknowns: Array, group_of_point: Indices, gr
     left = r - U @ (U.T @ r)
     squares, freedom = np.zeros(len(groups)), np.zeros(len(groups), dtype=np.intp)
     for k, group in enumerate(groups):
-        wrt_own, own_left = U[group_of_point == group], left[group_of_point == group]
-        share, V = np.linalg.eigh(wrt_own.T @ wrt_own)
-        shared = share < 1 - LEFT_BY_OTHERS_SHARE
-        b = (own_left @ wrt_own @ V)[shared]
-        squares[k] = own_left @ own_left + b @ (b / (1 - share[shared]))  # Woodbury
-        freedom[k] = len(wrt_own) - np.count_nonzero(~shared)
+        U_group, left_group = U[group_of_point == group], left[group_of_point == group]
+        share, V = np.linalg.eigh(U_group.T @ U_group)
+        by_others = share < 1 - LEFT_BY_OTHERS_SHARE  # directions that the others determine too
+        b = (left_group @ U_group @ V)[by_others]
+        squares[k] = left_group @ left_group + b @ (b / (1 - share[by_others]))  # Woodbury
+        freedom[k] = len(U_group) - np.count_nonzero(~by_others)
     return squares / np.maximum(freedom, 1), freedom

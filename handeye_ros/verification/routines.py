@@ -54,15 +54,15 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     p, count = stations.problem.points_in_base(X), len(stations.counts)
     recording = stations.recording_of_point
     blocks = count - len(nominal.lengths)
-    block, face = np.divmod(np.arange(count), count // blocks)
+    block, face = np.divmod(np.arange(count), count // blocks)  # of each recording
     middles = np.array([p[recording == k].mean(axis=0) for k in range(count)])
     centred = p - middles[recording]
     frames = np.array([np.linalg.svd(centred[block[recording] == k], full_matrices=False)[2].T
                        for k in range(blocks)])
     sensors = (stations.problem.poses @ X)[:, :3, 3]
     for k in range(blocks):  # upwards is towards the sensor
-        seen_from = sensors[block[stations.recording_of_pose] == k].mean(axis=0)
-        frames[k][:, 2] *= np.sign((seen_from - middles[block == k][0]) @ frames[k][:, 2])
+        sensor = sensors[block[stations.recording_of_pose] == k].mean(axis=0)
+        frames[k][:, 2] *= np.sign((sensor - middles[block == k][0]) @ frames[k][:, 2])
 
     def normals(q: Array) -> Array:
         tilt = q[:2 * blocks].reshape(blocks, 2)
@@ -77,8 +77,8 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
         n = normals(q)
         if count == blocks == 2:
             return np.array([np.arctan2(np.linalg.norm(np.cross(*n)), -(n[0] @ n[1]))])
-        height = (middles * n).sum(axis=1) + q[2 * blocks:]
-        return np.asarray((height - height[np.searchsorted(block, block)])[face > 0])
+        heights = (middles * n).sum(axis=1) + q[2 * blocks:]
+        return np.asarray((heights - heights[np.searchsorted(block, block)])[face > 0])
 
     quantities = tuple(
         Quantity(f'height of face {f} over face 0' + (f' of block {b + 1}' if blocks > 1 else ''),
@@ -131,8 +131,8 @@ class Routine:
     recording_counts: for each valid number of verify.lengths the possible numbers of recordings,
         ascending
     shape: what is fitted to the stations, with the sensor plane at X (4, 4) in the mount
-    form: the scatter of each part that is reported, in words
-    symbol: its characteristic
+    form: what the scatter of each face, ball or axis is called in the result; empty: not told
+    symbol: the characteristic that it is
     """
 
     name: str
@@ -166,13 +166,13 @@ class Routine:
 
         Of a point: 3 sigma along each axis of the base. Their own std is that of normal scatter.
         """
-        of_axes = self.shape is point
-        number = stations.observations.kind if of_axes else stations.recording_of_point
-        for k in range(int(number.max()) + 1 if self.form else 0):
-            of_part = distances[number == k]
-            size = float(3 * of_part.std(ddof=1) if of_axes else np.ptp(of_part))
-            name = f'{self.form} {"xyz"[k]}' if of_axes else f'{self.form} {k + 1}, noise included'
-            yield Quantity(name, size, size / math.sqrt(2 * max(len(of_part) - 1, 1)),
+        by_axis = self.shape is point
+        part = stations.observations.kind if by_axis else stations.recording_of_point
+        for k in range(int(part.max()) + 1 if self.form else 0):
+            values = distances[part == k]
+            size = float(3 * values.std(ddof=1) if by_axis else np.ptp(values))
+            name = f'{self.form} {"xyz"[k]}' if by_axis else f'{self.form} {k + 1}, noise included'
+            yield Quantity(name, size, size / math.sqrt(2 * max(len(values) - 1, 1)),
                            characteristic=self.symbol)
 
 

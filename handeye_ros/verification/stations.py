@@ -12,10 +12,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations
+from typing import TypeVar
 
 from handeye_ros.config import Config
 from handeye_ros.data import (
-    Arc,
     Array,
     Calibration,
     EdgePoint,
@@ -46,6 +46,8 @@ LEAST_STOPS = 4
 TRIAL_COUNT = 300  # pairs of features that define a trial point, line or plane
 PASS_PROFILES, POINTS_OF_PROFILE = 12, 80  # of a pass that are used, and of each of them
 
+Kind = TypeVar('Kind', EdgePoint, FaceLine)
+
 
 def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibration: Calibration,
                 config: Config) -> StationSet:
@@ -55,9 +57,9 @@ def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibr
     Of several surfaces in sight the nearest one takes part; verify.near limits the region.
     """
     X = calibration.T_flange_sensor @ T_sensor_plane(config)
-    shown, choices = zip(*(_of_artefact(routine, samples, X, calibration, config)
-                           for samples in recordings), strict=True)
-    samples = [sample for one in shown for sample in one]
+    shown, choices = zip(*(_of_artefact(routine, recorded, X, calibration, config)
+                           for recorded in recordings), strict=True)
+    samples = [sample for recorded in shown for sample in recorded]
     poses = mount_poses_of(samples, config)
     return StationSet.of(
         TARGETS[routine.target], poses, _conditions(routine, samples, poses @ X), config,
@@ -89,14 +91,14 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
     rows, noise = ObservationRows(), np.array([[0.0, 0.0], [config.noise.sensor, 0.0]])
     poses, stamps, counts = list[Array](), list[int](), list[int]()
     offset = config.offset_ns
-    for profiles, track in passes:
-        flange = track.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
+    for profiles, trajectory in passes:
+        flange = trajectory.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
         usable = np.flatnonzero(flange.inside)
         usable = usable[evenly_chosen(len(usable), PASS_PROFILES)]
         for number, index in enumerate(usable.tolist(), len(stamps)):
             valid = profiles[index].points[np.isfinite(profiles[index].points).all(axis=1)]
-            some = valid[evenly_chosen(len(valid), POINTS_OF_PROFILE)]
-            rows.add(number, some, 0, np.repeat(noise[None], len(some), axis=0),
+            points = valid[evenly_chosen(len(valid), POINTS_OF_PROFILE)]
+            rows.add(number, points, 0, np.repeat(noise[None], len(points), axis=0),
                      number * POINTS_OF_PROFILE)
         poses.append(flange.T_base_flange[usable])
         stamps += [profiles[index].stamp for index in usable.tolist()]
@@ -115,68 +117,78 @@ def _conditions(routine: Routine, samples: Sequence[Sample], T: Array) -> Observ
     """
     if routine.target != 'line':
         return TARGETS[routine.target].observe(samples)
-    edges = [(k, f) for k, s in enumerate(samples) for f in s.features if isinstance(f, EdgePoint)]
+    stop, edges = _features_with_stops(samples, EdgePoint)
     rows = ObservationRows()
     if edges:
-        stop, is_line = np.array([k for k, _ in edges]), routine.name == 'line'
-        ends = np.array([_ends_in_base(f, T[k]) for k, f in edges])
-        away, _ = _distances_from_common(ends, stop, int(is_line))
-        for number in np.unique(stop):
-            nearest = min(np.flatnonzero(stop == number), key=away.__getitem__)
-            edge = edges[nearest][1]
+        is_line = routine.name == 'line'
+        ends = np.array([_ends_in_base(edge, T[k]) for k, edge in zip(stop, edges, strict=True)])
+        distances, _ = _distances_from_common(ends, stop, int(is_line))
+        for number in np.unique(stop).tolist():
+            nearest = min(np.flatnonzero(stop == number), key=distances.__getitem__)
+            edge = edges[nearest]
             for direction in range(2 if is_line else 3):
-                rows.add(int(number), edge.point[None], direction, edge_error_factor(edge)[None])
+                rows.add(number, edge.point[None], direction, edge_error_factor(edge)[None])
     return rows.observations()
+
+
+def _features_with_stops(samples: Sequence[Sample], kind: type[Kind]
+                         ) -> tuple[Indices, list[Kind]]:
+    """Return the stop (k,) of each feature of a kind in all samples, and these features."""
+    pairs = [(stop, feature) for stop, sample in enumerate(samples)
+             for feature in sample.features if isinstance(feature, kind)]
+    return (np.array([stop for stop, _ in pairs], dtype=np.intp),
+            [feature for _, feature in pairs])
 
 
 def _distances_from_common(points: Array, stop: Indices, dimension: int) -> tuple[Array, Array]:
     """
-    Return the distances (k,) of features from the one point, line or plane that they share.
+    Return the distance of each feature (k,) from the point, line or plane that the stops share.
 
-    And those (s,) of the nearest feature of each stop.
+    With that of the nearest feature of each stop (s,). RANSAC over pairs of features of different
+    stops: of what they define, the best is near at least one feature of most stops.
 
-    points: (k, n, 3) of each feature; stop: (k,) its stop, ascending; dimension: 0, 1 or 2, of
-    the point, line or plane. Tried are those through two features of different stops; the best is
-    near at least one feature of most stops.
+    points: (k, n, 3) of each feature; stop: (k,) its stop, ascending; dimension: 0 for a point, 1
+    for a line, 2 for a plane.
     """
     first = np.unique(stop, return_index=True)[1]
     best, lowest = (np.full(len(stop), np.inf), np.full(len(first), np.inf)), np.inf
     pairs = [pair for pair in combinations(range(len(stop)), 2) if stop[pair[0]] != stop[pair[1]]]
     for pair in pairs[::max(len(pairs) // TRIAL_COUNT, 1)]:
-        through = points[list(pair)].reshape(-1, 3)
-        middle = through.mean(axis=0)
-        along = np.linalg.svd(through - middle)[2][:dimension]
+        defining = points[list(pair)].reshape(-1, 3)
+        middle = defining.mean(axis=0)
+        along = np.linalg.svd(defining - middle)[2][:dimension]
         offset = points - middle
-        away = np.linalg.norm(offset - offset @ along.T @ along, axis=2).max(axis=1)
-        nearest = np.minimum.reduceat(away, first)
+        distances = np.linalg.norm(offset - offset @ along.T @ along, axis=2).max(axis=1)
+        nearest = np.minimum.reduceat(distances, first)
         cost = float(np.median(nearest) + 0.1 * nearest.mean())
         if cost < lowest:
-            best, lowest = (away, nearest), cost
+            best, lowest = (distances, nearest), cost
     return best
 
 
 def _ends_in_base(feature: Feature, T: Array) -> Array:
     """Return the first and last point (2, 3) of a feature in the base; T: (4, 4) sensor plane."""
-    points = (feature.ends if isinstance(feature, FaceLine) else
-              feature.points[[0, -1]] if isinstance(feature, Arc) else
-              np.array([feature.point, feature.point]))
-    return np.asarray(points @ T[:3, [0, 2]].T + T[:3, 3])
+    return np.asarray(feature.polyline[[0, -1]] @ T[:3, [0, 2]].T + T[:3, 3])
 
 
 def _in_ball(samples: Sequence[Sample], T: Array, region: Sequence[float]) -> list[Sample]:
-    """Return the samples with only the features in a ball: x, y, z, radius; T: sensor planes."""
-    def is_inside(feature: Feature, T: Array) -> bool:
-        a, b = _ends_in_base(feature, T) - np.array(region[:3])
-        segment = b - a
-        fraction = np.clip(-a @ segment / max(segment @ segment, 1e-30), 0.0, 1.0)
-        return bool(np.linalg.norm(a + fraction * segment) <= region[3])
+    """
+    Return the samples with only the features that come into a ball.
 
-    kept = [replace(sample, features=tuple(f for f in sample.features if is_inside(f, plane)))
-            for sample, plane in zip(samples, T, strict=True)]
-    if samples and not any(sample.features for sample in kept):
+    T: (n, 4, 4) sensor planes in the base; region: x, y, z and radius of the ball.
+    """
+    def is_inside(feature: Feature, T: Array) -> bool:
+        first, last = _ends_in_base(feature, T) - np.array(region[:3])
+        segment = last - first
+        fraction = np.clip(-first @ segment / max(segment @ segment, 1e-30), 0.0, 1.0)
+        return bool(np.linalg.norm(first + fraction * segment) <= region[3])
+
+    inside = [replace(sample, features=tuple(f for f in sample.features if is_inside(f, plane)))
+              for sample, plane in zip(samples, T, strict=True)]
+    if samples and not any(sample.features for sample in inside):
         raise DataError(f'verify.near leaves nothing of the {len(samples)} stops: set it to a '
                         'point of the artefact in the base of the robot and a radius, in metres')
-    return kept
+    return inside
 
 
 def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
@@ -187,30 +199,30 @@ def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
     It is the plane nearest to the sensor of those that at least half of the stops see; without
     one all pieces take part. T: (n, 4, 4) sensor planes in the base.
     """
-    pieces = [(k, f) for k, s in enumerate(samples) for f in s.features
-              if isinstance(f, FaceLine)]
-    stop, free = np.array([k for k, _ in pieces]), np.arange(len(pieces))
-    if len(free) == len(np.unique(stop)):
+    stop, pieces = _features_with_stops(samples, FaceLine)
+    if len(pieces) == len(np.unique(stop)):
         return samples, ''
-    ends = np.array([_ends_in_base(f, T[k]) for k, f in pieces])
-    depth = range_sign * np.array([f.centre[1] for _, f in pieces])
-    least, surfaces = max(LEAST_SEEN * len(np.unique(stop)), LEAST_STOPS), []
-    while len(np.unique(stop[free])) >= least:
-        away, nearest = _distances_from_common(ends[free], stop[free], 2)
-        on = away <= max(SAME_SURFACE, FAR_RATIO * float(np.median(nearest)))
-        if len(np.unique(stop[free[on]])) >= least:
-            surfaces.append(free[on])
-        free = free[~on]
+    ends = np.array([_ends_in_base(piece, T[k]) for k, piece in zip(stop, pieces, strict=True)])
+    depth = range_sign * np.array([piece.centre[1] for piece in pieces])
+    # one plane after the other, each of the pieces that are on none of those before
+    left, surfaces = np.arange(len(pieces)), list[Indices]()
+    least = max(LEAST_SEEN * len(np.unique(stop)), LEAST_STOPS)
+    while len(np.unique(stop[left])) >= least:
+        distances, nearest = _distances_from_common(ends[left], stop[left], 2)
+        on_plane = distances <= max(SAME_SURFACE, FAR_RATIO * float(np.median(nearest)))
+        if len(np.unique(stop[left[on_plane]])) >= least:
+            surfaces.append(left[on_plane])
+        left = left[~on_plane]
     if not surfaces:
         return samples, ''
     chosen = min(surfaces, key=lambda surface: np.median(depth[surface]))
-    kept = {id(pieces[row][1]) for row in chosen.tolist()}
+    used = {id(pieces[k]) for k in chosen.tolist()}
     sentence = '' if len(surfaces) < 2 else (
         f'of {len(surfaces)} surfaces in sight it is the nearest, '
         f'{1e3 * abs(np.median(depth[chosen])):.0f} mm from the sensor, at '
         f'{len(np.unique(stop[chosen]))} of {len(samples)} stops')
-    return [replace(s, features=tuple(f for f in s.features if id(f) in kept))
-            for s in samples], sentence
+    return [replace(sample, features=tuple(f for f in sample.features if id(f) in used))
+            for sample in samples], sentence
 
 
 def _at_calibrated_time(samples: Sequence[Sample], calibration: Calibration, config: Config

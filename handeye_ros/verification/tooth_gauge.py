@@ -59,13 +59,13 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     stations = shape.stations
     rays = stations.problem.mounts_of_rows[0] @ X[:3, 2]
     by_range = np.abs((shape.wrt_point(p[on_gauge], q) * rays).sum(axis=1))
-    good, scatter = _without_outliers(
+    good, noise = _without_outliers(
         shape.distance(p[on_gauge], q), np.maximum(by_range, SMALLEST_COSINE),
         np.stack([stations.recording_of_point, face[on_gauge], tooth[on_gauge]], axis=1),
         SMALLEST_SCATTER * float(np.median(stations.observations.error_factor[:, 1, 0])))
     obs = stations.observations.select(good)
     factor = np.zeros_like(obs.error_factor)
-    factor[:, 1, 0] = np.maximum(obs.error_factor[:, 1, 0], scatter[good])
+    factor[:, 1, 0] = np.maximum(obs.error_factor[:, 1, 0], noise[good])
     stations = stations.with_observations(replace(obs, error_factor=factor))
     return _shape(stations, frame, pitch, height, tooth[on_gauge][good], q)
 
@@ -125,16 +125,17 @@ def _shape(stations: StationSet, frame: Array, pitch: float, height: float, toot
 
 def _faces(local: Array, pitch: float, height: float, q: Array
            ) -> tuple[Indices, Indices, NDArray[np.bool_]]:
-    """Return face and tooth of each point, and which points are clearly of one."""
+    """Return the face and the tooth of each point, and which points are clearly on a face."""
     x, z = local[:, 0], local[:, 2]
     tooth = np.round(x / (pitch + q[5])).astype(np.intp)
-    u = x - (pitch + q[5]) * tooth
-    slope, middle, margin = abs(q[8]), pitch / 4 + q[7], CORNER_SHARE * height
-    out = np.abs(u) - middle  # past the middle of the flank
+    from_middle = x - (pitch + q[5]) * tooth  # of its tooth
+    slope, margin = abs(q[8]), CORNER_SHARE * height
+    out = np.abs(from_middle) - (pitch / 4 + q[7])  # past the middle of the flank
     reach = slope * height / 2
     on_top, in_valley = out < -reach - margin, out > reach + margin
     on_flank = np.abs(z - height / 2) < height / 2 - margin
-    face = np.where(on_top, TOP, np.where(in_valley, VALLEY, np.where(u < 0, RISING, FALLING)))
+    flank = np.where(from_middle < 0, RISING, FALLING)
+    face = np.where(on_top, TOP, np.where(in_valley, VALLEY, flank))
     distance = np.where(on_top, z - height, np.where(in_valley, z, out + slope * (z - height / 2)))
     on_face = (on_top | in_valley | on_flank & (np.abs(out) < reach + margin)) & (
         np.abs(distance) < OFF_ALL_FACES * height)

@@ -97,7 +97,7 @@ class Verification:
     freedom: number of values with a nominal
     claim_p: probability of a larger region if the calibration's covariance is true
     surface: the choice between several in sight
-    says: what the routine measures
+    says: what the routine measures, in words
     recorded: when (ISO 8601; empty: unknown)
     certificate: U of the nominal values (m)
     record: record.* of the configuration
@@ -128,7 +128,7 @@ class Verification:
 def verify(routine: Routine, stations: StationSet, calibration: Calibration,
            others: Sequence[Reject] = ()) -> Verification:
     """
-    Return the verification by a routine.
+    Return the result of a routine: its fit, and the verdict on the calibration.
 
     stations: of the recordings in the order that the routine expects, with the settings verify.*
     of the artefact; others: the stops that gave no sample. Raises DataError, and InputError where
@@ -163,7 +163,7 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
     return Verification(
         routine.name, calibration.name, verdict, reasons, config.verify.tolerance,
         config.verify.angle_tolerance, len(np.unique(shape.stations.observations.station)),
-        quantities, fit.scatter, fit.detectable_error, fit.weakest_direction, fit.nominal_chi2,
+        quantities, fit.scatter, fit.smallest_error, fit.weakest_direction, fit.region,
         fit.freedom, fit.claim_p, per_station, stations.surface, says=routine.says,
         recorded=output.time_of(int(stations.stamps.min())), certificate=config.verify.certificate,
         record=dict(config.record))
@@ -171,13 +171,17 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
 
 def _station_results(stations: StationSet, used: StationSet, fit: Fit,
                      p: Mapping[int, float], dropped: Sequence[int]) -> tuple[StationResult, ...]:
-    """Return the results of all stops or passes of which points are used, or were left out."""
+    """
+    Return the results of all stops or passes of which points are used, or were left out.
+
+    used: the stations without those left out (dropped), as fitted; p: of each group.
+    """
     results = []
-    groups, bags = stations.group_of_pose, stations.recording_of_pose
+    groups, recordings = stations.group_of_pose, stations.recording_of_pose
     for group, first in zip(*np.unique(groups, return_index=True), strict=True):
-        bag = int(bags[first])
-        before = groups[np.searchsorted(bags, bag)]  # the first one of its bag
-        identity = bag + 1, int(group - before) + 1, int(stations.stamps[first])
+        recording = int(recordings[first])
+        first_group = groups[np.searchsorted(recordings, recording)]
+        identity = recording + 1, int(group - first_group) + 1, int(stations.stamps[first])
         rows = np.flatnonzero(used.group_of_point == group)
         if group in dropped:
             results.append(StationResult(*identity, 0.0, 0.0, p[group], False, (
@@ -211,15 +215,15 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
     other_size = fit.p_error < UNEXPLAINED_P < fit.scatter.p  # the shape fits, but not in its size
     findings = [*_values_off(quantities, limits, remedy),
                 *_points_off(fit, stations, limits, other_size)]
-    failed, undecided = ([sentence for decided, sentence in findings if decided == kind]
-                         for kind in (VIOLATES, UNDECIDED))
+    failed, undecided = ([sentence for outcome, sentence in findings if outcome == wanted]
+                         for wanted in (VIOLATES, UNDECIDED))
     verdict = 'fail' if failed else 'undecided' if undecided else 'pass'
-    if not failed and fit.detectable_error > limits.tolerance:
+    if not failed and fit.smallest_error > limits.tolerance:
         verdict = 'insensitive'
         undecided.insert(0, (
             'this decides nothing: an error of the calibration would show only from '
-            f'{mm(fit.detectable_error)} on ({fit.weakest_direction}), and the tolerance is '
-            f'{mm(limits.tolerance)}{remedy(fit.detectable_error, limits.tolerance)}'))
+            f'{mm(fit.smallest_error)} on ({fit.weakest_direction}), and the tolerance is '
+            f'{mm(limits.tolerance)}{remedy(fit.smallest_error, limits.tolerance)}'))
     return verdict, (*failed, *undecided, *_notes(fit, other_size, stations))
 
 
@@ -234,9 +238,9 @@ def _values_off(quantities: Sequence[Quantity], limits: VerifyConfig,
         if q.error is not None:
             tolerance = limits.tolerance if q.unit == 'm' else limits.angle_tolerance
             off, U = (formatted(value, q.unit) for value in (q.error, q.expanded))
-            decided = decision(q.error, q.expanded, tolerance)
-            yield decided, f'{q.name} is off by {off} ± {U} (k = {COVERAGE_FACTOR:g})' if (
-                decided == VIOLATES) else (
+            outcome = decision(q.error, q.expanded, tolerance)
+            yield outcome, f'{q.name} is off by {off} ± {U} (k = {COVERAGE_FACTOR:g})' if (
+                outcome == VIOLATES) else (
                 f'{q.name} is off by {off}, its uncertainty is {U} (k = {COVERAGE_FACTOR:g}), and '
                 f'together they exceed the tolerance of {formatted(tolerance, q.unit)}'
                 f'{remedy(q.expanded, tolerance - abs(q.error))}')
@@ -255,12 +259,12 @@ def _points_off(fit: Fit, stations: Sequence[StationResult], limits: VerifyConfi
         worst = max(outside, key=lambda s: s.distance)
         yield VIOLATES, (f'points of {len(outside)} of {len(stations)} stops lie up to '
                          f'{mm(worst.distance)} from the fit (the worst: {worst.name})')
-    decided = decision(fit.largest_error, ONE_SIDED_95 * fit.largest_error_std, limits.tolerance)
+    outcome = decision(fit.largest_error, ONE_SIDED_95 * fit.largest_error_std, limits.tolerance)
     error = (f'an error of the calibration of {mm(fit.largest_error)} ± '
              f'{mm(COVERAGE_FACTOR * fit.largest_error_std)} (k = {COVERAGE_FACTOR:g})')
-    if fit.p_of_error <= SIGNIFICANCE and decided == VIOLATES and not other_size:
+    if fit.p_of_error <= SIGNIFICANCE and outcome == VIOLATES and not other_size:
         yield VIOLATES, f'the pattern of the distances matches {error} at the points'
-    elif fit.p_of_error <= SIGNIFICANCE and decided != CONFORMS:
+    elif fit.p_of_error <= SIGNIFICANCE and outcome != CONFORMS:
         yield UNDECIDED, (f'the points suggest {error}, which may exceed the tolerance: measure '
                           'at more stops')
     contradicting = [s.name for s in stations if s.used and s.p * len(stations) < FALSE_ALARM]
@@ -270,7 +274,7 @@ def _points_off(fit: Fit, stations: Sequence[StationResult], limits: VerifyConfi
 
 
 def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult]) -> Iterator[str]:
-    """Yield what a verdict must be read with, in sentences."""
+    """Yield the sentences that qualify a verdict."""
     yield from (f'{s.name} is left out: {s.reason}' for s in stations if not s.used)
     if fit.scatter.p < INCONSISTENT_P:
         yield ('the points disagree by more than calibration, noise.sensor and noise.robot_* '
