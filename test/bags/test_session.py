@@ -12,7 +12,7 @@ import shutil
 import subprocess
 import sys
 
-from command import assert_refused, handeye, ROOT
+from command import assert_refused, handeye, ROOT, succeeds
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.bag_write import write
 from handeye_ros.bags.session_files import (
@@ -37,6 +37,7 @@ import numpy as np
 import pytest
 from recordings import POINTS, with_layout
 from rosbags.highlevel import AnyReader
+from streams import in_order
 import yaml
 
 
@@ -46,7 +47,7 @@ def stored(tmp_path: Path, config: Config = SPHERE.config) -> LiveSession:
 
 def feed(live: LiveSession, recording=SPHERE, stops: int = 99) -> LiveSession:
     """Give a session a recording up to so many stops, in the order of the stamps."""
-    for item in sorted([*recording.poses, *recording.profiles], key=lambda item: item.stamp):
+    for item in in_order(recording.poses, recording.profiles):
         if isinstance(item, TimedPose):
             live.add_poses([item])
         else:
@@ -110,14 +111,12 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.thorough
 def test_the_command_line_gives_the_answer_of_the_node(whole: Path, tmp_path: Path) -> None:
-    run = handeye('solve', whole, '--out', tmp_path, cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    succeeds('solve', whole, '--out', tmp_path, cwd=tmp_path)
     answer = np.load(whole.parent / 'answer.npy')
     found = read_calibration(tmp_path / 'calibration.yaml')
     assert np.abs(found.T_flange_sensor - answer).max() < 1e-9
-    back = handeye('solve', whole, '--set', 'samples.exclude=[]', '--out', tmp_path,
-                   cwd=tmp_path)
-    assert back.returncode == 0, back.stderr
+    succeeds('solve', whole, '--set', 'samples.exclude=[]', '--out', tmp_path,
+             cwd=tmp_path)
     n = read_calibration(tmp_path / 'calibration.yaml').quality.samples_used
     assert n == found.quality.samples_used + 1
 
@@ -135,15 +134,13 @@ def test_a_sample_taken_again_is_reported_and_compared(whole: Path, tmp_path: Pa
         assert not found.refusal and not found.missing
         assert sum(stop.used for stop in found.stops) == calibration.quality.samples_used
         assert verdict(calibration, found, np.empty((0, 3)))[0]
-    run = handeye('compare', session, cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    run = succeeds('compare', session, cwd=tmp_path)
     assert f'{calibration.quality.samples_used} samples' in run.stdout
 
 
 @pytest.mark.once
 def test_the_command_line_shows_the_samples(whole: Path, tmp_path: Path) -> None:
-    run = handeye('samples', whole, cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    run = succeeds('samples', whole, cwd=tmp_path)
     lines = [line.split() for line in run.stdout.splitlines() if line.strip()[:1].isdigit()]
     assert sorted(int(line[0]) for line in lines) == list(range(1, 14))
     assert [float(line[3]) for line in lines] == sorted((float(line[3]) for line in lines),

@@ -16,7 +16,7 @@ import subprocess
 import sys
 
 from calibrations import equal
-from command import assert_refused, handeye, PATIENCE, PLATE, ROOT, running
+from command import assert_refused, handeye, PATIENCE, PLATE, ROOT, running, succeeds
 from handeye_ros import __version__, pipeline
 from handeye_ros.bags import bag
 from handeye_ros.config import Config, load, with_assignments
@@ -46,8 +46,7 @@ def test_simulate_writes_the_same_bag_with_its_truth_for_the_same_seed(tmp_path)
     assert_refused(handeye('simulate', 'small_plate', path, '--seed', 4, cwd=tmp_path), 2,
                    'is there already', '--force')
     assert (path / 'truth.yaml').read_bytes() == before
-    run = handeye('simulate', 'small_plate', path, '--seed', 3, '--force', cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    succeeds('simulate', 'small_plate', path, '--seed', 3, '--force', cwd=tmp_path)
     assert (path / 'truth.yaml').read_bytes() == before
     for one, other in zip(first.profiles, bag.read(path, Config()).profiles, strict=True):
         assert one.stamp == other.stamp
@@ -175,17 +174,14 @@ def test_set_takes_numbers_with_a_unit(given, meant):
 @pytest.mark.thorough
 def test_a_sweep_is_solved_reported_and_checked(tmp_path):
     bag = ROOT / 'bags' / 'plate_sweep'
-    run = handeye('solve', bag, '--config', PLATE, '--set', 'sampling.mode=moving', '--out', 'a',
-                  cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    run = succeeds('solve', bag, '--config', PLATE, '--set', 'sampling.mode=moving', '--out', 'a',
+                   cwd=tmp_path)
     assert 'time offset' in run.stdout
-    run = handeye('report', 'a/calibration.yaml', '--out', 'a.html', cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    succeeds('report', 'a/calibration.yaml', '--out', 'a.html', cwd=tmp_path)
     assert 'RMS residual of each stop' in (tmp_path / 'a.html').read_text()
     solved = calibration_file.read_calibration(tmp_path / 'a' / 'calibration.yaml')
     assert solved.time_offset is not None
-    run = handeye('check', bag, '--against', 'a/calibration.yaml', cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    run = succeeds('check', bag, '--against', 'a/calibration.yaml', cwd=tmp_path)
     assert 'UNCHANGED' in run.stdout and 'time offset is as it was' in run.stdout
     other = ClockEstimate(solved.time_offset.value + 5e-3, solved.time_offset.std)
     calibration_file.write_calibration(replace(solved, time_offset=other), tmp_path / 'b.yaml')

@@ -15,7 +15,7 @@ from cells import (
     solution_of,
     solved,
 )
-from handeye_ros import pipeline, se3
+from handeye_ros import se3
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import Estimate, linearise, Problem
@@ -46,7 +46,7 @@ def test_shuffled_samples_give_the_same_calibration_and_are_not_changed(name: st
     made, first = noisy(name), calibration_of(name)
     # it sorts them by their stamps, so which shuffle it is does not matter
     order = np.random.default_rng(6).permutation(len(made.samples))
-    second = pipeline.solve([frozen(made.samples[k]) for k in order], [], made.config, 'laser')
+    second = made.solve(frozen(made.samples[k]) for k in order)
     assert apart(first.T_flange_sensor, second.T_flange_sensor) < 1e-9
     assert np.allclose(first.covariance, second.covariance, rtol=1e-6, atol=1e-18)
     assert first.samples == second.samples and first.target == second.target

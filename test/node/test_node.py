@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from command import handeye, PATIENCE  # noqa: E402, I100
+from command import PATIENCE, succeeds  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped, TransformStamped  # noqa: E402
 from handeye_ros.bags.session_files import OutputFolders  # noqa: E402
 from handeye_ros.node.node import declare  # noqa: E402
@@ -193,9 +193,8 @@ def test_a_session_corrects_the_arm_and_a_solve_loses_no_profiles(
         assert answer.result().success, answer.result().message
         client.until_counted(profiles=n + sent)
     session, = (path for path in (tmp_path / 'sphere').iterdir() if path.is_dir())
-    run = handeye('kinematics', session, '--urdf', bag / 'robot.urdf', '--out', tmp_path / 'arm',
-                  cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    succeeds('kinematics', session, '--urdf', bag / 'robot.urdf', '--out', tmp_path / 'arm',
+             cwd=tmp_path)
     calibration = read_calibration(tmp_path / 'arm' / 'calibration.yaml')
     assert calibration.quality.holdout_rms < 6e-5, 'a fifth of that with the arm as stated'
     X, sigma = calibration.T_flange_sensor, np.sqrt(np.diag(calibration.covariance))[:3]

@@ -9,7 +9,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from command import chromium, handeye, ROOT
+from command import chromium, handeye, ROOT, succeeds
 from handeye_ros import config, se3
 from handeye_ros.data import Calibration
 from handeye_ros.results import calibration_file, report
@@ -41,8 +41,7 @@ return [painted, seen.size, c.toDataURL()];
 def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with the calibration of a plate and its report."""
     folder = tmp_path_factory.mktemp('solved')
-    run = handeye('solve', BAG, '--config', PLATE, '--out', folder, cwd=ROOT)
-    assert run.returncode == 0, run.stderr
+    succeeds('solve', BAG, '--config', PLATE, '--out', folder, cwd=ROOT)
     run = handeye('report', folder, cwd=ROOT)
     assert (run.returncode, run.stdout) == (0, f'wrote {folder / "report.html"}\n'), run.stderr
     return folder

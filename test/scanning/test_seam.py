@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from command import assert_refused, handeye
+from command import assert_refused, handeye, succeeds
 from handeye_ros import se3
 from handeye_ros.bags import bag_write
 from handeye_ros.data import Array, Calibration, Profile, Quality, TimedPose
@@ -366,10 +366,9 @@ def test_the_verb_writes_what_others_read(tmp_path):
         rows[axis] = column
     write_cloud(tmp_path / 'c.pcd', [rows])
     towards = [str(v) for v in -truth.normals.mean(axis=0)]
-    run = handeye('seam', 'c.pcd', '--out', 'seam', '--bag', '--towards', *towards,
-                  '--pitch', '5 mm', '--box', '-inf', 'inf', '-3m', '300cm', '-3', '3',
-                  '--start', '0mm', '0', '0', cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    succeeds('seam', 'c.pcd', '--out', 'seam', '--bag', '--towards', *towards,
+             '--pitch', '5 mm', '--box', '-inf', 'inf', '-3m', '300cm', '-3', '3',
+             '--start', '0mm', '0', '0', cwd=tmp_path)
     result = yaml.safe_load((tmp_path / 'seam/seam.yaml').read_text())
     assert result['kind'] == 'lap'
     rows = np.genfromtxt(tmp_path / 'seam/seam.csv', delimiter=',', names=True)
@@ -403,8 +402,7 @@ def test_the_verb_on_a_recording(tmp_path):
     bag_write.write(tmp_path / 'bag', profiles, poses)
     write_calibration(Calibration('none', 'plate', 'flange', 'laser', np.eye(4), 1e-12 * np.eye(6),
                                   {}, Quality(0, 0, 0.0, 0.0, '', 0.0), ()), tmp_path / 'c.yaml')
-    run = handeye('seam', 'bag', '--calibration', 'c.yaml', cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    succeeds('seam', 'bag', '--calibration', 'c.yaml', cwd=tmp_path)
     rows = np.genfromtxt(tmp_path / 'out/seam/seam.csv', delimiter=',', names=True)
     assert len(rows) >= 7 and np.ptp(rows['y']) > 0.03
     np.testing.assert_allclose(rows['x'], 0, atol=1.5e-4)

@@ -10,7 +10,7 @@ import re
 from typing import Any
 
 from cells import Cell, cell, exact_cell
-from handeye_ros import pipeline, se3
+from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Estimate, linearise, UNUSED
@@ -32,7 +32,7 @@ def vector(point: dict[str, float]) -> Array:
 def test_the_truth_without_noise(scene: str, values: dict[str, Any], where: str, seed: int
                                  ) -> None:
     made = exact_cell(replace(SCENARIOS[scene], calibration_type=where), seed, **values)
-    found = pipeline.solve(made.samples, [], made.config, 'laser')
+    found = made.solve()
     off = se3.difference(found.T_flange_sensor, made.truth.T_flange_sensor)
     assert np.abs(off).max() < 1e-6
     target, T = found.target, made.truth.T_base_target
@@ -54,7 +54,7 @@ def test_a_plane_of_which_yaw_leaves_the_position_open_is_refused() -> None:
     made = cell(replace(SCENARIOS['plane'], motion='yaw_only'))
     with pytest.raises(DataError, match=r'if it is the normal of the plane \(yaw only\) all of '
                        'the position.*tilt the tool by 15 degrees or more about flange'):
-        pipeline.solve(made.samples, [], made.config, 'laser')
+        made.solve()
 
 
 DOCUMENT = Path(__file__).parents[2] / 'docs' / 'estimator.md'
