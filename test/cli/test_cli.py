@@ -17,7 +17,7 @@ import sys
 
 from calibrations import equal
 from command import assert_refused, handeye, PATIENCE, PLATE, ROOT, running, succeeds
-from handeye_ros import __version__, pipeline
+from handeye_ros import __version__, pipeline, se3
 from handeye_ros.bags import bag
 from handeye_ros.config import Config, load, with_assignments
 from handeye_ros.data import ClockEstimate
@@ -82,7 +82,12 @@ def test_solve_writes_what_the_library_answers(tmp_path):
     assert provenance['config']['name'] == 'mine'
     assert provenance['version'] == __version__
 
-    errors = errors_against(calibration.T_flange_sensor, true_transform(BAG))
+    T, std = calibration.T_flange_sensor, np.sqrt(np.diag(calibration.covariance))
+    rows = re.findall(r'\n (?:[xyz]|roll|pitch|yaw) +(-?[\d.]+) +([\d.]+) ', run.stdout)
+    shown = np.array(rows, dtype=float).T  # mm and degrees
+    assert shown[0] == pytest.approx([*1e3 * T[:3, 3], *np.degrees(se3.rpy(T))], abs=6e-4)
+    assert shown[1, :3] == pytest.approx(1e3 * std[:3], abs=6e-4)
+    errors = errors_against(T, true_transform(BAG))
     assert f'mapped points {errors.mapped_points * 1e3:.3f} mm' in run.stdout
     assert '\x1b' not in run.stdout
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import re
 
 from cells import ANY_POSE, Cell, cell, set_to, solved
 from command import bench_of
@@ -30,6 +31,7 @@ from handeye_ros.pipeline import Answer
 from handeye_ros.simulate import SCENARIOS
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 FEW = {'plate': (4, 4), 'line': (9, 0), 'plane': (8, 0), 'sphere': (7, 0), 'wedge': (8, 0)}
 every_target = pytest.mark.parametrize('target', FEW)
@@ -139,7 +141,18 @@ def test_enough_is_said_with_its_reason(made: tuple[Cell, Solution]) -> None:
     strict = advice(made, guidance__accuracy=1e-6)
     assert not strict.enough
     assert strict.sigmas[-1].std > strict.sigmas[-1].limit == 1e-6
-    assert 'from the last sample: turn ' in strict.text
+
+
+def test_the_words_lead_from_the_last_sample_to_the_pose(made: tuple[Cell, Solution]) -> None:
+    result = advice(made, guidance__accuracy=1e-6)
+    words, last = result.sentences[-1], made[0].samples[-1].T_base_flange
+    assert result.next is not None
+    turn, moved = np.eye(3), re.search('move by (.*?) mm along base x, y, z', words)
+    for degrees, axis in re.findall(r'([+-]\d+) degrees about flange ([xyz])', words):
+        turn = turn @ Rotation.from_euler(axis, int(degrees), degrees=True).as_matrix()
+    off = se3.difference(result.next.T_base_flange, se3.transform(last[:3, :3] @ turn, last[:3, 3]
+                         + 1e-3 * np.array(moved[1].split(', '), dtype=float)))
+    assert np.abs(off).max() < 0.02, 'mm and degrees are whole ones'
 
 
 def test_samples_whose_answer_is_refused_are_never_enough(made: tuple[Cell, Solution]) -> None:
