@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from cells import Recorded, recorded, squared_error
 from handeye_ros import Config, gather, pipeline, se3
@@ -66,8 +65,7 @@ def beside(height: float, gap: float, width: float) -> Scenario:
 @pytest.mark.parametrize(('scenario', 'rejected'), [
     (FAULTS['neighbour lower, 3 mm'], 0), (FAULTS['neighbour higher, 3 mm'], 0),
     (beside(0.001, 0.012, 0.06), 1), (beside(0.002, 0.008, 0.01), 1)])
-def test_of_a_surface_beside_the_plate_all_stations_take_the_same(
-        scenario: Scenario, rejected: int) -> None:
+def test_of_a_surface_beside_the_plate_all_stations_take_the_same(scenario, rejected):
     made = recorded(scenario, rate=6.0)
     found = made.calibrate()
     assert found.quality.samples_rejected <= rejected
@@ -179,8 +177,7 @@ def in_millimetres(profiles, poses, spans):
     (lambda profiles, poses, spans: ([], poses), DataError, 'no profile has a stamp of'),
     (in_motion, DataError, 'never stood still .* be sent while it stands'),
     (in_millimetres, DataError, None), (of_two_sensors, InputError, 'two frames')])
-def test_streams_without_an_answer_are_refused(change: Callable[..., Any], error: type,
-                                               words: str | None) -> None:
+def test_streams_without_an_answer_are_refused(change, error, words):
     made = recording('plate_5_5')
     spans = [(s.start, s.end) for s in made.truth.stations]
     with pytest.raises(error, match=words):

@@ -56,7 +56,7 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
         trend.trend(tmp_path / 'nights')
 
 
-def test_the_verb(tmp_path):
+def test_the_verb_shows_writes_and_refuses(tmp_path):
     write(tmp_path / 'steady', range(5))
     run = succeeds('trend', 'steady', '--csv', 't.csv', cwd=tmp_path)
     assert 'no calibration differs' in run.stdout and 'x [mm]' in run.stdout

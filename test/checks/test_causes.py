@@ -68,8 +68,7 @@ def angles(values: Array) -> Rotation:
         (lambda R: angles(R.as_rotvec()), 'with rotation vectors'))),
     ('plate', simulated('degrees'), 'angles in degrees are read as radians'),
     ('sphere', simulated('degrees'), 'angles in degrees are read as radians')])
-def test_convention_errors_are_named(target: str, change: Callable[[Array], Array], words: str
-                                     ) -> None:
+def test_convention_errors_are_named(target, change, words):
     made = cell(target, 1)
     with refused('convention', words):
         made.solve(with_poses(made, change))
@@ -107,8 +106,7 @@ def test_the_wrong_calibration_type_names_the_key(target: str, right: str) -> No
 @pytest.mark.parametrize(('seed', 'wrong'), [
     (1, lambda T: np.array([s.T_base_flange for s in cell('plate', 2).samples])),
     (3, lambda T: np.roll(T, 1, axis=0))], ids=['of another recording', 'of another sample'])
-def test_poses_that_fit_nothing_are_called_neither_moved_nor_a_convention(
-        seed: int, wrong: Callable[[Array], Array]) -> None:
+def test_poses_that_fit_nothing_are_called_neither_moved_nor_a_convention(seed, wrong):
     made = cell('plate', seed)
     with refused('misfit', 'contradict'):
         made.solve(with_poses(made, wrong))
@@ -175,8 +173,7 @@ SLIGHT = se3.perturb(np.eye(4), np.array([4e-4, 0.0, 3e-4, 0.0, 0.0, 0.0]))
 
 @pytest.mark.parametrize(('change', 'what'), [
     (lambda T: T @ SLIGHT, 'sensor'), (lambda T: SLIGHT @ T, 'target')])
-def test_a_small_move_is_reported_with_its_moment(
-        change: Callable[[Array], Array], what: str) -> None:
+def test_a_small_move_is_reported_with_its_moment(change, what):
     made = cell('plate', 5)
     samples = later(made.samples, change)
     said = told(samples, made.config)
@@ -297,8 +294,7 @@ def clamped(scenario: Scenario, height: float, share: float = 1 / 3, lower: floa
     ('plate', 7, barred, True), ('plate', 0, partial(clamped, height=0.015), True),
     ('line', 0, partial(clamped, height=0.015), False)])
 def test_the_stops_that_show_another_surface_are_named_and_left_out(
-        monkeypatch: pytest.MonkeyPatch, name: str, seed: int, solids: Callable[..., object],
-        answered: bool) -> None:
+        monkeypatch, name, seed, solids, answered):
     monkeypatch.setitem(scenes.SCENES, 'clamped', replace(
         scenes.SCENES[SCENARIOS[name].scene], solids=solids))
     scenario = replace(SCENARIOS[name], scene='clamped')
@@ -353,8 +349,7 @@ def test_columns_between_plates_in_the_air_are_not_blind() -> None:
 
 
 @pytest.mark.thorough
-def test_heights_of_edges_are_named_where_too_few_stops_show_the_target(
-        monkeypatch: pytest.MonkeyPatch) -> None:
+def test_heights_of_edges_are_named_where_too_few_stops_show_the_target(monkeypatch):
     """Most stops show a clamp, and one the table: no part of them agrees on one edge."""
     monkeypatch.setitem(scenes.SCENES, 'clamped', replace(
         scenes.SCENES['plate'], solids=partial(clamped, height=0.015, share=0.41)))

@@ -62,8 +62,7 @@ def test_one_orientation_is_refused(name: str, where: str, frame: str, noise: bo
 @every_method
 @everywhere
 @pytest.mark.parametrize(('motion', 'axis'), [('tilt_only', 0), ('yaw_only', 2)])
-def test_one_axis_is_refused_and_named(name: str, where: str, frame: str, motion: str, axis: int
-                                       ) -> None:
+def test_one_axis_is_refused_and_named(name, where, frame, motion, axis):
     for seed in range(3):
         made = cell(scenario(name, motion, where), seed)
         error = refusal(made)
@@ -102,8 +101,7 @@ def test_tilts_of_one_degree_are_too_uncertain(name: str, where: str, frame: str
 
 
 @every_method
-def test_the_weakest_direction_is_reported_and_refused_where_it_is_too_uncertain(name: str
-                                                                                 ) -> None:
+def test_the_weakest_direction_is_reported_and_refused_where_it_is_too_uncertain(name):
     made = cell(scenario(name), 2)
     answer = made.solve()
     std, direction = worst_translation(answer.covariance)
@@ -221,8 +219,7 @@ def seen_at(sample: Sample, X: Array, place: Array) -> Sample:
     ('plate', [0.0, 0.18], 'at one point'), ('plane', [0.0, 0.18], 'at one point'),
     ('sphere', [0.0, math.nan], 'on one line')])
 @pytest.mark.parametrize('seed', range(3))
-def test_a_target_always_at_one_place_of_the_view_is_refused(
-        name: str, place: list[float], words: str, seed: int) -> None:
+def test_a_target_always_at_one_place_of_the_view_is_refused(name, place, words, seed):
     """A sensor that is turned by half about that place sees the same."""
     made, rng = cell(name, seed), np.random.default_rng(seed)
     X = made.truth.T_flange_sensor

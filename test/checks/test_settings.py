@@ -25,7 +25,7 @@ from handeye_ros.checks.hypotheses import (
 )
 from handeye_ros.checks.settings import setting_hypotheses, thinned
 from handeye_ros.config import flipped_range
-from handeye_ros.data import Array, Calibration, EdgePoint, NS, Profile
+from handeye_ros.data import Calibration, EdgePoint, NS, Profile
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.simulate import (
     FAULTS,
@@ -95,8 +95,7 @@ def beside_another(scenario: Scenario) -> tuple[Solid, ...]:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize('seed', [8, 11, 12])
-def test_a_wedge_beside_another_block_is_answered(monkeypatch: pytest.MonkeyPatch, seed: int
-                                                  ) -> None:
+def test_a_wedge_beside_another_block_is_answered(monkeypatch, seed):
     monkeypatch.setitem(scenes.SCENES, 'beside', replace(
         scenes.SCENES['wedge'], solids=beside_another))
     cell = replace(FAULTS['wedge'], scene='beside', stated=(('target.type', 'wedge'),),
@@ -170,7 +169,7 @@ def test_clocks_are_not_blamed_for_what_else_is_wrong() -> None:
 @pytest.mark.parametrize(('scenario', 'seed'), [
     (replace(FAULTS['wedge, joints and links 1 mm'], stations=(100, 0)), 1),
     (FAULTS['4 + 3, two bad'], 16)], ids=['one stop that ends early', 'few samples, two wrong'])
-def test_clocks_are_not_blamed_for(scenario: Scenario, seed: int) -> None:
+def test_clocks_are_not_blamed_where_few_stops_end_early_or_are_wrong(scenario, seed):
     made = simulate(scenario, np.random.default_rng(seed))
     config = settings_of(scenario)
     require_same_clock(pipeline.gather(made.profiles, made.poses, config), config)
@@ -206,8 +205,7 @@ def test_a_range_counted_the_wrong_way_is_named(name: str, seed: int) -> None:
 
 
 @given(arrays(float, 12, elements=st.floats(0.1, 4.0)), st.floats(1.05, 4.0), st.integers(0, 11))
-def test_what_fits_the_same_stops_worse_is_no_better_explanation(
-        q: Array, worse: float, lost: int) -> None:
+def test_what_fits_the_same_stops_worse_is_no_better_explanation(q, worse, lost):
     """With more conditions a stop, a sign of 0.104 mm once explained better than one of 0.056."""
     assert stops_deviance(worse * q, 3) > stops_deviance(q, 3)
     assert stops_deviance(np.where(np.arange(12) == lost, np.inf, q), 3) > stops_deviance(q, 3)
@@ -242,7 +240,7 @@ def tilted(raw: Raw, types: dict[str, str], degrees: float, each: bool = True) -
 
 
 @pytest.mark.parametrize(('name', 'degrees'), [('plate', 3.0), ('sphere', 12.0)])
-def test_it_is_refused_by_this_cause(name: str, degrees: float, tmp_path: Path) -> None:
+def test_a_tilted_light_plane_is_refused_by_this_cause(name, degrees, tmp_path):
     types, _ = scan(ROOT / 'bags' / name)
     bag = with_messages(ROOT / 'bags' / name, tmp_path, lambda raw: tilted(raw, types, degrees))
     config = configs.load(ROOT / 'config' / f'{name}.yaml')

@@ -97,7 +97,7 @@ def test_replay_without_ros_says_what_to_do(tmp_path):
     assert_refused(run, 2, 'replay needs ROS 2', 'rclpy', 'source the setup.bash')
 
 
-def test_version_and_help(tmp_path):
+def test_version_and_help_do_not_wait_for_numpy(tmp_path):
     run = handeye('--version', cwd=tmp_path)
     assert (run.returncode, run.stdout) == (0, f'handeye_ros {__version__}\n')
     run = handeye('--help', cwd=tmp_path, before=(
@@ -120,7 +120,7 @@ def test_wrong_usage_is_2(arguments, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_interrupted_it_goes_quietly(tmp_path):
+def test_an_interrupt_ends_it_quietly(tmp_path):
     os.mkfifo(tmp_path / 'x.mcap')
     with running([sys.executable, '-m', 'handeye_ros', 'solve', tmp_path / 'x.mcap'],
                  cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:

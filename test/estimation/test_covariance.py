@@ -44,8 +44,7 @@ def test_the_solution_is_the_minimum(name: str) -> None:
 
 @pytest.mark.parametrize('factors', [
     (1.0, 1.0, 1.0, 1.0), (0.1, 1e4, 1e-4, 1e-4), (1e4, 0.1, 1.0, 1e-4), (1e-4, 1e-4, 1e4, 1e-4)])
-def test_the_noise_of_a_station_is_positive_whatever_its_size(
-        factors: tuple[float, float, float, float]) -> None:
+def test_the_noise_of_a_station_is_positive_whatever_its_size(factors):
     solution = solution_of('plate')
     problem = replace(solution.problem, config=with_values(
         solution.problem.config, {'noise.distortion': 2e-5}, 'a test'))
@@ -63,8 +62,7 @@ def trials(name: str) -> int:
 
 @pytest.mark.thorough
 @every_method
-def test_the_stated_covariance_is_that_of_the_errors_and_good_samples_are_kept(name: str
-                                                                               ) -> None:
+def test_the_stated_covariance_is_that_of_the_errors_and_good_samples_are_kept(name):
     squares, lost = [], []
     for seed in range(trials(name)):
         made = cell(name, seed)
@@ -133,7 +131,7 @@ def test_the_parts_add_up_to_what_is_reported(target: str) -> None:
     assert total.translation == pytest.approx(np.sqrt((std ** 2).mean()))
 
 
-def test_the_command_line_shows_it(tmp_path: Path) -> None:
+def test_the_command_line_shows_the_budget_of_an_answer(tmp_path: Path) -> None:
     shown = succeeds('solve', ROOT / 'bags/plate', '--config', ROOT / 'config/plate.yaml',
                      '--budget', '--out', tmp_path, cwd=tmp_path)
     table = shown.stdout[shown.stdout.index('1 sigma by cause'):]

@@ -3,7 +3,6 @@
 """Stations that do not fit are left out, with a reason; few of them judge, or give no answer."""
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from cells import Cell, cell, every_method, settings_of, solved, squared_error
@@ -69,8 +68,7 @@ def to_a_second_plate(made: Cell, rng: np.random.Generator) -> Array:
     *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
         ('plate', 17, to_a_second_plate, 0.24),
         *((target, seed, aside, 0.28) for target in ('plate', 'sphere') for seed in range(6))))])
-def test_a_cluster_that_agrees_on_something_wrong_is_left_out(
-        target: str, seed: int, step: Callable[..., Array], share: float) -> None:
+def test_a_cluster_that_agrees_on_something_wrong_is_left_out(target, seed, step, share):
     made, rng = cell(target, seed), np.random.default_rng(seed)
     by = np.append(step(made, rng), np.zeros(3))
     order = rng.permutation(len(made.samples))
@@ -145,8 +143,7 @@ def wrong(sample: Sample, rng: np.random.Generator) -> Sample:
 @pytest.mark.parametrize(('name', 'stations', 'bad'), [
     ('plane', (6, 0), 1), ('plane', (8, 0), 2), ('plate', (3, 3), 1), ('plate', (4, 3), 2),
     ('line', (7, 0), 1), ('sphere', (6, 0), 2)])
-def test_few_samples_with_wrong_ones_give_no_wrong_answer(name: str, stations: tuple[int, int],
-                                                          bad: int) -> None:
+def test_few_samples_with_wrong_ones_give_no_wrong_answer(name, stations, bad):
     for seed in range(3):
         rng = np.random.default_rng(seed)
         made = cell(replace(SCENARIOS[name], stations=stations), seed)

@@ -183,7 +183,7 @@ MM = 1e-3
 
 @pytest.mark.parametrize('bend', [0.0, 0.15 * MM, 0.6 * MM])
 @pytest.mark.parametrize('target', ['plate', 'wedge'])
-def test_the_truth_lies_inside_and_a_bend_is_told(target: str, bend: float) -> None:
+def test_a_bent_laser_line_is_told_and_the_truth_lies_inside(target: str, bend: float) -> None:
     scenario = FAULTS[f'{target}, line bent by 0.15 mm']
     scenario = replace(scenario, sensor=replace(scenario.sensor, line_bend=bend))
     recording = simulate(scenario, np.random.default_rng(3))
@@ -196,7 +196,7 @@ def test_the_truth_lies_inside_and_a_bend_is_told(target: str, bend: float) -> N
         assert float(told[1]) == pytest.approx(bend / MM, abs=3 * float(told[2]))
 
 
-def test_the_truth_lies_inside_if_the_laser_line_is_an_s(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_a_laser_line_bent_like_an_s_the_truth_lies_inside(monkeypatch):
     scenario, straight = SCENARIOS['wedge'], sensor.columns
 
     def bent(model: SensorModel) -> tuple[Array, Array]:

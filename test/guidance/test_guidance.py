@@ -105,8 +105,7 @@ def test_limits_that_allow_nothing_are_reported(made: tuple[Cell, Solution]) -> 
     assert 'widen them' in result.text
 
 
-def test_a_pose_at_which_nothing_was_taken_is_not_proposed_again(made: tuple[Cell, Solution]
-                                                                 ) -> None:
+def test_a_pose_at_which_nothing_was_taken_is_not_proposed_again(made):
     first = advice(made).next
     assert first is not None
     other = advice(made, failed_poses=(first.T_base_flange,)).next
@@ -170,8 +169,7 @@ def test_a_sweep_goes_on_until_it_is_enough(made: tuple[Cell, Solution]) -> None
 
 @every_target
 @pytest.mark.parametrize('turn', [0.1, 0.9, 1.75])
-def test_before_there_is_an_answer_it_tells_moves_within_the_limits(target: str, turn: float
-                                                                    ) -> None:
+def test_before_there_is_an_answer_it_tells_moves_within_the_limits(target, turn):
     found = cell(target, 2)
     config = with_values(found.config, {'guidance.turn': turn}, 'test')
     method, view = targets.target_for(config), learn_view(found.samples)
@@ -190,7 +188,7 @@ def test_before_there_is_an_answer_it_tells_moves_within_the_limits(target: str,
     assert {m.edge for m in moves} == ({0, 1} if target == 'plate' else {0})
 
 
-def test_nothing_yet() -> None:
+def test_before_the_first_sample_it_tells_how_to_take_it() -> None:
     result = advise((), cell('plate', 0).config)
     assert result.text.startswith('Take the first sample: hold the sensor square to the target')
     assert not result.enough
@@ -225,8 +223,7 @@ def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() 
 
 @pytest.mark.parametrize(('count', 'gain', 'enough'), [
     (15, 0.01, True), (15, 0.03, False), (14, 0.01, False)])
-def test_more_samples_that_bring_little_are_not_asked_for(count: int, gain: float, enough: bool
-                                                          ) -> None:
+def test_more_samples_that_bring_little_are_not_asked_for(count, gain, enough):
     cause = (CAUSES_BY_BLOCK['robot_smooth'], 0.875)
     found, why = enough_and_why(4e-4, 3e-4, 4e-4 * (1 - gain), cause, count)
     assert found == enough

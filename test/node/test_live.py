@@ -81,8 +81,7 @@ def documented(topic: str, key: str = '') -> set[str]:
 # -- samples and answer
 
 
-def test_the_answer_is_that_of_the_recording_and_solved_once(
-        monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_answer_is_that_of_the_recording_and_solved_once(monkeypatch):
     live, solved, answer = fed(), [], pipeline.answer_samples
     monkeypatch.setattr(pipeline, 'answer_samples',
                         lambda *args: solved.append(args) or answer(*args))
@@ -195,8 +194,7 @@ def test_settings_that_change_while_the_end_of_a_stop_waits_lose_none_of_its_pro
 
 
 @pytest.mark.parametrize(('before', 'lost'), [(4.8, 4), (-4.8, 4), (0.02, 0), (-0.02, 0)])
-def test_a_time_offset_that_changes_during_a_stop_holds_for_that_too(
-        before: float, lost: int) -> None:
+def test_a_time_offset_that_changes_during_a_stop_holds_for_that_too(before, lost):
     live, began = new(set_to(SPHERE.config, time_offset=before)), fed().copied().stops[3].stamp
     received = {profile.stamp: profile.points for profile in SPHERE.profiles}
     for item in SPHERE.messages:
@@ -393,8 +391,7 @@ def test_a_base_frame_other_than_that_of_the_poses_is_refused_and_withdraws_noth
     assert live.answer.calibration is not None
 
 
-def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
-        monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(monkeypatch):
     monkeypatch.setattr(lives, 'MOST_STOPS', 5)
     state, newest = state_of(fed()), SPHERE.poses[-1].stamp - 15 * 10**9
     assert sample_count(state) == 5, 'the newest that waited'
@@ -464,8 +461,7 @@ def test_nobody_waits_for_a_solve_or_a_verdict() -> None:
         answer.result(PATIENCE)
 
 
-def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(
-        monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(monkeypatch):
     def ended(*_: object) -> None:
         raise PoolEndedError
 
@@ -495,8 +491,7 @@ def test_an_answer_whose_process_ended_is_computed_again(monkeypatch: pytest.Mon
     assert not state_of(live)['session']['trouble']
 
 
-def test_a_review_that_is_ready_late_does_not_replace_a_newer_one(
-        monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_review_that_is_ready_late_does_not_replace_a_newer_one(monkeypatch):
     live = fed()
     late, submit = Future(), live.pool.submit
     monkeypatch.setattr(live.pool, 'submit', lambda *args: late)
@@ -512,8 +507,7 @@ def test_a_review_that_is_ready_late_does_not_replace_a_newer_one(
     assert live.answer.review is newest
 
 
-def test_of_two_answers_the_one_that_was_asked_for_last_stays(
-        monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_two_answers_the_one_that_was_asked_for_last_stays(monkeypatch):
     live = fed()
     live.ask(live.process_all)
     jobs, submit = [], live.pool.submit
@@ -639,7 +633,7 @@ def pool() -> Pool:
     return Pool()
 
 
-def test_it_answers_and_refuses_in_another_process(pool: Pool) -> None:
+def test_a_pool_answers_and_refuses_in_another_process(pool: Pool) -> None:
     assert pool.run(divmod, 7, 2) == (3, 1) and pool.run(os.getpid) != os.getpid()
     assert pool.run(os.nice, 0) == os.nice(0) + 5
     with pytest.raises(DataError) as refusal:
@@ -651,7 +645,7 @@ def test_it_answers_and_refuses_in_another_process(pool: Pool) -> None:
         pool.run(divmod, 1, 0)
 
 
-def test_one_that_was_killed_is_started_again_once_for_a_call(pool: Pool) -> None:
+def test_a_pool_that_was_killed_is_started_again_once_for_a_call(pool: Pool) -> None:
     os.kill(pool.run(os.getpid), signal.SIGKILL)
     assert pool.run(divmod, 7, 2) == (3, 1)
     with pytest.raises(PoolEndedError, match='ended before it had an answer'):
@@ -670,7 +664,7 @@ if __name__ == '__main__':
 """
 
 
-def test_it_ends_with_a_node_that_is_killed(tmp_path) -> None:
+def test_a_pool_ends_with_a_node_that_is_killed(tmp_path) -> None:
     script = tmp_path / 'parent.py'
     script.write_text(PARENT)
     with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True) as parent:

@@ -120,7 +120,7 @@ def test_a_bag_through_the_node_gives_the_offline_result(tmp_path: Path, client:
 
 
 @pytest.mark.skipif(TFMessage is None, reason='tf2_msgs is not built: make tf2_msgs')
-def test_tf_static_for_a_late_subscriber_and_poses_from_tf(tmp_path: Path, client: Client) -> None:
+def test_poses_come_from_tf_and_a_late_subscriber_hears_tf_static(tmp_path, client):
     settings = load(SPHERE)
     recording = read(ROOT / 'bags' / 'sphere', settings)
     offline = calibrate(recording.profiles, recording.poses, settings)
@@ -169,8 +169,7 @@ def test_without_tf2_msgs_poses_from_tf_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_session_corrects_the_arm_and_a_solve_loses_no_profiles(
-        tmp_path: Path, client: Client) -> None:
+def test_a_session_corrects_the_arm_and_a_solve_loses_no_profiles(tmp_path, client):
     pytest.importorskip('pinocchio', reason='needs pinocchio')
     bag = ROOT / 'bags' / 'arm'
     recording = read(bag, load(SPHERE))
@@ -260,7 +259,7 @@ PARAMETERS = """
 """
 
 
-def test_a_parameter_file_with_empty_lists_and_integers(tmp_path: Path) -> None:
+def test_a_parameter_file_may_hold_empty_lists_and_integers(tmp_path: Path) -> None:
     (tmp_path / 'parameters.yaml').write_text(PARAMETERS)
     config = declared('--params-file', str(tmp_path / 'parameters.yaml'))
     assert (config.target.type, config.target.radius, config.target.size) == ('sphere', 1.0, ())
@@ -273,6 +272,6 @@ def test_a_parameter_file_with_empty_lists_and_integers(tmp_path: Path) -> None:
     ('target.size:=[1.0]', 'target.size is \\[1.0], expected a list of 0 or 2 values'),
     ('nois.sensor:=1.0', 'unknown key "nois.sensor" .*; did you mean "noise.sensor"?'),
 ])
-def test_wrong_parameters(argument: str, reason: str) -> None:
+def test_wrong_parameters_are_refused_by_name(argument: str, reason: str) -> None:
     with pytest.raises(InputError, match=reason):
         declared('-p', argument)

@@ -171,8 +171,7 @@ SPARSE = [pose(t, x=0.1 * (t // 10)) for t in range(60)]
     ([], 3, 'no_poses'), (MOVING, 3, 'no_stops'), (SPARSE, 60, 'sparse_poses'),
     ([replace(p, translation=p.translation * 1e3) for p in MOVING], 3, 'position_unit'),
     (stops((0, 1), (2, 2.3), (4, 4.3), (6, 6.3)), 7, 'no_stops')])  # most rests are too short
-def test_why_there_are_no_stops_is_distinguished(poses: list[TimedPose], end: int, reason: str
-                                                 ) -> None:
+def test_why_there_are_no_stops_is_distinguished(poses, end, reason):
     with pytest.raises(DataError) as refusal:
         played(poses, profiles(0, end)).require_any_stop()
     assert refusal.value.reason == reason
@@ -236,8 +235,7 @@ def test_one_stream_may_be_far_behind_the_other(first: str) -> None:
 @pytest.mark.parametrize('jump', [-1e9, -30.0, 1.5, 1e9])
 @pytest.mark.parametrize('kind', ['pose', 'profile'])
 @pytest.mark.parametrize('place', [0, 7])
-def test_one_wild_stamp_changes_nothing_but_that_message(
-        jump: float, kind: str, place: int) -> None:
+def test_one_wild_stamp_changes_nothing_but_that_message(jump, kind, place):
     streams: dict[str, list[TimedPose | Profile]] = {
         'pose': [*STREAM_POSES], 'profile': [*STREAM_PROFILES]}
     wild = streams[kind][place]

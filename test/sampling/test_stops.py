@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from handeye_ros.config import Config, ProfileConfig, with_values
-from handeye_ros.data import EdgePoint, NS, Profile, RawProfile, TimedPose
+from handeye_ros.data import EdgePoint, NS, Profile, RawProfile
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import MOST_PROFILES, ProfileBuffer, Stop
@@ -204,8 +204,7 @@ def test_a_sample_by_hand_is_not_taken_again_by_itself() -> None:
     (stops((0, 1)), [], 'no profile has a stamp'),
     (stops((0, 1)), profiles(0, 1, points=BAD), 'edge'),
     (stops((0, 1)), profiles(0, 1.32), r'no pose has come for 0\.3 s')])
-def test_why_no_sample_can_be_taken_is_reported(
-        poses: list[TimedPose], found: list[Profile], words: str) -> None:
+def test_why_no_sample_can_be_taken_is_reported(poses, found, words):
     with pytest.raises(DataError, match=words):
         taken(played(poses, found, MANUAL, finish=False))
 

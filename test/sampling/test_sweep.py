@@ -240,8 +240,7 @@ def test_an_error_of_the_robot_that_is_smooth_in_time_is_no_move(seed: int) -> N
     assert 'moved' not in ' '.join(found.provenance.get('warnings', ()))
 
 
-def test_a_start_with_the_edges_of_another_plate_is_not_the_last(
-        monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_start_with_the_edges_of_another_plate_is_not_the_last(monkeypatch):
     """A start is found with few edges, among which ends of other objects may agree."""
     starts, aside = Plate.starts, iter([0.04])  # m, of the first one
 

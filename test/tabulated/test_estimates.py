@@ -126,7 +126,7 @@ def tracked(measured: jing2020.Readings) -> TableAnswer:
     return solve(TrackerSession(config, pieces, measured.parts['ball'][0], measured.q30))
 
 
-def test_the_tracker_without_noise() -> None:
+def test_the_tracker_without_noise_finds_the_truth() -> None:
     """The block may be crooked; the ball and the faces are what was swept."""
     found = tracked(session(1, skew=4.0))
     np.testing.assert_allclose(se3.difference(found.X, T_flange_sensor), 0, atol=1e-9)

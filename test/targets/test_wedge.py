@@ -125,8 +125,7 @@ def stepped(scenario: Scenario) -> tuple[Solid, ...]:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize('seed', [3, 5])
-def test_a_step_along_the_edge_gives_no_answer_between_two_edges(
-        seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_step_along_the_edge_gives_no_answer_between_two_edges(seed, monkeypatch):
     monkeypatch.setitem(scenes.SCENES, 'stepped', replace(scenes.SCENES['wedge'], solids=stepped))
     made = recorded(replace(SCENARIOS['wedge'], scene='stepped', stations=(18, 0),
                             stated=(('target.type', 'wedge'),)), seed)
