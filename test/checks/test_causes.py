@@ -9,7 +9,7 @@ from functools import partial
 import re
 from types import SimpleNamespace
 
-from cells import Cell, cell, refused, settings_of, squared_error
+from cells import Cell, cell, ONE_IN_100, refused, settings_of, squared_error
 from handeye_ros import pipeline, se3
 from handeye_ros.calibration import outliers_at_one_end
 from handeye_ros.checks.conventions import orientations_scatter
@@ -315,7 +315,7 @@ def test_the_stops_that_show_another_surface_are_named_and_left_out(
         [told] = answer.calibration.provenance['warnings']
         assert {report.stamp for report in answer.calibration.samples
                 if not report.used} >= {stop.sample.stamp for stop in elsewhere}
-        assert squared_error(answer.calibration, made.truth) < 16.8
+        assert squared_error(answer.calibration, made.truth) < ONE_IN_100
     else:
         told = str(answer.refusal)
         assert answer.refusal.reason == 'surface'
@@ -337,7 +337,7 @@ def test_faces_that_end_where_the_sensor_is_blind_are_named_and_left_out() -> No
     found = pipeline.calibrate(profiles, made.poses, settings_of(made.scenario))
     [told] = found.provenance['warnings']
     assert re.fullmatch('the stops [0-9, ]+ show the end of a face where the sensor .*', told)
-    assert squared_error(found, made.truth) < 16.8
+    assert squared_error(found, made.truth) < ONE_IN_100
 
 
 def test_columns_between_plates_in_the_air_are_not_blind() -> None:

@@ -9,7 +9,7 @@ import math
 from pathlib import Path
 import re
 
-from cells import cell, Recorded, recorded, settings_of, squared_error
+from cells import cell, ONE_IN_20, Recorded, recorded, settings_of, squared_error
 from command import ROOT
 from handeye_ros import config as configs
 from handeye_ros import pipeline, se3
@@ -103,7 +103,7 @@ def test_a_wedge_beside_another_block_is_answered(monkeypatch, seed):
     config = settings_of(cell)
     recording = simulate(cell, np.random.default_rng(seed))
     found = pipeline.calibrate(recording.profiles, recording.poses, config)
-    assert squared_error(found, recording.truth) < 12.6
+    assert squared_error(found, recording.truth) < ONE_IN_20
 
 
 def test_what_no_setting_mends_is_not_blamed_on_one() -> None:

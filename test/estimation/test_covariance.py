@@ -13,6 +13,7 @@ from cells import (
     every_method,
     exact_cell,
     noisy,
+    ONE_IN_20,
     settings_of,
     solution_of,
     solved,
@@ -30,7 +31,6 @@ from handeye_ros.estimation.solve import cover, solution_at
 from handeye_ros.simulate import FAULTS, simulate_samples
 import numpy as np
 import pytest
-from scipy.stats import chi2
 from streams import in_order
 
 
@@ -167,5 +167,5 @@ def test_the_region_that_is_stated_holds_what_serves_best(name: str) -> None:
     for seed in range(20):
         samples, truth = simulate_samples(scenario, np.random.default_rng(seed))
         found = pipeline.solve(samples, (), config, 'laser')
-        inside.append(squared_error(found, truth) < chi2.ppf(0.95, 6))
+        inside.append(squared_error(found, truth) < ONE_IN_20)
     assert np.mean(inside) >= 0.9

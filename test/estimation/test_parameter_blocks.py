@@ -7,7 +7,17 @@ from dataclasses import replace
 import math
 import re
 
-from cells import Cell, cell, NO_DOUBTS, set_to, settings_of, solved, squared_error
+from cells import (
+    Cell,
+    cell,
+    NO_DOUBTS,
+    ONE_IN_20,
+    ONE_IN_1000,
+    set_to,
+    settings_of,
+    solved,
+    squared_error,
+)
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
@@ -20,7 +30,6 @@ from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, sensor, simulate, 
 from handeye_ros.simulate.scenario import SensorModel
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 MANY = replace(SCENARIOS['plate'], stations=(24, 24))
 ALL_BLOCKS = {key: getattr(getattr(Config(), part), name) for key in NO_DOUBTS
@@ -91,7 +100,7 @@ def real_robot(size: float) -> Scenario:
 @pytest.mark.parametrize('size', [0.0, 1.5e-4])
 def test_the_stated_uncertainty_holds_for_every_robot(size: float) -> None:
     squares = [squared(cell(real_robot(size), seed, **ALL_BLOCKS)) for seed in range(12)]
-    assert np.mean(np.array(squares) < 12.59) >= 0.9, 'the 95 % quantile of chi-squared over 6'
+    assert np.mean(np.array(squares) < ONE_IN_20) >= 0.9
     assert 0.1 < np.mean(squares) / 6 < 1.5
 
 
@@ -188,7 +197,7 @@ def test_a_bent_laser_line_is_told_and_the_truth_lies_inside(target: str, bend: 
     scenario = replace(scenario, sensor=replace(scenario.sensor, line_bend=bend))
     recording = simulate(scenario, np.random.default_rng(3))
     answer = pipeline.calibrate(recording.profiles, recording.poses, settings_of(scenario))
-    assert squared_error(answer, recording.truth) < chi2.ppf(0.999, 6)
+    assert squared_error(answer, recording.truth) < ONE_IN_1000
     told = re.search(r'the laser line is bent .* by ([\d.]+) \+- ([\d.]+) mm',
                      answer.target.get('note', ''))
     assert bool(told) == (bend > 0)
@@ -206,7 +215,7 @@ def test_of_a_laser_line_bent_like_an_s_the_truth_lies_inside(monkeypatch):
     monkeypatch.setattr(sensor, 'columns', bent)
     recording = simulate(scenario, np.random.default_rng(1))
     answer = pipeline.calibrate(recording.profiles, recording.poses, settings_of(scenario))
-    assert squared_error(answer, recording.truth) < chi2.ppf(0.999, 6)
+    assert squared_error(answer, recording.truth) < ONE_IN_1000
 
 
 @pytest.mark.parametrize('origin', [0.0, 0.1])

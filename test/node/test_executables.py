@@ -156,9 +156,8 @@ def test_scanned_points_are_published_in_the_base(tmp_path: Path, client: Client
         return cloud_message(made, profiles[0].stamp)
 
     with started('scan', tmp_path, '--std', '--set', 'profile.period=0.001'):
-        client.until(lambda: client.profiles.get_subscription_count()
-                     and client.poses.get_subscription_count()
-                     and client.node.count_publishers('/handeye_scan/points'), 'it is there')
+        client.until_heard()
+        client.until(lambda: client.node.count_publishers('/handeye_scan/points'), 'it is there')
         poses, profiles = iter(moving(10_000)), iter(plane_profiles(10_000))
 
         def most_points_came() -> bool:
@@ -191,9 +190,8 @@ def test_profiles_from_before_the_clock_was_set_back_are_not_scanned(tmp_path, c
                     200.0)
 
     with started('scan', tmp_path):
-        client.until(lambda: client.profiles.get_subscription_count()
-                     and client.poses.get_subscription_count()
-                     and client.node.count_publishers('/handeye_scan/points'), 'it is there')
+        client.until_heard()
+        client.until(lambda: client.node.count_publishers('/handeye_scan/points'), 'it is there')
         place = count(10_000)
 
         def came() -> bool:

@@ -17,7 +17,7 @@ from handeye_ros.config import Config
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from command import PATIENCE, running  # noqa: E402, I100
+from command import PATIENCE  # noqa: E402, I100
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from handeye_ros.node.streams import Streams  # noqa: E402
 from rclpy._rclpy_pybind11 import RCLError  # noqa: E402
@@ -238,9 +238,7 @@ if __name__ == '__main__':
 def test_other_services_answer_while_it_solves_and_it_ends_cleanly(tmp_path, client, number):
     log, script = tmp_path / 'node.log', tmp_path / 'slow.py'
     script.write_text(SLOW)
-    command = [sys.executable, str(script), '--ros-args', *SPHERE, '-p', f'output_dir:={tmp_path}']
-    with log.open('w') as stream, running(command, cwd=ROOT, stdout=stream,
-                                          stderr=stream) as process:
+    with running_node(tmp_path, *SPHERE, program=script) as process:
         client.connect()
         stand_still(client, START)
         client.until_counted(profiles=20, poses=20)
@@ -283,10 +281,8 @@ if __name__ == '__main__':
 def test_a_node_goes_on_after_an_exception_and_the_log_shows_where(tmp_path, client):
     log, script = tmp_path / 'node.log', tmp_path / 'broken.py'
     script.write_text(BROKEN)
-    command = [sys.executable, str(script), '--ros-args', *SPHERE, '-p', f'output_dir:={tmp_path}',
-               '-p', 'verify.routine:=sphere']
-    with log.open('w') as stream, running(command, cwd=ROOT, stdout=stream,
-                                          stderr=stream) as process:
+    with running_node(tmp_path, *SPHERE, '-p', 'verify.routine:=sphere',
+                      program=script) as process:
         client.connect()
         stand_still(client, START)
         client.until_counted(profiles=20, poses=20)

@@ -272,8 +272,7 @@ def test_other_topics_are_heard_while_the_node_runs_and_a_wrong_type_is_reported
                for service in ('take_sample', 'compute_calibration'))
     assert set_parameter(client, 'pose_topic', '/flange_pose').successful
     assert set_parameter(client, 'profile_topic', '/profile').successful
-    client.until(lambda: client.profiles.get_subscription_count()
-                 and client.poses.get_subscription_count(), 'it hears again')
+    client.until_heard()
     times = count(1)
 
     def taken() -> bool:

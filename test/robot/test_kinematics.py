@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 import re
 
-from cells import squared_error
+from cells import ONE_IN_1000, squared_error
 from command import assert_refused, bench_of, handeye, ROOT, succeeds
 from handeye_ros import pipeline, se3
 from handeye_ros.arm import arm_of, corrected_urdf, GEOMETRY, read_arm, read_urdf
@@ -239,7 +239,7 @@ def test_the_truth_of_a_corrected_arm_is_of_its_flange_not_that_of_the_controlle
     for folder in ('arm', 'out'):
         found = read_calibration(tmp_path / folder / 'calibration.yaml')
         away = se3.difference(found.T_flange_sensor, T_true)
-        assert away @ np.linalg.solve(found.covariance, away) < 22.5  # chi-squared, 1 in 1000
+        assert away @ np.linalg.solve(found.covariance, away) < ONE_IN_1000
 
 
 @pytest.fixture(scope='module')
@@ -315,7 +315,7 @@ def test_a_solve_with_a_corrected_arm_is_as_uncertain_as_the_arm_makes_it(tmp_pa
         samples, read_arm(tmp_path).forward(q), strict=True)]
     config = replace(config, kinematics=str(tmp_path / 'kinematics.yaml'))
     found = pipeline.solve(corrected, (), config, 'laser')
-    assert squared_error(found, truth) < 22.5  # of chi-squared: 1 in 1000
+    assert squared_error(found, truth) < ONE_IN_1000
     strict = replace(config, limits=replace(config.limits, translation=1e-6))
     with pytest.raises(DataError, match='most of that comes from the corrected arm'):
         pipeline.solve(corrected, (), strict, 'laser')

@@ -10,7 +10,7 @@ import math
 import re
 from typing import Any
 
-from cells import settings_of, squared_error
+from cells import ONE_IN_20, settings_of, squared_error
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, TimedPose
@@ -199,7 +199,7 @@ def test_the_answer_of_a_robot_that_drifts_is_as_uncertain_as_that_makes_it(seed
     drifting = replace(scenario, sweep=replace(scenario.sweep, drift=(1e-4, 3e-4)))
     made = simulate(drifting, np.random.default_rng(seed))
     found = pipeline.calibrate(made.profiles, made.poses, config_of(drifting))
-    assert squared_error(found, made.truth) < 12.6
+    assert squared_error(found, made.truth) < ONE_IN_20
     assert found.time_offset is not None and made.truth.time_offset is not None
     assert abs(found.time_offset.value - made.truth.time_offset) < 1.96 * found.time_offset.std
 

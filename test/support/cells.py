@@ -37,6 +37,8 @@ NO_DOUBTS = {'noise__distortion': 0.0, 'noise__flatness': 0.0, 'noise__robot_smo
              'target__size_std': 0.0, 'target__edge_angle_std': 0.0, 'target__setback_std': 0.0}
 EXACT_COLUMNS = 10 ** 12  # so fine that an edge has no sampling error
 EDGED = ('plate', 'line')  # scenes with edges; they only count the columns
+# squared errors, of chi-squared over 6, that one true answer in so many exceeds
+ONE_IN_20, ONE_IN_100, ONE_IN_1000 = 12.59, 16.81, 22.46
 ANY_POSE = se3.transform(se3.exp_rotation(np.array([0.7, -1.1, 0.4])), np.array([0.3, -0.2, 0.9]))
 
 
@@ -87,7 +89,7 @@ def settings_of(scenario: Scenario, **values: object) -> Config:
 
 
 def squared_error(found: Any, truth: Any) -> float:
-    """Return the squared error of a transform, in its covariance: of chi-squared over 6."""
+    """Return the squared error of a transform, in its covariance; see ONE_IN_20."""
     error = se3.difference(found.T_flange_sensor, truth.T_flange_sensor)
     return float(error @ np.linalg.solve(found.covariance, error))
 

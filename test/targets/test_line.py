@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 import re
 
-from cells import cell, recorded, squared_error
+from cells import cell, ONE_IN_1000, recorded, squared_error
 from handeye_ros import pipeline
 from handeye_ros.config import with_values
 from handeye_ros.data import EdgePoint, FaceLine
@@ -78,7 +78,7 @@ def test_the_edge_of_a_block_keeps_to_one_face(seed: int) -> None:
     assert min(slopes) < 0 < max(slopes)  # both are among them
     found = pipeline.answer_session(session, config).require_calibration()
     assert found.quality.samples_used >= 13
-    assert squared_error(found, made.truth) < 22.5
+    assert squared_error(found, made.truth) < ONE_IN_1000
     points = made.calibrate(target__type='line', target__use_face=False)
     assert np.trace(found.covariance[:3, :3]) < np.trace(points.covariance[:3, :3])
 
