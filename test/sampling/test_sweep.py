@@ -126,8 +126,9 @@ def config_of(scenario: Scenario, **values: object) -> Config:
 def test_a_sweep_gives_transform_and_time_offset(target: str, offset: float, kind: str) -> None:
     scenario = replace(sweep(target, offset), calibration_type=kind)
     made = simulate(scenario, np.random.default_rng(3))
-    # what is found is the whole offset, whatever part of it is configured
-    found = pipeline.calibrate(made.profiles, made.poses, config_of(scenario, time_offset=0.01))
+    config = config_of(scenario, time_offset=0.01)  # of the whole that is to be found
+    read = [replace(p, stamp=p.stamp + config.offset_ns) for p in made.profiles]
+    found = pipeline.calibrate(read, made.poses, config)
     errors = errors_against(found.T_flange_sensor, made.truth.T_flange_sensor)
     assert errors.mapped_points < 6e-5
     assert found.time_offset is not None
