@@ -183,7 +183,7 @@ def calibration_of(name: str) -> Calibration:
 
 
 @contextmanager
-def refused(reason: str, words: str = '') -> Iterator[pytest.ExceptionInfo[DataError]]:
+def refused(reason: str, words: str | None = None) -> Iterator[pytest.ExceptionInfo[DataError]]:
     """Expect a refusal for this reason, in a sentence that matches the words."""
     with pytest.raises(DataError, match=words) as caught:
         yield caught
