@@ -12,7 +12,7 @@ import socket
 import sys
 from typing import Any
 
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent / 'support'))
@@ -53,7 +53,8 @@ pytest.register_assert_rewrite('command', 'recordings')
 
 # The same examples every time, however slow the machine. To look for new ones:
 # HYPOTHESIS_PROFILE=explore make test
-settings.register_profile('repeatable', derandomize=True, deadline=None, database=None)
+settings.register_profile('repeatable', derandomize=True, deadline=None, database=None,
+                          suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile('fewer', settings.get_profile('repeatable'), max_examples=25)
 settings.register_profile('explore', deadline=None, max_examples=1000, print_blob=True)
 settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'repeatable'))

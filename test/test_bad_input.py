@@ -60,18 +60,18 @@ def stamps_since_boot(profiles, poses):
     ({'change': stamps_since_boot}, 3, ('clocks',)),
     ({'empty': True}, 3, ('no edge of a face in the profile', 'with the laser across the target')),
     ({'motion': 'one_orientation'}, 3, ('one orientation', 'tilt the tool'))])
-def test_recordings_without_an_answer(tmp_path, solve, how, code, words):
+def test_recordings_without_an_answer_are_refused(tmp_path, solve, how, code, words):
     assert_refused(solve(made(tmp_path / 'bag', **how)), code, *words)
 
 
 @pytest.mark.parametrize(('assignment', 'words'), [
     ('target.tipe=plate', ('unknown key "target.tipe"', 'did you mean "target.type"?')),
     ('target.radius=20 furlong', ('target.radius',))])
-def test_settings_that_do_not_fit(good, solve, assignment, words):
+def test_settings_that_do_not_fit_are_named(good, solve, assignment, words):
     assert_refused(solve(good, '--set', assignment), 2, *words)
 
 
-def test_places_that_cannot_be_written(good, tmp_path, solve):
+def test_places_that_cannot_be_written_are_named(good, tmp_path, solve):
     (tmp_path / 'file').write_text('')
     place = tmp_path / 'file' / 'out'
     run = handeye('solve', good, '--config', PLATE, '--out', place, cwd=tmp_path)
@@ -80,7 +80,7 @@ def test_places_that_cannot_be_written(good, tmp_path, solve):
     assert [path.name for path in tmp_path.iterdir()] == ['file']
 
 
-def test_damaged_truth(tmp_path, solve):
+def test_a_damaged_truth_is_named(tmp_path, solve):
     bag = made(tmp_path / 'bag')
     (bag / 'truth.yaml').write_text('T_flange_sensor: 7')
     assert_refused(solve(bag), 2, 'truth.yaml')

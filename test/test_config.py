@@ -3,9 +3,6 @@
 """The configuration: what may be put where, and what is said when it may not."""
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
 from handeye_ros.config import (
     Config,
     flatten,
@@ -72,8 +69,7 @@ def test_values_put_in_come_out_again(values: dict[str, object]) -> None:
 
 
 @pytest.mark.parametrize('parameter', KEYS.values(), ids=lambda p: p.key)
-def test_every_default_passes_its_limits_and_every_number_has_a_range_with_ends(
-        parameter: Parameter) -> None:
+def test_every_default_passes_its_limits_and_every_number_has_a_range_with_ends(parameter):
     key, values = parameter.key, flatten(Config())  # without those that must be set
     assert all(flatten(with_values(Config(), {k: values[k]}, 'test'))[k] == values[k]
                for k in {key} & values.keys())
@@ -150,8 +146,7 @@ VALID += [
 
 
 @pytest.mark.parametrize(('text', 'values'), VALID)
-def test_a_parameter_file_is_put_into_a_configuration(
-        tmp_path: Path, text: str, values: dict[str, object]) -> None:
+def test_a_parameter_file_is_put_into_a_configuration(tmp_path, text, values):
     path = tmp_path / 'c.yaml'
     path.write_text(text)
     assert load(path) == with_values(Config(), values, 'test')
@@ -173,8 +168,7 @@ def test_a_parameter_file_is_put_into_a_configuration(
     ('/**: {ros__parameters: {1: 2}}', '"1"'),
     ('/**: {ros__parameters: {sampling: {still: 1.0}}}',
      r'"sampling.still" in .*c.yaml; did you mean')])
-def test_a_file_of_another_form_is_refused(
-        tmp_path: Path, content: str | bytes | None, words: str) -> None:
+def test_a_file_of_another_form_is_refused(tmp_path, content, words):
     path = tmp_path / 'c.yaml'
     if content is not None:
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
@@ -188,8 +182,7 @@ def test_a_file_of_another_form_is_refused(
     (lambda: Config(calibration_type='hand'), 'calibration_type'),
     (lambda: Config(target='sphere'), 'target'),
     (lambda: ProfileConfig(axes=('x', '-x')), 'profile.axes')])
-def test_a_configuration_made_in_code_is_checked_too(
-        make: Callable[[], object], named: str) -> None:
+def test_a_configuration_made_in_code_is_checked_too(make, named):
     with pytest.raises(InputError, match=named):
         make()
 

@@ -38,25 +38,25 @@ def names(text: str) -> list[str]:
     return found
 
 
-def test_the_verbs() -> None:
+def test_the_verbs_are_those_listed() -> None:
     there = typer.main.get_command(command()).commands  # type: ignore[attr-defined]
     verbs = {name.removeprefix('handeye ') for name in names(section(
         'Verbs of the command line'))}
     assert verbs == set(there)
 
 
-def test_the_executables() -> None:
+def test_the_executables_are_those_listed() -> None:
     setup = (ROOT / 'setup.py').read_text(encoding='utf-8')
     listed = {name.rsplit(' ', 1)[1] for name in names(section('Executables'))}
     assert listed == set(re.findall(r"'(\w+) = handeye_ros\.", setup))
 
 
 @pytest.mark.parametrize('name', [n for n in names(section('Python')) if '.' in n])
-def test_what_programs_import(name: str) -> None:
+def test_what_programs_import_is_there(name: str) -> None:
     assert callable(pkgutil.resolve_name(name))
 
 
-def test_the_ros_packages_that_are_imported() -> None:
+def test_ros_packages_that_are_imported_are_dependencies() -> None:
     listed = {item.text for item in ElementTree.parse(ROOT / 'package.xml').iter('exec_depend')}
     code = '\n'.join(file.read_text(encoding='utf-8') for folder in ('handeye_ros', 'launch')
                      for file in (ROOT / folder).rglob('*.py'))
@@ -65,12 +65,12 @@ def test_the_ros_packages_that_are_imported() -> None:
             or name.endswith(('_msgs', '_srvs', '_interfaces'))} <= listed
 
 
-def test_the_launch_files() -> None:
+def test_the_launch_files_are_those_listed() -> None:
     listed = {name for name in names(section('Launch files')) if name.endswith('.launch.py')}
     assert listed == {file.name for file in (ROOT / 'launch').glob('*.launch.py')}
 
 
-def test_the_keys_and_targets() -> None:
+def test_keys_and_targets_are_those_listed() -> None:
     keys, targets = section('Keys').split('Targets:')
     known = {parameter.key for parameter in configs.parameters()}
     assert set(names(keys)) == known
@@ -83,7 +83,7 @@ def test_the_reference_tells_every_key() -> None:
     assert page == make['reference'](), 'make figures writes docs/reference.md anew'
 
 
-def test_the_public_api() -> None:
+def test_the_public_names_are_those_listed() -> None:
     listed = set(names('\n'.join(row.split('|')[1] for row in LIBRARY.splitlines()
                                  if row.startswith('| `'))))
     assert listed == set(handeye_ros.__all__)
@@ -92,7 +92,7 @@ def test_the_public_api() -> None:
         _ = handeye_ros.nonsense
 
 
-def test_the_example_of_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_example_of_the_library_prints_what_the_page_says(tmp_path, monkeypatch):
     code, printed = re.findall(r'```(?:python|text)\n(.*?)```', LIBRARY, re.DOTALL)
     for folder in ('config', 'bags'):
         (tmp_path / folder).symlink_to(ROOT / folder)

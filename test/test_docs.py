@@ -23,9 +23,10 @@ PAGES = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').g
 PROGRAM = re.compile(r'^(?:\$ )?(?:[A-Z_]+=\S+ )*(?:\.venv/bin/)?'
                      r'(handeye|make|ros2|python)(?= [-\w./]+(?: |$))')
 STANDS_FOR = {'path/to/bag': 'bags/plate'}
-# Other tests run these; the first two do not end.
+# Other tests run these; the first two do not end, the last two need a recording from elsewhere.
 ELSEWHERE = ('handeye replay', 'handeye calibrate', 'handeye kinematics path/to',
-             'handeye batch out/cell', 'handeye batch jobs.csv')
+             'handeye batch out/cell', 'handeye batch jobs.csv',
+             'handeye compare path/to/sphere_r40', 'handeye solve path/to/sphere_r40')
 THERE = {  # what a page takes as there: what makes it, in the folder "made"
     'calibration.yaml': 'handeye solve bags/plate --config config/plate.yaml --out made'}
 
@@ -73,7 +74,7 @@ def run_well(command: str, folder: Path) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize('page', of('handeye'), ids=lambda page: page.stem)
-def test_handeye(page: Path, tmp_path: Path) -> None:
+def test_the_handeye_commands_of_a_page_run(page: Path, tmp_path: Path) -> None:
     """Run the commands of a page one after another in a folder with what a clone holds."""
     own = [command for command in of('handeye')[page] if not command.startswith(ELSEWHERE)]
     for name in ('bags', 'config'):
@@ -87,7 +88,7 @@ def test_handeye(page: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('command', each('make'))
-def test_make(command: str) -> None:
+def test_make_knows_what_a_page_makes(command: str) -> None:
     arguments = [word for word in words(command, 'make') if word.split('=')[0].isidentifier()]
     run = subprocess.run(['make', '--dry-run', *arguments], cwd=ROOT, text=True,
                          capture_output=True, check=False)
@@ -95,7 +96,7 @@ def test_make(command: str) -> None:
 
 
 @pytest.mark.parametrize('command', each('ros2'))
-def test_ros2(command: str) -> None:
+def test_what_ros2_is_told_is_in_the_contract(command: str) -> None:
     verb, *arguments = words(command, 'ros2')
     contract = (ROOT / 'docs' / 'contract.md').read_text(encoding='utf-8')
     if verb == 'run':

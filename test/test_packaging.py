@@ -19,7 +19,6 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 pytest.importorskip('colcon_core', reason='needs colcon')
 from command import running  # noqa: E402, I100
-from ros_helpers import Client  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -84,8 +83,7 @@ def test_what_is_no_code_is_installed(workspace: Path) -> None:
         assert {file.name: file.read_bytes() for file in place.iterdir()} == expected
 
 
-def test_the_installed_node_answers(workspace: Path, sourced: dict[str, str], tmp_path: Path,
-                                    client: Client) -> None:
+def test_the_installed_node_answers(workspace, sourced, tmp_path, client):
     command = [workspace / 'install' / NAME / 'lib' / NAME / 'calibrate', '--ros-args',
                '--params-file', share(workspace) / 'config' / 'plate.yaml']
     with ((tmp_path / 'log').open('w', encoding='utf-8') as output,

@@ -3,11 +3,10 @@
 """Whole recordings, simulated and real, to the calibration; wrong values at the public door."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from cells import Recorded, recorded, squared_error
 from handeye_ros import Config, gather, pipeline, se3
@@ -28,15 +27,9 @@ def recording(name: str, seed: int = 0) -> Recorded:
     return recorded(name, seed)
 
 
-def calibrated(made: Recorded, profiles: Iterable[Profile] | None = None,
-               poses: Iterable[TimedPose] | None = None) -> Calibration:
-    return pipeline.calibrate(made.profiles if profiles is None else profiles,
-                              made.poses if poses is None else poses, made.config)
-
-
 @lru_cache
 def answer(name: str, seed: int = 0) -> Calibration:
-    return calibrated(recording(name, seed))
+    return recording(name, seed).calibrate()
 
 
 # -- accuracy
@@ -72,10 +65,9 @@ def beside(height: float, gap: float, width: float) -> Scenario:
 @pytest.mark.parametrize(('scenario', 'rejected'), [
     (FAULTS['neighbour lower, 3 mm'], 0), (FAULTS['neighbour higher, 3 mm'], 0),
     (beside(0.001, 0.012, 0.06), 1), (beside(0.002, 0.008, 0.01), 1)])
-def test_of_a_surface_beside_the_plate_all_stations_take_the_same(
-        scenario: Scenario, rejected: int) -> None:
+def test_of_a_surface_beside_the_plate_all_stations_take_the_same(scenario, rejected):
     made = recorded(scenario, rate=6.0)
-    found = calibrated(made)
+    found = made.calibrate()
     assert found.quality.samples_rejected <= rejected
     assert made.error(found.T_flange_sensor) < 9e-5
 
@@ -87,7 +79,7 @@ def test_of_a_surface_beside_the_plate_all_stations_take_the_same(
     ('wedge', 'eye_in_hand', 12, 3e-4), ('groove', 'eye_in_hand', 12, 3e-4)])
 def test_other_targets_are_enough_too(name: str, where: str, fewest: int, worst: float) -> None:
     made = recorded(replace(SCENARIOS[name], calibration_type=where), 1)
-    found = calibrated(made)
+    found = made.calibrate()
     assert found.quality.samples_used >= fewest
     assert made.error(found.T_flange_sensor) < worst
     assert squared_error(found, made.truth) < 36
@@ -97,7 +89,7 @@ def test_other_targets_are_enough_too(name: str, where: str, fewest: int, worst:
 
 def test_a_sphere_of_unknown_radius_is_measured() -> None:
     made = recorded('sphere', 1, target__radius=0.0)
-    found = calibrated(made)
+    found = made.calibrate()
     assert found.target['radius'] == pytest.approx(0.04, abs=1e-4)
     assert made.error(found.T_flange_sensor) < 6e-4
 
@@ -119,7 +111,7 @@ def test_the_place_of_the_target_is_found_up_to_the_names_of_its_edges() -> None
 
 def test_the_edge_angle_can_be_left_free() -> None:
     made = recorded('plate', 2, target__edge_angle_free=True)
-    found = calibrated(made)
+    found = made.calibrate()
     off = found.target['edge_angle'] - np.pi / 2
     assert abs(off) < 4 * found.target['edge_angle_std'] < 0.02
     assert made.error(found.T_flange_sensor) < 9e-5
@@ -153,7 +145,7 @@ def test_streams_may_be_generators_and_stay_as_they_are() -> None:
     for pose in made.poses:
         pose.translation.setflags(write=False)
         pose.quaternion.setflags(write=False)
-    found = calibrated(made, iter(made.profiles), iter(made.poses))
+    found = made.calibrate(iter(made.profiles), iter(made.poses))
     assert np.array_equal(found.T_flange_sensor, answer('plate_5_5').T_flange_sensor)
 
 
@@ -165,7 +157,7 @@ def test_streams_may_be_generators_and_stay_as_they_are() -> None:
     ('no_target', 'edges settings'), ('nothing_in_sight', 'few')])
 def test_what_shows_no_target_is_refused(name: str, reasons: str) -> None:
     with pytest.raises(DataError) as caught:
-        calibrated(recorded(name, 0, rate=5.0, columns=640))
+        recorded(name, 0, rate=5.0, columns=640).calibrate()
     assert caught.value.reason in reasons.split() and caught.value.exit_code == 3
 
 
@@ -185,12 +177,11 @@ def in_millimetres(profiles, poses, spans):
     (lambda profiles, poses, spans: ([], poses), DataError, 'no profile has a stamp of'),
     (in_motion, DataError, 'never stood still .* be sent while it stands'),
     (in_millimetres, DataError, None), (of_two_sensors, InputError, 'two frames')])
-def test_streams_without_an_answer_are_refused(change: Callable[..., Any], error: type,
-                                               words: str | None) -> None:
+def test_streams_without_an_answer_are_refused(change, error, words):
     made = recording('plate_5_5')
     spans = [(s.start, s.end) for s in made.truth.stations]
     with pytest.raises(error, match=words):
-        calibrated(made, *change(made.profiles, made.poses, spans))
+        made.calibrate(*change(made.profiles, made.poses, spans))
 
 
 @pytest.mark.parametrize('scene', ['plate', 'sphere'])
@@ -203,7 +194,7 @@ def test_profiles_without_any_noise_are_no_trouble(scene: str) -> None:
     believed = settings(base)
     made = recorded(quiet, 0, rate=5.0, **{key.replace('.', '__'): believed[key]
                                            for key in believed if key.startswith('noise')})
-    found = calibrated(made)
+    found = made.calibrate()
     assert made.error(found.T_flange_sensor) < 2e-5
 
 
@@ -230,8 +221,7 @@ def test_order_of_points_and_points_in_the_origin_are_no_matter() -> None:
     origin = [replace(profile, points=np.where(np.isnan(profile.points).any(axis=1)[:, None],
                                                0.0, profile.points)) for profile in made.profiles]
     assert any((profile.points == 0).all(axis=1).any() for profile in origin)
-    expected, in_no_order, with_origin = (pipeline.calibrate(profiles, made.poses, made.config)
-                                          for profiles in (made.profiles, shuffled, origin))
+    expected, in_no_order, with_origin = map(made.calibrate, (made.profiles, shuffled, origin))
     assert np.array_equal(with_origin.T_flange_sensor, expected.T_flange_sensor)
     assert in_no_order.quality.samples_used == expected.quality.samples_used
     assert made.error(in_no_order.T_flange_sensor) < 1e-4

@@ -37,7 +37,7 @@ def test_values_are_in_si_units(tmp_path: Path) -> None:
     np.testing.assert_allclose(Table(path).values('xy', LENGTH), [[1e-3, 2e-6], [-3.5e-3, 4e-3]])
 
 
-def test_poses_as_a_controller_shows_them(tmp_path: Path) -> None:
+def test_poses_are_read_as_a_controller_shows_them(tmp_path: Path) -> None:
     path = tmp_path / 'table.csv'
     path.write_text('f_x,f_y [m],f_z,f_a,f_b [rad],f_c\n10,0.02,30,90,0,0\n')
     T = Table(path).poses('f', 'kuka-abc')[0]
@@ -59,7 +59,7 @@ def test_poses_as_a_controller_shows_them(tmp_path: Path) -> None:
     ('x [m],y [m]\n1,nan', 'row 1: y is "nan"'),
     ('x [m],y [m]\n1e30,2', 'row 1: x is 1e30, which is beyond all measure'),
     ('x [m],y [m]\n' + '1' * 200000 + ',2', 'cannot be read as CSV')])
-def test_tables_that_cannot_be_read(tmp_path: Path, text: str, message: str) -> None:
+def test_tables_that_cannot_be_read_are_refused_with_a_reason(tmp_path, text, message):
     (tmp_path / 'a.csv').write_text(text)
     with pytest.raises(TableError, match=message):
         Table(tmp_path / 'a.csv').values('xy', LENGTH)
@@ -76,7 +76,7 @@ def test_a_missing_column_is_none_that_is_there(tmp_path: Path, header: str, mes
         Table(tmp_path / 'a.csv').poses('f')
 
 
-def test_quaternions_have_unit_length(tmp_path: Path) -> None:
+def test_quaternions_without_unit_length_are_refused(tmp_path: Path) -> None:
     (tmp_path / 'a.csv').write_text('f_x [m],f_y [m],f_z [m],f_qx,f_qy,f_qz,f_qw\n0,0,0,1,1,0,0')
     with pytest.raises(TableError, match=r'row 1: f_q... is no unit quaternion'):
         Table(tmp_path / 'a.csv').poses('f')
@@ -90,7 +90,7 @@ def about(axis: str, degrees: float) -> np.ndarray:
     return Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
 
 
-def test_abb_reference_manual_orient() -> None:
+def test_quaternions_of_abb_are_those_of_its_manual() -> None:
     """Example 1: z' = x; example 2: the tool turned by 30 degrees."""
     np.testing.assert_allclose(matrix('abb', 0.5 ** 0.5, 0, 0.5 ** 0.5, 0),
                                np.column_stack([[0, 0, -1], [0, 1, 0], [1, 0, 0]]), atol=1e-12)
@@ -99,7 +99,7 @@ def test_abb_reference_manual_orient() -> None:
     np.testing.assert_allclose(numbers[0], [0.965926, 0, 0.258819, 0], atol=5e-7)
 
 
-def test_universal_robots_script_manual() -> None:
+def test_rotation_vectors_of_universal_robots_are_those_of_their_manual() -> None:
     """rpy2rotvec([3.14, 1.57, 0]) and rotvec2rpy([3.14, 1.57, 0])."""
     R = Rotation.from_euler('xyz', [[3.14, 1.57, 0]])
     np.testing.assert_allclose(notation_of('ur').numbers(R)[0],
@@ -113,8 +113,7 @@ def test_universal_robots_script_manual() -> None:
     ('fanuc', (10, 20, 30), (('z', 30), ('y', 20), ('x', 10))),
     ('staubli', (10, 20, 30), (('x', 10), ('y', 20), ('z', 30))),
     ('yaskawa', (10, 20, 30), (('z', 30), ('y', 20), ('x', 10)))])
-def test_angles_are_composed_as_the_manuals_define_them(
-        name: str, numbers: tuple[float, ...], chain: tuple[tuple[str, float], ...]) -> None:
+def test_angles_are_composed_as_the_manuals_define_them(name, numbers, chain):
     product = np.eye(3)
     for axis, angle in chain:
         product = product @ about(axis, angle)
@@ -122,7 +121,7 @@ def test_angles_are_composed_as_the_manuals_define_them(
 
 
 @pytest.mark.parametrize('name', NOTATIONS)
-def test_there_and_back(name: str) -> None:
+def test_orientations_of_every_notation_read_back(name: str) -> None:
     notation, R = NOTATIONS[name], Rotation.random(50, random_state=1)
     numbers = notation.numbers(R)
     assert numbers.shape == (50, len(notation.labels))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from command import assert_refused, handeye
+from command import assert_refused, handeye, succeeds
 from handeye_ros import se3, trend
 from handeye_ros.data import SampleReport
 from handeye_ros.errors import InputError
@@ -56,14 +56,12 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
         trend.trend(tmp_path / 'nights')
 
 
-def test_the_verb(tmp_path):
+def test_the_verb_shows_writes_and_refuses(tmp_path):
     write(tmp_path / 'steady', range(5))
-    run = handeye('trend', 'steady', '--csv', 't.csv', cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    run = succeeds('trend', 'steady', '--csv', 't.csv', cwd=tmp_path)
     assert 'no calibration differs' in run.stdout and 'x [mm]' in run.stdout
     assert (tmp_path / 't.csv').read_text().startswith('recorded,path,x,')
     assert_refused(handeye('trend', 'steady/day_0', cwd=tmp_path), 3, 'steady')
     (tmp_path / 'empty').mkdir()
     assert_refused(handeye('trend', 'empty', cwd=tmp_path), 2, 'empty holds 0 readable')
-    run = handeye('trend', 'steady/day_0', '--against', 'steady/day_1', cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    succeeds('trend', 'steady/day_0', '--against', 'steady/day_1', cwd=tmp_path)

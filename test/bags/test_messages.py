@@ -98,7 +98,7 @@ def test_a_message_padded_to_a_word_is_read_and_one_with_more_behind_it_is_damag
     ((0.0, 0.0, 0.0), (0.0, 0.0, np.nan, 1.0), 'not finite'),
     ((np.inf, -np.inf, 0.0), (0.0, 0.0, 0.0, 1.0), 'not finite'),
     ((0.0, 3e12, 0.0), (0.0, 0.0, 0.0, 1.0), 'the position reaches 3e.12 m')])
-def test_malformed_poses(position: object, quaternion: object, reason: str) -> None:
+def test_malformed_poses_are_refused_with_a_reason(position, quaternion, reason):
     with pytest.raises(UnusableMessageError, match=reason):
         pose_from_cdr(serialised(pose(position, quaternion), POSE))
 
@@ -149,7 +149,7 @@ def test_signalling_nan_is_no_return() -> None:
 
 
 @pytest.mark.parametrize('height', [1, 2])
-def test_a_row_step_that_was_left_unset(height: int) -> None:
+def test_a_row_step_that_was_left_unset_is_worked_out(height: int) -> None:
     made = cloud({'x': X, 'z': Z}, XZ, 12, height=height)
     made.row_step = 0
     np.testing.assert_allclose(points(made), expected(X, Z), rtol=1e-6)
@@ -166,7 +166,7 @@ def test_a_row_step_that_was_left_unset(height: int) -> None:
     ({'fields': [field('x', 0, 9), field('z', 8)]}, 'no fields are named "x"'),
     ({'fields': [field('x', 0, 7, 3), field('z', 8)]}, 'are named "x" and hold one number'),
     ({'fields': [field('x', 0), field('x', 4), field('z', 8)]}, '2 fields are named "x"')])
-def test_malformed_clouds(changes: dict[str, object], reason: str) -> None:
+def test_malformed_clouds_are_refused_with_a_reason(changes, reason):
     made = cloud({'x': X, 'z': Z}, XZ, 12)
     vars(made).update(changes)
     with pytest.raises(UnusableMessageError, match=reason):
@@ -203,7 +203,7 @@ def values_of(datatype: int, n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 @given(layouts, st.sampled_from([('x', 'z'), ('-x', 'z'), ('z', '-x'), ('-z', '-x')]))
-def test_any_layout_round_trips(what: dict, axes: tuple[str, str]) -> None:
+def test_clouds_of_any_layout_are_read_as_they_were_written(what, axes):
     rng = np.random.default_rng(what['seed'])
     n, position, layout, columns = what['height'] * what['width'], 0, {}, {}
     for name, datatype, gap in zip(what['order'], what['datatypes'], what['gaps'], strict=False):
@@ -229,8 +229,7 @@ garbage_fields = st.builds(field, st.sampled_from(['x', 'y', 'z', '', 'X']), siz
 @given(fields=st.lists(garbage_fields, max_size=4), height=sizes, width=sizes, point_step=sizes,
        row_step=sizes, data=st.binary(max_size=300), bigendian=st.booleans(),
        unit=st.sampled_from(['m', 'mm']))
-def test_garbage_raises_message_error_and_nothing_else(unit: str, bigendian: bool, height: int,
-                                                       width: int, **content: object) -> None:
+def test_garbage_in_a_cloud_is_refused_in_a_sentence(unit, bigendian, height, width, **content):
     made = cloud({'x': X, 'z': Z}, XZ, 12)
     vars(made).update(height=height, width=width, is_bigendian=bigendian, **content)
     try:

@@ -67,7 +67,7 @@ def refused(words, path, config=CONFIG, kind=InputError):
     *((rosbags_copy, {'plugin': plugin, 'mode': mode}) for plugin in StoragePlugin
       for mode in CompressionMode if mode is not CompressionMode.FILE
       and (plugin, mode) != (SQLITE3, CompressionMode.STORAGE))])
-def test_every_layout_storage_and_compression(good_bag, tmp_path, write, form):
+def test_every_layout_storage_and_compression_is_read(good_bag, tmp_path, write, form):
     recording = bag.read(write(good_bag, tmp_path / 'copy.mcap', **form), CONFIG)
     assert_equal_recordings(recording)
     assert not recording.warnings
@@ -79,7 +79,7 @@ def test_whole_compressed_files_are_refused(good_bag, tmp_path):
         refused('zstd -d', path)
 
 
-def test_a_split_bag_and_one_with_a_file_missing(good_bag, tmp_path):
+def test_a_split_bag_is_read_and_so_is_one_with_a_file_missing(good_bag, tmp_path):
     target = split(good_bag, tmp_path / 'split')
     recording = bag.read(target, CONFIG)
     assert_equal_recordings(recording)
@@ -157,7 +157,7 @@ def test_an_empty_chunk_is_no_damage(good_bag, tmp_path):
     assert not recording.warnings
 
 
-def test_a_file_that_changes_after_it_was_read(good_bag, tmp_path):
+def test_a_file_that_changes_after_it_was_read_is_told(good_bag, tmp_path):
     file = rewrite(good_bag, tmp_path / 'x.mcap')
     recording = bag.read(file, CONFIG)
     file.write_bytes(file.read_bytes()[:100])
@@ -236,7 +236,7 @@ def test_nothing_is_written_beside_a_db3(good_bag, tmp_path):
     assert {*file.parent.iterdir()} == before
 
 
-def test_a_db3_that_is_cut_or_without_its_table(good_bag, tmp_path):
+def test_a_db3_that_is_cut_or_without_its_table_is_refused(good_bag, tmp_path):
     file = rosbags_copy(good_bag, tmp_path / 'copy', SQLITE3, NONE) / 'copy.db3'
     whole = file.read_bytes()
     file.write_bytes(whole[:len(whole) * 2 // 3])
@@ -251,7 +251,7 @@ def test_a_db3_that_is_cut_or_without_its_table(good_bag, tmp_path):
     (b'', 'the file is empty'), (b'x: 1\n', 'is not a bag'), (b'#ROSBAG V2.0\n', 'a ROS 1 bag'),
     (b'\x89MCAP0\r\n', 'holds no messages'), (b'\x28\xb5\x2f\xfd12345678', 'is compressed'),
     (b'SQLite format 3\0', 'holds no messages'), (None, 'no such file or folder')])
-def test_not_a_bag(tmp_path, content, reason):
+def test_what_is_no_bag_is_told(tmp_path, content, reason):
     if content is not None:
         (tmp_path / 'x.mcap').write_bytes(content)
     refused(reason, tmp_path / 'x.mcap')
@@ -318,7 +318,7 @@ def test_a_few_wild_stamps_are_dropped_and_reported(good_bag, tmp_path, topic, w
         assert f'of {len(items)} messages on {topic} were left out: their stamps' in warning
 
 
-def test_missing_stamps_and_clocks_that_share_no_time(good_bag, tmp_path):
+def test_missing_stamps_are_told_and_clocks_that_share_no_time_refused(good_bag, tmp_path):
     first = PROFILES[0].stamp
     for count, stamp_of in ((30, lambda _: 0), (1, lambda t: 0 if t == first else t)):
         (tmp_path / str(count)).mkdir()
@@ -342,7 +342,7 @@ def test_a_wrong_topic_lists_what_is_there(good_bag, config, words):
     refused(words, good_bag, config)
 
 
-def test_other_types_and_encodings(good_bag, tmp_path):
+def test_other_types_and_encodings_are_refused(good_bag, tmp_path):
     kind = 'nav_msgs/msg/Odometry'
     file = rewrite(good_bag, tmp_path / 'other.mcap', types={'/flange_pose': kind})
     refused(rf'no topic /flange_pose with .*, but /flange_pose \({kind}\).*publish and', file)
@@ -416,7 +416,7 @@ ONE_LINK = [(stamp, [transform(stamp, 'base', 'flange', (0.01 * i, 0, 0))])
             for i, stamp in enumerate(STAMPS)]
 
 
-def test_poses_from_a_chain_of_transforms(good_bag, tmp_path):
+def test_poses_are_read_from_a_chain_of_transforms(good_bag, tmp_path):
     half = np.sqrt(0.5)
     moving = [(stamp, [transform(stamp, 'base', 'link', (0.01 * i, 0, 0)),
                        transform(stamp, 'link', 'tool', (0, 0, 0.5), (0.0, 0.0, half, half))])
@@ -449,7 +449,7 @@ def test_two_runs_of_transforms_are_refused(good_bag, tmp_path):
 @pytest.mark.parametrize(('config', 'words'), [
     (Config(pose_source='tf'), 'from "base" to "flange"; frames received: base, tool'),
     (Config(), 'take the poses from /tf, as in --set pose_source=tf')])
-def test_transforms_that_give_no_poses(good_bag, tmp_path, config, words):
+def test_transforms_that_give_no_poses_are_refused(good_bag, tmp_path, config, words):
     moving = [(START + i, [transform(START + i, 'base', 'tool', (0, 0, 0))]) for i in range(5)]
     refused(words, tf_bag(good_bag, tmp_path, moving), config)
 
@@ -470,7 +470,7 @@ def test_what_is_written_is_read_by_all(good_bag):
 @pytest.mark.parametrize('layout', POINTS)
 @pytest.mark.parametrize(('unit', 'axes'), [('m', ('x', 'z')), ('mm', ('x', '-z')),
                                             ('mm', ('-y', 'z'))])
-def test_every_layout_unit_and_axes(tmp_path, layout, unit, axes):
+def test_every_layout_unit_and_axes_is_read(tmp_path, layout, unit, axes):
     config = Config(profile=ProfileConfig(unit=unit, axes=axes), profile_topic='/line')
     made = [replace(p, axes=axes) for p in PROFILES]
     missing = PROFILES[3].points.copy()

@@ -12,7 +12,7 @@ import shutil
 import subprocess
 import sys
 
-from command import assert_refused, handeye, ROOT
+from command import assert_refused, handeye, ROOT, succeeds
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.bag_write import write
 from handeye_ros.bags.session_files import (
@@ -37,6 +37,7 @@ import numpy as np
 import pytest
 from recordings import POINTS, with_layout
 from rosbags.highlevel import AnyReader
+from streams import in_order
 import yaml
 
 
@@ -46,7 +47,7 @@ def stored(tmp_path: Path, config: Config = SPHERE.config) -> LiveSession:
 
 def feed(live: LiveSession, recording=SPHERE, stops: int = 99) -> LiveSession:
     """Give a session a recording up to so many stops, in the order of the stamps."""
-    for item in sorted([*recording.poses, *recording.profiles], key=lambda item: item.stamp):
+    for item in in_order(recording.poses, recording.profiles):
         if isinstance(item, TimedPose):
             live.add_poses([item])
         else:
@@ -110,14 +111,12 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.thorough
 def test_the_command_line_gives_the_answer_of_the_node(whole: Path, tmp_path: Path) -> None:
-    run = handeye('solve', whole, '--out', tmp_path, cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    succeeds('solve', whole, '--out', tmp_path, cwd=tmp_path)
     answer = np.load(whole.parent / 'answer.npy')
     found = read_calibration(tmp_path / 'calibration.yaml')
     assert np.abs(found.T_flange_sensor - answer).max() < 1e-9
-    back = handeye('solve', whole, '--set', 'samples.exclude=[]', '--out', tmp_path,
-                   cwd=tmp_path)
-    assert back.returncode == 0, back.stderr
+    succeeds('solve', whole, '--set', 'samples.exclude=[]', '--out', tmp_path,
+             cwd=tmp_path)
     n = read_calibration(tmp_path / 'calibration.yaml').quality.samples_used
     assert n == found.quality.samples_used + 1
 
@@ -135,15 +134,13 @@ def test_a_sample_taken_again_is_reported_and_compared(whole: Path, tmp_path: Pa
         assert not found.refusal and not found.missing
         assert sum(stop.used for stop in found.stops) == calibration.quality.samples_used
         assert verdict(calibration, found, np.empty((0, 3)))[0]
-    run = handeye('compare', session, cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    run = succeeds('compare', session, cwd=tmp_path)
     assert f'{calibration.quality.samples_used} samples' in run.stdout
 
 
 @pytest.mark.once
 def test_the_command_line_shows_the_samples(whole: Path, tmp_path: Path) -> None:
-    run = handeye('samples', whole, cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    run = succeeds('samples', whole, cwd=tmp_path)
     lines = [line.split() for line in run.stdout.splitlines() if line.strip()[:1].isdigit()]
     assert sorted(int(line[0]) for line in lines) == list(range(1, 14))
     assert [float(line[3]) for line in lines] == sorted((float(line[3]) for line in lines),
@@ -167,8 +164,7 @@ def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
     assert np.abs(third.answer.calibration.T_flange_sensor - found).max() < 1e-9
 
 
-def test_a_restart_forgets_neither_the_frame_of_the_poses_nor_that_of_the_profiles(
-        tmp_path: Path) -> None:
+def test_a_restart_forgets_neither_the_frame_of_the_poses_nor_that_of_the_profiles(tmp_path):
     other = again(feed(stored(tmp_path), stops=3))
     settings = other.session.with_base(other.config)
     assert settings.robot_base_frame == 'base', 'before the first message'
@@ -331,8 +327,7 @@ def test_what_is_no_session_is_reported(tmp_path: Path) -> None:
 @pytest.mark.parametrize(('of_node', 'count', 'fewest'), [
     pytest.param((), 20, 10, marks=pytest.mark.once),
     pytest.param(('--node',), 4, 2, marks=pytest.mark.ros)])
-def test_nothing_acknowledged_is_lost_by_kills(of_node: tuple[str, ...], count: int, fewest: int
-                                               ) -> None:
+def test_nothing_acknowledged_is_lost_by_kills(of_node, count, fewest):
     if of_node:
         pytest.importorskip('rclpy', reason='needs rclpy')
     run = subprocess.run([sys.executable, 'bench/kills.py', *of_node, '--count', str(count)],

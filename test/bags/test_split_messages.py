@@ -78,8 +78,7 @@ def test_rows_that_part_the_line_are_points() -> None:
 
 @pytest.mark.parametrize(('stamp', 'reach'), [('first', (0, 40)), ('middle', (20, 20)),
                                               ('last', (40, 0))])
-def test_without_a_period_it_is_known_about_when_a_row_was_taken(
-        stamp: str, reach: tuple[int, int]) -> None:
+def test_without_a_period_it_is_known_about_when_a_row_was_taken(stamp, reach):
     found = profiles([batch(START + i * 40 * MS, 8) for i in range(3)], ProfileConfig(stamp=stamp))
     assert len(found) == 16, 'nobody knows how long the first took'
     assert all(p.reach == (reach[0] * MS, reach[1] * MS) for p in found)
@@ -103,7 +102,7 @@ def test_a_batch_during_which_the_robot_moved_is_not_used(stamp: str, used: set[
                     for p in stop.load(config).profiles}
 
 
-def test_a_bag_of_batches(good_bag, tmp_path) -> None:
+def test_a_bag_of_batches_is_read_row_by_row(good_bag, tmp_path) -> None:
     data = [batch(START + i * 50 * MS, 5, first=5 * i) for i in range(20)]
     raws = [Raw('/profile', CLOUD_TYPE, START + i * 50 * MS, d) for i, d in enumerate(data)]
     stands = [TimedPose(START + i * 10 * MS, p.translation, p.quaternion)

@@ -97,7 +97,7 @@ FREEDOM = st.integers(1, 2000)
 
 
 @given(PROBABILITIES, FREEDOM)
-def test_chi_squared(probability: float, freedom: int) -> None:
+def test_chi_squared_is_that_of_scipy(probability: float, freedom: int) -> None:
     value = chi2_isf(probability, freedom)
     assert value == pytest.approx(stats.chi2.isf(probability, freedom), rel=1e-9)
     assert chi2_sf(value, freedom) == pytest.approx(
@@ -105,7 +105,7 @@ def test_chi_squared(probability: float, freedom: int) -> None:
     assert chi2_isf(0.5, freedom) == pytest.approx(stats.chi2.median(freedom), rel=1e-9)
 
 
-def test_several_at_once_and_none_without_a_degree_of_freedom() -> None:
+def test_chi_squared_takes_arrays_and_is_nan_without_a_degree_of_freedom() -> None:
     probabilities = chi2_sf(np.array([0.0, 1.0, 2.0, 2.0]), np.array([0, 0, 1, 3]))
     assert np.isnan(probabilities).tolist() == [True, True, False, False]
     np.testing.assert_allclose(probabilities[2:], stats.chi2.sf(2.0, [1, 3]))
@@ -124,8 +124,7 @@ def conservative(value: float, std: float) -> float:
     (9.0, 6.0, 0.0, 2.0),  # of 1.5 sigma: not believed at several times its prior
     (0.0, 2.0, 0.7, 2.0),  # it may be there as configured
     (50.0, 0.5, 20.0, 100.0), (0.0, 0.01, 0.0, 0.3)])  # what the data show is believed
-def test_a_scale_is_what_the_data_show_and_no_more(value: float, std: float, least: float,
-                                                   most: float) -> None:
+def test_a_scale_is_what_the_data_show_and_no_more(value, std, least, most):
     assert least < conservative(value, std) < most
 
 
@@ -143,7 +142,7 @@ with threadpool_limits(3):
 """
 
 
-def test_one_thread_inside_and_as_before_outside() -> None:
+def test_a_solve_uses_one_blas_thread_and_then_there_are_as_many_as_before() -> None:
     pytest.importorskip('threadpoolctl', reason='needs threadpoolctl')
     output = subprocess.run([sys.executable, '-c', PROGRAM], capture_output=True, text=True,
                             check=True).stdout

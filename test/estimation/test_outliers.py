@@ -3,25 +3,19 @@
 """Stations that do not fit are left out, with a reason; few of them judge, or give no answer."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import replace
 
-from cells import Cell, cell, every_method, scenario_of, settings_of, squared_error
+from cells import Cell, cell, every_method, settings_of, solved, squared_error
 from handeye_ros import pipeline, se3
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE
-from handeye_ros.estimation.search import robust_solution, with_systematic_errors
+from handeye_ros.estimation.search import with_systematic_errors
 from handeye_ros.estimation.solve import solution_at
 from handeye_ros.results.calibration_file import errors_against
 from handeye_ros.simulate import FAULTS, SCENARIOS, simulate, simulate_samples
-from handeye_ros.targets import TARGETS
 import numpy as np
 import pytest
-
-
-def solve(samples: Iterable[Sample], made: Cell) -> Calibration:
-    return pipeline.solve(list(samples), [], made.config, 'laser')
 
 
 def moved(sample: Sample, by: Array) -> Sample:
@@ -44,7 +38,7 @@ def assert_as_good(answer: Calibration, clean: Calibration) -> None:
 @pytest.mark.parametrize('size', [3e-3, 0.05])
 def test_stations_with_a_wrong_pose_are_left_out(name: str, size: float) -> None:
     for seed in range(2):
-        made = cell(scenario_of(TARGETS[name]), seed, method=name)
+        made = cell(name, seed)
         rng = np.random.default_rng(seed)
         bad = rng.permutation(len(made.samples))[:2]
         steps = rng.normal(size=(len(made.samples), 6))
@@ -52,10 +46,10 @@ def test_stations_with_a_wrong_pose_are_left_out(name: str, size: float) -> None
         # a plane does not see what moves along it: turn the poses too, by 1 degree
         steps[:, 3:] *= 0.02 / np.linalg.norm(steps[:, 3:], axis=1)[:, None]
         samples = [moved(s, steps[i]) if i in bad else s for i, s in enumerate(made.samples)]
-        answer = solve(samples, made)
+        answer = made.solve(samples)
         assert rejected(answer) >= {made.samples[i].stamp for i in bad}
         assert len(rejected(answer)) <= 3
-        clean = solve((s for s in made.samples if s.stamp not in rejected(answer)), made)
+        clean = made.solve(s for s in made.samples if s.stamp not in rejected(answer))
         assert_as_good(answer, clean)
 
 
@@ -74,15 +68,14 @@ def to_a_second_plate(made: Cell, rng: np.random.Generator) -> Array:
     *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
         ('plate', 17, to_a_second_plate, 0.24),
         *((target, seed, aside, 0.28) for target in ('plate', 'sphere') for seed in range(6))))])
-def test_a_cluster_that_agrees_on_something_wrong_is_left_out(
-        target: str, seed: int, step: Callable[..., Array], share: float) -> None:
+def test_a_cluster_that_agrees_on_something_wrong_is_left_out(target, seed, step, share):
     made, rng = cell(target, seed), np.random.default_rng(seed)
     by = np.append(step(made, rng), np.zeros(3))
     order = rng.permutation(len(made.samples))
     bad = {made.samples[i].stamp for i in order[:int(share * len(made.samples))]}
-    answer = solve((moved(s, by) if s.stamp in bad else s for s in made.samples), made)
+    answer = made.solve(moved(s, by) if s.stamp in bad else s for s in made.samples)
     assert rejected(answer) == bad
-    assert_as_good(answer, solve((s for s in made.samples if s.stamp not in bad), made))
+    assert_as_good(answer, made.solve(s for s in made.samples if s.stamp not in bad))
 
 
 def test_too_many_wrong_stations_are_refused() -> None:
@@ -91,13 +84,13 @@ def test_too_many_wrong_stations_are_refused() -> None:
     samples = [moved(s, np.append(rng.normal(size=3) * 8e-3, rng.normal(size=3) * 0.02))
                if i % 2 else s for i, s in enumerate(made.samples)]
     with pytest.raises(DataError, match='contradict'):
-        solve(samples, made)
+        made.solve(samples)
 
 
 @pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_edges_of_the_plate_that_are_not_ours_do_no_harm(seed: int) -> None:
     made = cell('wrong_edges', seed)
-    answer = solve(made.samples, made)
+    answer = made.solve()
     assert made.error(answer.T_flange_sensor) < 9e-5
     reports = {r.stamp: r for r in answer.samples}
     for station, sample in zip(made.truth.stations, made.samples, strict=True):
@@ -115,12 +108,12 @@ def test_edges_of_the_plate_that_are_not_ours_do_no_harm(seed: int) -> None:
 def test_all_four_edges_are_used_when_the_size_is_known() -> None:
     made = cell('wrong_edges', 1, target__size=[0.2, 0.15])
     without = cell('wrong_edges', 1)
-    answer = solve(made.samples, made)
+    answer = made.solve()
     labels = {s.stamp: t.label for s, t in zip(made.samples, made.truth.stations, strict=True)}
     used = {(labels[r.stamp], r.edge) for r in answer.samples}
     assert all(edge for _, edge in used) and len(used) == len(set(labels.values()))
-    assert np.trace(answer.covariance) < np.trace(
-        solve(without.samples, without).covariance) * 1.05  # the noise is estimated in both
+    # the noise is estimated in both
+    assert np.trace(answer.covariance) < np.trace(without.solve().covariance) * 1.05
 
 
 RANKS = {'plate': 3, 'line': 2, 'plane': 2, 'sphere': 3, 'wedge': 4}  # of one station
@@ -128,7 +121,7 @@ RANKS = {'plate': 3, 'line': 2, 'plane': 2, 'sphere': 3, 'wedge': 4}  # of one s
 
 def test_fewer_conditions_than_unknowns_leave_a_direction_free() -> None:
     made = cell('plane', 0)
-    whole = robust_solution(made.problem, np.random.default_rng(0))
+    whole = solved(made.problem)
     few = made.problem.subset(np.arange(4))
     covariance = solution_at(few, whole.estimate, BLOCKS_AS_NOISE).covariance
     assert np.linalg.eigvalsh(covariance)[-1] > 1.0, 'm^2: 8 conditions, 9 unknowns'
@@ -137,7 +130,7 @@ def test_fewer_conditions_than_unknowns_leave_a_direction_free() -> None:
 @pytest.mark.parametrize(('name', 'rank'), RANKS.items())
 def test_a_station_says_as_much_as_its_target_shows(name: str, rank: int) -> None:
     made = cell(name, 0)
-    solution = robust_solution(made.problem, np.random.default_rng(0))
+    solution = solved(made.problem)
     assert (solution.ranks == rank).all()
     assert solution.redundancy == rank * len(made.samples) - solution.jacobian.shape[1]
 
@@ -150,15 +143,14 @@ def wrong(sample: Sample, rng: np.random.Generator) -> Sample:
 @pytest.mark.parametrize(('name', 'stations', 'bad'), [
     ('plane', (6, 0), 1), ('plane', (8, 0), 2), ('plate', (3, 3), 1), ('plate', (4, 3), 2),
     ('line', (7, 0), 1), ('sphere', (6, 0), 2)])
-def test_few_samples_with_wrong_ones_give_no_wrong_answer(name: str, stations: tuple[int, int],
-                                                          bad: int) -> None:
+def test_few_samples_with_wrong_ones_give_no_wrong_answer(name, stations, bad):
     for seed in range(3):
         rng = np.random.default_rng(seed)
         made = cell(replace(SCENARIOS[name], stations=stations), seed)
         chosen = rng.permutation(len(made.samples))[:bad]
         samples = [wrong(s, rng) if i in chosen else s for i, s in enumerate(made.samples)]
         try:
-            answer = solve(samples, made)
+            answer = made.solve(samples)
         except DataError:
             continue
         assert squared_error(answer, made.truth) < 36
@@ -169,7 +161,7 @@ def test_what_is_left_after_dropping_must_judge() -> None:
     samples = [wrong(s, np.random.default_rng(1)) if i == 3 else s
                for i, s in enumerate(made.samples)]
     with pytest.raises(DataError, match='take more'):
-        solve(samples, made)
+        made.solve(samples)
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -177,7 +169,7 @@ def test_one_wrong_of_ten_stands_out_though_a_poor_robot_would_explain_it(seed: 
     made = cell(replace(SCENARIOS['plate'], stations=(5, 5)), seed)
     rng = np.random.default_rng(seed)
     samples = [wrong(s, rng) if i == seed else s for i, s in enumerate(made.samples)]
-    answer = solve(samples, made)
+    answer = made.solve(samples)
     assert [report.used for report in answer.samples] == [i != seed for i in range(10)]
     assert [report.stamp for report in answer.samples] == sorted(s.stamp for s in samples)
     report = answer.samples[seed]
@@ -190,14 +182,14 @@ def test_no_station_of_a_poor_robot_is_taken_for_wrong() -> None:
     poor = replace(SCENARIOS['plate'].robot, systematic=(3e-4, 1e-3))
     made = cell(replace(SCENARIOS['plate'], stations=(5, 5), robot=poor), 0,
                 noise__robot_smooth=1.5e-4)
-    assert solve(made.samples, made).quality.samples_rejected == 0
+    assert made.solve().quality.samples_rejected == 0
 
 
 def test_what_a_wrong_station_would_do_is_stated_of_few_and_next_to_nothing_of_many() -> None:
     grown = []
     for stations in ((3, 3), (9, 9)):
         made = cell(replace(SCENARIOS['plate'], stations=stations), 0)
-        solution = with_systematic_errors(robust_solution(made.problem, np.random.default_rng(0)))
+        solution = with_systematic_errors(solved(made.problem))
         without = replace(solution, added_covariances={})
         grown.append(np.diag(solution.transform_covariance)
                      / np.diag(without.transform_covariance))
@@ -213,8 +205,7 @@ def test_what_a_wrong_station_would_do_is_stated_of_few_and_next_to_nothing_of_m
 def test_six_poses_visited_four_times_carry_an_answer(name: str, seed: int) -> None:
     scenario = FAULTS[name]
     recording = simulate(scenario, np.random.default_rng(seed))
-    config = settings_of(scenario)
-    answer = pipeline.calibrate(recording.profiles, recording.poses, config)
+    answer = pipeline.calibrate(recording.profiles, recording.poses, settings_of(scenario))
     assert answer.quality.samples_used == 6, 'a pose that is taken again says nothing new'
     assert squared_error(answer, recording.truth) < 20
 

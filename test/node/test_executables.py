@@ -67,8 +67,7 @@ def started(module: str, *arguments: object) -> AbstractContextManager[subproces
         ('main', ['--ros-args', '-p', 'profile_topic:=my profile'], 'cannot name a topic'),
         ('main', ['--ros-args', '-p', 'target.size:=[1.0, 2]'], 'ROS does not start: '),
         ('main', ['--ros-args', 'nonsense'], 'ROS does not start: ')))])
-def test_wrong_arguments_are_refused_in_a_sentence(
-        module: str, arguments: list[str], reason: str) -> None:
+def test_wrong_arguments_are_refused_in_a_sentence(module, arguments, reason):
     run = run_module(module, *arguments)
     assert run.returncode == 2 and reason in run.stderr and 'Traceback' not in run.stderr
 
@@ -157,9 +156,8 @@ def test_scanned_points_are_published_in_the_base(tmp_path: Path, client: Client
         return cloud_message(made, profiles[0].stamp)
 
     with started('scan', tmp_path, '--std', '--set', 'profile.period=0.001'):
-        client.until(lambda: client.profiles.get_subscription_count()
-                     and client.poses.get_subscription_count()
-                     and client.node.count_publishers('/handeye_scan/points'), 'it is there')
+        client.until_heard()
+        client.until(lambda: client.node.count_publishers('/handeye_scan/points'), 'it is there')
         poses, profiles = iter(moving(10_000)), iter(plane_profiles(10_000))
 
         def most_points_came() -> bool:
@@ -178,8 +176,7 @@ def test_scanned_points_are_published_in_the_base(tmp_path: Path, client: Client
     np.testing.assert_allclose(z, 0.1, atol=1e-6)
 
 
-def test_profiles_from_before_the_clock_was_set_back_are_not_scanned(
-        tmp_path: Path, client: Client) -> None:
+def test_profiles_from_before_the_clock_was_set_back_are_not_scanned(tmp_path, client):
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
     got: list[PointCloud2] = []
     client.node.create_subscription(PointCloud2, '/handeye_scan/points', got.append, 100)
@@ -193,9 +190,8 @@ def test_profiles_from_before_the_clock_was_set_back_are_not_scanned(
                     200.0)
 
     with started('scan', tmp_path):
-        client.until(lambda: client.profiles.get_subscription_count()
-                     and client.poses.get_subscription_count()
-                     and client.node.count_publishers('/handeye_scan/points'), 'it is there')
+        client.until_heard()
+        client.until(lambda: client.node.count_publishers('/handeye_scan/points'), 'it is there')
         place = count(10_000)
 
         def came() -> bool:

@@ -17,7 +17,7 @@ from handeye_ros.config import Config
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from command import PATIENCE, running  # noqa: E402, I100
+from command import PATIENCE  # noqa: E402, I100
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from handeye_ros.node.streams import Streams  # noqa: E402
 from rclpy._rclpy_pybind11 import RCLError  # noqa: E402
@@ -47,8 +47,7 @@ SPHERE = ('-p', 'target.type:=sphere', '-p', 'target.radius:=0.04', '-p',
 
 
 @pytest.mark.thorough
-def test_streams_that_fall_silent_and_two_publishers_with_two_clocks(
-        tmp_path: Path, client: Client) -> None:
+def test_streams_that_fall_silent_and_two_publishers_with_two_clocks(tmp_path, client):
     words = '2 publishers send profiles on /profile (/client, /client): let only one publish'
     with running_node(tmp_path):
         client.connect()
@@ -88,8 +87,7 @@ def test_streams_that_fall_silent_and_two_publishers_with_two_clocks(
         client.until(lambda: words not in client.state()['message'], 'one publisher is left')
 
 
-def test_topics_are_read_on_after_a_fault(
-        client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_topics_are_read_on_after_a_fault(client, monkeypatch):
     receiver, faults = MagicMock(config=Config()), []
     look = client.node.get_publishers_info_by_topic
 
@@ -158,8 +156,7 @@ def test_two_nodes_of_one_name_are_reported_and_keep_apart(tmp_path: Path, clien
 
 
 @pytest.mark.thorough
-def test_a_button_a_kill_and_a_restart(
-        tmp_path: Path, client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_button_a_kill_and_a_restart(tmp_path, client, monkeypatch):
     texts: list[String] = []
     client.node.create_subscription(String, '/handeye/samples', texts.append, LATCHED)
 
@@ -238,13 +235,10 @@ if __name__ == '__main__':
 
 @pytest.mark.parametrize('number', [
     signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.thorough)])
-def test_other_services_answer_while_it_solves_and_it_ends_cleanly(
-        tmp_path: Path, client: Client, number: int) -> None:
+def test_other_services_answer_while_it_solves_and_it_ends_cleanly(tmp_path, client, number):
     log, script = tmp_path / 'node.log', tmp_path / 'slow.py'
     script.write_text(SLOW)
-    command = [sys.executable, str(script), '--ros-args', *SPHERE, '-p', f'output_dir:={tmp_path}']
-    with log.open('w') as stream, running(command, cwd=ROOT, stdout=stream,
-                                          stderr=stream) as process:
+    with running_node(tmp_path, *SPHERE, program=script) as process:
         client.connect()
         stand_still(client, START)
         client.until_counted(profiles=20, poses=20)
@@ -284,14 +278,11 @@ if __name__ == '__main__':
 """
 
 
-def test_a_node_goes_on_after_an_exception_and_the_log_shows_where(
-        tmp_path: Path, client: Client) -> None:
+def test_a_node_goes_on_after_an_exception_and_the_log_shows_where(tmp_path, client):
     log, script = tmp_path / 'node.log', tmp_path / 'broken.py'
     script.write_text(BROKEN)
-    command = [sys.executable, str(script), '--ros-args', *SPHERE, '-p', f'output_dir:={tmp_path}',
-               '-p', 'verify.routine:=sphere']
-    with log.open('w') as stream, running(command, cwd=ROOT, stdout=stream,
-                                          stderr=stream) as process:
+    with running_node(tmp_path, *SPHERE, '-p', 'verify.routine:=sphere',
+                      program=script) as process:
         client.connect()
         stand_still(client, START)
         client.until_counted(profiles=20, poses=20)

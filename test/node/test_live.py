@@ -3,7 +3,6 @@
 """A running session without ROS: what it takes, tells, and does when settings change."""
 from __future__ import annotations
 
-from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 import hashlib
@@ -17,9 +16,9 @@ import subprocess
 import sys
 import threading
 
-from cells import set_to, settings_of
+from cells import Recorded, set_to, settings_of
 from command import PATIENCE, ROOT
-from handeye_ros import pipeline, se3
+from handeye_ros import pipeline
 from handeye_ros.bags.bag import read
 from handeye_ros.config import Config
 from handeye_ros.errors import DataError, InputError
@@ -34,6 +33,7 @@ from handeye_ros.node.state import (
     status_message,
 )
 from handeye_ros.sampling.features import result_of
+from handeye_ros.sampling.stops import StopFinder
 from handeye_ros.simulate import SCENARIOS, simulate
 from handeye_ros.verification.routines import routine_of
 from live_sessions import (
@@ -51,18 +51,21 @@ from live_sessions import (
 )
 import numpy as np
 import pytest
-from recordings import halves
 import yaml
 
-PARTS = halves(SPHERE, 8)
+
+def parted(recording: Recorded, count: int) -> list[Recorded]:
+    """Return the recording of the first so many stops, and that of the rest."""
+    finder = StopFinder(recording.config.sampling)
+    ends = [stop.end for pose in recording.poses if (stop := finder.add(pose))]
+    return [replace(recording, **{name: tuple(
+        item for item in getattr(recording, name) if (item.stamp > ends[count - 1] + 1) == late)
+        for name in ('profiles', 'poses')}) for late in (False, True)]
 
 
+PARTS = parted(SPHERE, 8)
 TO_VERIFY = set_to(SPHERE.config, verify__routine='sphere', verify__radius=0.04,
                    verify__tolerance=2e-3, verify__angle_tolerance=0.02)
-
-
-def items_of(part) -> list:
-    return [*part[0], *part[1]]
 
 
 def documented(topic: str, key: str = '') -> set[str]:
@@ -77,8 +80,7 @@ def documented(topic: str, key: str = '') -> set[str]:
 # -- samples and answer
 
 
-def test_the_answer_is_that_of_the_recording_and_solved_once(
-        monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_answer_is_that_of_the_recording_and_solved_once(monkeypatch):
     live, solved, answer = fed(), [], pipeline.answer_samples
     monkeypatch.setattr(pipeline, 'answer_samples',
                         lambda *args: solved.append(args) or answer(*args))
@@ -105,7 +107,7 @@ def test_the_answer_is_that_of_the_recording_and_solved_once(
 def test_each_stop_that_waits_for_an_answer_is_told() -> None:
     told = set()
     live = new(changed=lambda: told.add(live.attempt and live.attempt.stop.number))
-    for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
+    for item in SPHERE.messages:
         feed_one(live, item)
     computed(live)
     assert {stop.number for stop in live.session_copy().stops} <= told
@@ -162,7 +164,7 @@ def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
 
 def test_the_review_follows_a_stop_that_goes_on() -> None:
     live, shared = new(SPHERE.config), []
-    for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
+    for item in SPHERE.messages:
         feed_one(live, item)
         if live.to_evaluate:
             update(live)
@@ -176,7 +178,7 @@ def test_the_review_follows_a_stop_that_goes_on() -> None:
 def test_settings_that_change_while_the_end_of_a_stop_waits_lose_none_of_its_profiles() -> None:
     other = set_to(SPHERE.config, sampling__min_points=21)
     live, waited = new(), False
-    for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
+    for item in SPHERE.messages:
         feed_one(live, item)
         if live.to_evaluate:
             if not waited and {stop.stamp for stop in live.session.stops} & {*live.to_evaluate}:
@@ -191,12 +193,11 @@ def test_settings_that_change_while_the_end_of_a_stop_waits_lose_none_of_its_pro
 
 
 @pytest.mark.parametrize(('before', 'lost'), [(4.8, 4), (-4.8, 4), (0.02, 0), (-0.02, 0)])
-def test_a_time_offset_that_changes_during_a_stop_holds_for_that_too(
-        before: float, lost: int) -> None:
+def test_a_time_offset_that_changes_during_a_stop_holds_for_that_too(before, lost):
     live = new(set_to(SPHERE.config, time_offset=before))
     began = fed().session_copy().stops[3].stamp
     received = {profile.stamp: profile.points for profile in SPHERE.profiles}
-    for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
+    for item in SPHERE.messages:
         if live.config.time_offset and item.stamp > began + 0.8e9:
             changed(live, time_offset=0.0)
         shift = live.config.offset_ns if hasattr(item, 'points') else 0
@@ -213,7 +214,7 @@ def test_a_time_offset_that_changes_during_a_stop_holds_for_that_too(
 def test_it_begins_anew_with_the_frame_that_comes_unless_another_gave_a_sample(kind: str) -> None:
     exclude = () if kind == 'sample' else (1, 2)  # of samples that are gone then
     live = new(set_to(SPHERE.config, samples__exclude=exclude))
-    items = [*SPHERE.poses, *SPHERE.profiles]
+    items = SPHERE.messages
     live.start()
     feed(live, [replace(pose, parent_frame='map') for pose in SPHERE.poses[:400]]
          if kind == 'pose' else [replace(p, frame_id='other') for p in SPHERE.profiles[:400]])
@@ -241,7 +242,7 @@ def test_two_frames_before_the_first_sample_tell_of_no_sample() -> None:
 
 @pytest.mark.parametrize('kind', ['pose', 'profile'])
 def test_another_frame_after_the_samples_is_told_and_they_are_computed(kind: str) -> None:
-    live, items = fed(), [*SPHERE.poses, *SPHERE.profiles]
+    live, items = fed(), SPHERE.messages
     count, before = sample_count(state_of(live)), computed(live)
     end = max(item.stamp for item in items)
     feed(live, [replace(pose, parent_frame='map', stamp=end + pose.stamp % 10**9) for pose in
@@ -264,7 +265,7 @@ def test_cleared_samples_leave_no_joint_values_and_no_view_of_another_sensor() -
     wide.add_joints(SPHERE.poses[0].stamp, b'')
     wide.call_on_worker(wide.clear_samples)
     assert not wide.joints
-    feed(wide, [*SPHERE.poses, *SPHERE.profiles])
+    feed(wide, SPHERE.messages)
     assert wide.answer.review.advice.sigmas == live.answer.review.advice.sigmas
 
 
@@ -289,7 +290,7 @@ def test_settings_that_change_need_no_new_samples() -> None:
 
 
 def test_stops_of_one_pose_are_one_sample_where_other_settings_revive_them() -> None:
-    items = [*SPHERE.poses, *SPHERE.profiles]
+    items = SPHERE.messages
     once, live = fed(), new(set_to(SPHERE.config, sampling__min_points=5000))
     feed(live, items)
     feed(live, later(items, 1000))
@@ -390,8 +391,7 @@ def test_a_base_frame_other_than_that_of_the_poses_is_refused_and_withdraws_noth
     assert live.answer.calibration is not None
 
 
-def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
-        monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(monkeypatch):
     monkeypatch.setattr(lives, 'MOST_STOPS', 5)
     state, newest = state_of(fed()), SPHERE.poses[-1].stamp - 15 * 10**9
     assert sample_count(state) == 5, 'the newest that waited'
@@ -429,7 +429,7 @@ def test_nobody_waits_for_a_solve_or_a_verdict() -> None:
     live, gate = new(TO_VERIFY), Gate()
     live.pool = gate
     gate.open.set()
-    feed(live, items_of(PARTS[0]))
+    feed(live, PARTS[0].messages)
     live.start()
     computed(live)
     gate.open.clear()
@@ -443,7 +443,7 @@ def test_nobody_waits_for_a_solve_or_a_verdict() -> None:
     gate.open.set()
     assert answer.result(PATIENCE).startswith('laser in flange')
     live.call_on_worker(live.verification.verify_start)
-    for item in sorted(items_of(PARTS[1]), key=lambda item: item.stamp):
+    for item in PARTS[1].messages:
         feed_one(live, item)
     gate.open.clear()
     result = live.call_on_worker(live.verification.verify_result)
@@ -472,18 +472,17 @@ def test_a_stop_that_takes_long_is_told_meanwhile() -> None:
             return super().submit(function, *args)
 
     live = new(pool=Telling())
-    feed(live, items_of(PARTS[0]))
+    feed(live, PARTS[0].messages)
     assert 'a stop is evaluated' in told and state_of(live)['session']['working'] == ''
 
 
-def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(
-        monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(monkeypatch):
     live, ended = new(), Future()
     ended.set_exception(PoolEndedError())
     submit = live.pool.submit
     monkeypatch.setattr(live.pool, 'submit', lambda function, *args: (
         ended if function is result_of else submit(function, *args)))
-    feed(live, items_of(PARTS[0]))
+    feed(live, PARTS[0].messages)
     state = state_of(live)
     assert len(state['samples']) >= 7 and sample_count(state) == 0
     assert 'ended before it had an answer' in state['samples'][0]['text']
@@ -507,8 +506,7 @@ def test_an_answer_whose_process_ended_is_computed_again(monkeypatch: pytest.Mon
     assert not state_of(live)['session']['trouble']
 
 
-def test_a_review_that_is_ready_late_does_not_replace_a_newer_one(
-        monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_review_that_is_ready_late_does_not_replace_a_newer_one(monkeypatch):
     live = fed()
     late, submit = Future(), live.pool.submit
     monkeypatch.setattr(live.pool, 'submit', lambda *args: late)
@@ -524,8 +522,7 @@ def test_a_review_that_is_ready_late_does_not_replace_a_newer_one(
     assert live.answer.review is newest
 
 
-def test_of_two_answers_the_one_that_was_asked_for_last_stays(
-        monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_two_answers_the_one_that_was_asked_for_last_stays(monkeypatch):
     live = fed()
     live.call_on_worker(live.evaluate_all)
     jobs, submit = [], live.pool.submit
@@ -564,18 +561,6 @@ def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.Mo
         changed.wait(0.01)
 
 
-def test_a_pose_that_arrives_does_not_mix_with_the_one_before() -> None:
-    class Arriving(deque):
-        def __getitem__(self, index):
-            last = super().__getitem__(index)
-            self.append(SPHERE.poses[-1])
-            return last
-
-    live, first = new(), SPHERE.poses[0]
-    live._poses = Arriving([first])
-    assert np.array_equal(live.last_pose, se3.from_quaternion(first.translation, first.quaternion))
-
-
 # -- verification
 
 
@@ -595,7 +580,7 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
         verdict(live)
     with pytest.raises(DataError, match='there is no calibration to verify'):
         live.verification.verify_start()
-    feed(live, items_of(PARTS[0]))
+    feed(live, PARTS[0].messages)
     computed(live)
     before = [stop.number for stop in live.session_copy().stops]
     changed(live, verify__routine='tooth', verify__lengths=(0.015, 0.005))
@@ -606,7 +591,7 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
     assert 'stops are not samples' in ' '.join(state_of(live)['session']['notes'])
     with pytest.raises(DataError, match='0 usable stations, fewer than 4'):
         verdict(live)
-    feed(live, items_of(PARTS[1]))
+    feed(live, PARTS[1].messages)
     text = verdict(live)
     assert text.startswith('sphere: PASS, 6 stations; radius ')
     assert [stop.number for stop in live.session_copy().stops] == before
@@ -621,11 +606,11 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
 
 def test_the_verification_of_a_saved_answer_names_its_file() -> None:
     live = new(TO_VERIFY)
-    feed(live, items_of(PARTS[0]))
+    feed(live, PARTS[0].messages)
     computed(live)
     live.answer.save_calibration()
     live.verification.verify_start()
-    feed(live, items_of(PARTS[1]))
+    feed(live, PARTS[1].messages)
     verdict(live)
     folder = Path(live.folders.folder(live.config))
     stated = yaml.safe_load((folder / 'verification_sphere.yaml').read_text())['calibration_file']
@@ -636,11 +621,11 @@ def test_the_verification_of_a_saved_answer_names_its_file() -> None:
 
 def test_a_verification_begun_anew_says_what_is_dropped_and_other_lengths_drop_nothing() -> None:
     live = new(TO_VERIFY)
-    feed(live, items_of(PARTS[0]))
+    feed(live, PARTS[0].messages)
     computed(live)
     live.verification.verify_start()
     changed(live, verify__lengths=(0.1,))
-    feed(live, items_of(PARTS[1]))
+    feed(live, PARTS[1].messages)
     with pytest.raises(InputError, match='sphere needs 0 lengths'):
         verdict(live)
     changed(live, verify__lengths=(), verify__tolerance=1e-5)
@@ -650,7 +635,7 @@ def test_a_verification_begun_anew_says_what_is_dropped_and_other_lengths_drop_n
     changed(live, verify__tolerance=3e-4)
     assert verdict(live).startswith('sphere: PASS, 6 stations; ')
     live.verification.verify_start()
-    feed(live, items_of([later(part, 1000) for part in PARTS[1]]))
+    feed(live, later(PARTS[1].messages, 1000))
     assert live.verification.verify_start().endswith(
         '; what was measured before is dropped (sphere: 6 usable stops of 6)')
 
@@ -703,7 +688,7 @@ if __name__ == '__main__':
 """
 
 
-def test_it_ends_with_a_node_that_is_killed(tmp_path) -> None:
+def test_a_pool_ends_with_a_node_that_is_killed(tmp_path) -> None:
     script = tmp_path / 'parent.py'
     script.write_text(PARENT)
     with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True) as parent:

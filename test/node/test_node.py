@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from command import handeye, PATIENCE  # noqa: E402, I100
+from command import PATIENCE, succeeds  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped, TransformStamped  # noqa: E402
 from handeye_ros.bags.session_files import OutputFolders  # noqa: E402
 from handeye_ros.node.node import declare_settings  # noqa: E402
@@ -120,7 +120,7 @@ def test_a_bag_through_the_node_gives_the_offline_result(tmp_path: Path, client:
 
 
 @pytest.mark.skipif(TFMessage is None, reason='tf2_msgs is not built: make tf2_msgs')
-def test_tf_static_for_a_late_subscriber_and_poses_from_tf(tmp_path: Path, client: Client) -> None:
+def test_poses_come_from_tf_and_a_late_subscriber_hears_tf_static(tmp_path, client):
     settings = load(SPHERE)
     recording = read(ROOT / 'bags' / 'sphere', settings)
     offline = calibrate(recording.profiles, recording.poses, settings)
@@ -169,8 +169,7 @@ def test_without_tf2_msgs_poses_from_tf_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_session_corrects_the_arm_and_a_solve_loses_no_profiles(
-        tmp_path: Path, client: Client) -> None:
+def test_a_session_corrects_the_arm_and_a_solve_loses_no_profiles(tmp_path, client):
     pytest.importorskip('pinocchio', reason='needs pinocchio')
     bag = ROOT / 'bags' / 'arm'
     recording = read(bag, load(SPHERE))
@@ -193,9 +192,8 @@ def test_a_session_corrects_the_arm_and_a_solve_loses_no_profiles(
         assert answer.result().success, answer.result().message
         client.until_counted(profiles=n + sent)
     session, = (path for path in (tmp_path / 'sphere').iterdir() if path.is_dir())
-    run = handeye('kinematics', session, '--urdf', bag / 'robot.urdf', '--out', tmp_path / 'arm',
-                  cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    succeeds('kinematics', session, '--urdf', bag / 'robot.urdf', '--out', tmp_path / 'arm',
+             cwd=tmp_path)
     calibration = read_calibration(tmp_path / 'arm' / 'calibration.yaml')
     assert calibration.quality.holdout_rms < 6e-5, 'a fifth of that with the arm as stated'
     X, sigma = calibration.T_flange_sensor, np.sqrt(np.diag(calibration.covariance))[:3]
@@ -261,7 +259,7 @@ PARAMETERS = """
 """
 
 
-def test_a_parameter_file_with_empty_lists_and_integers(tmp_path: Path) -> None:
+def test_a_parameter_file_may_hold_empty_lists_and_integers(tmp_path: Path) -> None:
     (tmp_path / 'parameters.yaml').write_text(PARAMETERS)
     config = declared('--params-file', str(tmp_path / 'parameters.yaml'))
     assert (config.target.type, config.target.radius, config.target.size) == ('sphere', 1.0, ())
@@ -274,6 +272,6 @@ def test_a_parameter_file_with_empty_lists_and_integers(tmp_path: Path) -> None:
     ('target.size:=[1.0]', 'target.size is \\[1.0], expected a list of 0 or 2 values'),
     ('nois.sensor:=1.0', 'unknown key "nois.sensor" .*; did you mean "noise.sensor"?'),
 ])
-def test_wrong_parameters(argument: str, reason: str) -> None:
+def test_wrong_parameters_are_refused_by_name(argument: str, reason: str) -> None:
     with pytest.raises(InputError, match=reason):
         declared('-p', argument)

@@ -76,8 +76,7 @@ def node(process: subprocess.Popen[str], client: Client) -> subprocess.Popen[str
     return process
 
 
-def test_it_offers_what_the_contract_lists_and_the_layouts_show(
-        client: Client, node: subprocess.Popen[str]) -> None:
+def test_it_offers_what_the_contract_lists_and_the_layouts_show(client, node):
     client.until(lambda: listed() <= offered(client), 'it offers all that docs/contract.md lists')
     panels = json.loads((ROOT / 'foxglove' / 'handeye.json').read_text())['configById'].values()
     used = {name for panel in panels for name in (
@@ -111,7 +110,7 @@ def test_nothing_listens_but_dds(node: subprocess.Popen[str]) -> None:
     assert not own & listening, 'no TCP port is open by default'
 
 
-def test_samples_by_hand_and_refusals(client: Client, node: subprocess.Popen[str]) -> None:
+def test_samples_are_taken_and_removed_by_hand_or_refused(client, node):
     for service, reason in (
             ('take_sample', 'no flange pose was received on /flange_pose'),
             ('remove_last_sample', 'there is no sample to remove'),
@@ -148,8 +147,7 @@ def test_samples_by_hand_and_refusals(client: Client, node: subprocess.Popen[str
     assert 'excluded' not in client.call('compute_calibration').message
 
 
-def test_malformed_messages_stop_nothing_and_their_cause_is_in_every_answer(
-        client: Client, node: subprocess.Popen[str]) -> None:
+def test_malformed_messages_stop_nothing_and_their_cause_is_in_every_answer(client, node):
     later = START + 10 * NS  # the points are looked at once a second
     for changes in ({'width': 2**31}, {'point_step': 0}, {'fields': []}, {'data': b'12'}):
         bad = sphere_profile(later)
@@ -174,8 +172,7 @@ def test_malformed_messages_stop_nothing_and_their_cause_is_in_every_answer(
     client.until(lambda: 'cannot be used' not in client.state()['message'], 'that was long ago')
 
 
-def test_what_came_before_the_samples_were_cleared_tells_no_duration(
-        client: Client, node: subprocess.Popen[str]) -> None:
+def test_what_came_before_the_samples_were_cleared_tells_no_duration(client, node):
     def send(stamp: int) -> None:
         x = np.tile(np.linspace(-0.03, 0.03, 300), 2)
         client.profiles.publish(cloud_message(
@@ -192,8 +189,7 @@ def test_what_came_before_the_samples_were_cleared_tells_no_duration(
     client.until_counted(profiles=24, poses=20)
 
 
-def test_a_clock_that_is_set_back_takes_nothing_that_is_not(
-        client: Client, node: subprocess.Popen[str]) -> None:
+def test_a_clock_that_is_set_back_takes_nothing_that_is_not(client, node):
     assert client.call('auto_sample', SetBool.Request(data=False)).success
     stand_still(client, START)
     client.until_counted(profiles=20, poses=20)
@@ -213,8 +209,7 @@ def test_a_clock_that_is_set_back_takes_nothing_that_is_not(
     assert answer.success and answer.message.startswith('sample 2 taken: '), answer.message
 
 
-def test_a_stop_is_judged_while_the_robot_stands(
-        client: Client, node: subprocess.Popen[str]) -> None:
+def test_a_stop_is_judged_while_the_robot_stands(client, node):
     stand_still(client, START, 1.1)
     client.until(lambda: client.state()['samples'] == '1', 'the stop is a sample')
     stand_still(client, START + 22 * NS // 20)  # it stays: no second one
@@ -225,7 +220,7 @@ def test_a_stop_is_judged_while_the_robot_stands(
     assert client.state()['samples'] == '0'
 
 
-def test_parameters_at_run_time(client: Client, node: subprocess.Popen[str]) -> None:
+def test_parameters_that_change_hold_at_once_or_are_refused(client, node):
     assert set_parameter(client, 'limits.residual', 0.002).successful
     assert set_parameter(client, 'target.radius', 1).successful, 'an int where a float is meant'
     assert set_parameter(client, 'target.radius', 0.04).successful
@@ -253,8 +248,7 @@ def test_parameters_at_run_time(client: Client, node: subprocess.Popen[str]) -> 
     client.until(lambda: client.state()['samples'] == '1', 'the sample is back')
 
 
-def test_other_topics_are_heard_while_the_node_runs_and_a_wrong_type_is_reported(
-        client: Client, node: subprocess.Popen[str]) -> None:
+def test_other_topics_are_heard_while_the_node_runs_and_a_wrong_type_is_reported(client, node):
     robot = client.node.create_publisher(PoseStamped, '/robot/pose', BEST_EFFORT)
     client.node.create_publisher(PointStamped, '/scan', RELIABLE)
     cause = 'sensor_msgs/msg/PointCloud2 is on /profile: set profile_topic'
@@ -278,8 +272,7 @@ def test_other_topics_are_heard_while_the_node_runs_and_a_wrong_type_is_reported
                for service in ('take_sample', 'compute_calibration'))
     assert set_parameter(client, 'pose_topic', '/flange_pose').successful
     assert set_parameter(client, 'profile_topic', '/profile').successful
-    client.until(lambda: client.profiles.get_subscription_count()
-                 and client.poses.get_subscription_count(), 'it hears again')
+    client.until_heard()
     times = count(1)
 
     def taken() -> bool:

@@ -9,8 +9,8 @@ import socket
 import time
 from typing import Any
 
+from calibrations import calibration_at
 from command import chromium, complaints, free_port, PATIENCE
-from handeye_ros.data import Calibration, Quality
 from handeye_ros.results import report, table
 from handeye_ros.results.calibration_file import (
     read_calibration,
@@ -182,10 +182,8 @@ def went_on(browser: Any, count: int) -> None:
 def test_a_verification_by_clicking(tmp_path: Path, client: Client) -> None:
     port, bag = free_port(), ROOT / 'bags' / 'sphere'
     right = tmp_path / 'right.yaml'
-    write_calibration(Calibration(
-        'right', 'sphere', 'flange', 'laser', true_transform(bag),
-        np.diag(np.repeat([3e-5, 1.7e-4], 3) ** 2), {}, Quality(0, 0, 0.0, 0.0, '', 0.0), ()),
-        right)
+    write_calibration(calibration_at(
+        true_transform(bag), covariance=np.diag(np.repeat([3e-5, 1.7e-4], 3) ** 2)), right)
     with chromium(1280, 900) as browser, running_node(
             tmp_path, '--params-file', str(ROOT / 'config' / 'sphere.yaml'), '-p',
             f'page.port:={port}', '-p', f'verify.calibration:={right}'):

@@ -111,15 +111,13 @@ def test_it_shows_the_page_and_acts(here: tuple[PageServer, Cell]) -> None:
                       {'Host': '192.168.0.7'}, {'Host': 'cell.local'}, {'Host': '[::1'},
                       {'Host': '[a]b'}, {'Host': 'a@localhost'}))])
 def test_what_is_no_request_or_of_another_origin_is_refused(
-        here: tuple[PageServer, Cell], method: str, path: str, body: str | bytes | None,
-        headers: dict[str, str], status: int) -> None:
+        here, method, path, body, headers, status):
     page, cell = here
     assert asked(page, method, path, body, **headers)[0] == status
     assert cell.asked == []
 
 
-def test_what_is_no_http_is_refused_without_a_traceback(
-        here: tuple[PageServer, Cell], caplog: pytest.LogCaptureFixture) -> None:
+def test_what_is_no_http_is_refused_without_a_traceback(here, caplog):
     with ExitStack() as lines:
         for request in ('hello', 'GET /', 'GET /' + 9000 * 'x'):
             line = connected(here[0], lines, request, b'Host: twice\r\n\r\n')
@@ -181,8 +179,7 @@ def test_events_come_as_json(here: tuple[PageServer, Cell]) -> None:
         assert json.loads(data[6:]) == {'name': 'plate', 'count': None}
 
 
-def test_what_takes_long_or_never_ends_keeps_nobody_else_waiting(
-        caplog: pytest.LogCaptureFixture) -> None:
+def test_what_takes_long_or_never_ends_keeps_nobody_else_waiting(caplog):
     head = b'Content-Length: 9\r\nContent-Type: application/json\r\n\r\n{'
     with served() as (page, cell), ExitStack() as lines:
         answers: list[tuple[int, str]] = []

@@ -82,8 +82,7 @@ def unbroken(x: Array) -> Array:
 
 @pytest.mark.parametrize('share', [0.0, 0.3, 0.9])
 @pytest.mark.parametrize(('noise', 'alike'), [(2e-5, 1), (8.5e-5, 1), (8.5e-5, 5)])
-def test_a_small_ball_is_found_among_random_ranges(share: float, noise: float, alike: int
-                                                   ) -> None:
+def test_a_small_ball_is_found_among_random_ranges(share, noise, alike):
     # the configured noise is up to four times too small
     config = with_values(KNOWN, {'target.radius': 0.0127, 'noise.sensor': 2e-5}, 'test')
     for seed in range(10):

@@ -3,7 +3,6 @@
 """Face lines and edge points of drawn profiles; ends rounded, bevelled, thin and smoothed."""
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 import warnings
@@ -64,8 +63,7 @@ EDGES = [(step_up_to, 'step'), (gap_up_to, 'gap'), (roof, 'roof')]
 @pytest.mark.parametrize(('shape', 'kind'), EDGES, ids=[kind for _, kind in EDGES])
 @pytest.mark.parametrize('tilt', [-0.4, 0.0, 0.3])
 @pytest.mark.parametrize('mirrored', [False, True])
-def test_an_edge_is_found_where_it_is(shape: Callable[..., Callable[[Array], Array]], kind: str,
-                                      tilt: float, mirrored: bool) -> None:
+def test_an_edge_is_found_where_it_is(shape, kind, tilt, mirrored):
     # of the two faces of a roof the larger one is taken
     for seed, edge in enumerate(np.linspace(-0.008, -0.002 if kind == 'roof' else 0.008, 9)):
         tilt_of_face = tilt if kind != 'roof' else abs(tilt)
@@ -155,8 +153,7 @@ def test_columns_may_run_backwards_and_a_mirror_mirrors(mirror: list[int], step:
 @pytest.mark.parametrize('step', [1, -1])
 @pytest.mark.parametrize(('gap', 'first', 'last'), [
     (0.004, -0.02, -0.01), (0.008, -0.02, -0.01), (0.013, -0.02, -0.01)])
-def test_a_face_beside_a_parallel_one_is_whole_seen_from_either_side(
-        gap: float, first: float, last: float, step: int) -> None:
+def test_a_face_beside_a_parallel_one_is_whole_seen_from_either_side(gap, first, last, step):
     # a line that slants through both has more points than either; the nearer one counts if near
     def height(x: Array) -> Array:
         return np.where(x > gap - 0.01, face(x), np.where(x < -0.01, face(x) - 0.001, np.nan))
@@ -255,8 +252,7 @@ def bent(radius: float, wall: float, tilt: float = 0.35) -> Array:
 
 @pytest.mark.parametrize('radius', [0.0, 3e-4, 1e-3])
 @pytest.mark.parametrize('wall', [0.003, 0.008])
-def test_a_wall_in_sight_gives_the_same_edge_whatever_the_corner(radius: float, wall: float
-                                                                 ) -> None:
+def test_a_wall_in_sight_gives_the_same_edge_whatever_the_corner(radius, wall):
     errors = []
     for seed in range(10):
         z = bent(radius, wall)
@@ -329,8 +325,7 @@ WORST: list[tuple[str, dict[str, Any], float]] = [
 
 
 @pytest.mark.parametrize(('name', 'values', 'worst'), WORST, ids=[name for name, *_ in WORST])
-def test_simulated_ends_are_as_near_to_the_edge_as_they_say(
-        name: str, values: dict[str, Any], worst: float) -> None:
+def test_simulated_ends_are_as_near_to_the_edge_as_they_say(name, values, worst):
     scenario = replace(BASELINE, target=replace(BASELINE.target, **values))
     away, std = [], []
     for seed in range(2):

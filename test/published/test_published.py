@@ -48,7 +48,7 @@ def pairs(seed: int, noise: float = 0.0) -> tuple[Array, Array, Array]:
     return T, se3.apply(T, base) + noise * rng.normal(size=(10, 3)), base
 
 
-def test_all_210_quadruples_and_the_best_of_them() -> None:
+def test_wu_takes_the_best_of_all_210_quadruples() -> None:
     _, camera, base = pairs(1, 3e-5)
     found = wu2017.solve(camera, base)
     assert len(found.costs) == comb(10, 4) == 210
@@ -109,7 +109,7 @@ def cell_of(seed: int, count: int = 3) -> tuple[Array, Array, tuple[patent.View,
 
 
 @pytest.mark.parametrize(('seed', 'count'), [(0, 3), (1, 3), (2, 8)])
-def test_the_truth_without_noise(seed: int, count: int) -> None:
+def test_the_patent_finds_the_truth_without_noise(seed: int, count: int) -> None:
     X, poses, views, targets = cell_of(seed, count)
     for view, target in zip(views, targets, strict=True):
         assert np.abs(se3.difference(patent.target_pose(view, CAMERA), target)).max() < 1e-9

@@ -85,7 +85,7 @@ def test_any_calibration_is_read_back_equal(tmp_path_factory, calibration):
 @pytest.mark.parametrize('keys', [
     'format', 'transform.rotation.w', 'covariance', 'quality.samples_used', 'samples'])
 @pytest.mark.parametrize('damage', ['missing', 'of another type'])
-def test_damage_is_named(path, keys, damage):
+def test_a_missing_or_wrong_key_is_named(path, keys, damage):
     content = content_of(CALIBRATION, path)
     *sections, last = keys.split('.')
     section = reduce(dict.__getitem__, sections, content)
@@ -112,7 +112,7 @@ def test_damage_is_named(path, keys, damage):
     ('rpy: [', 'rpy: [0.0, ', 'rpy does not hold 3 numbers'),
     ('rpy: [-0.88', 'rpy: [-0.78', r'rpy and transform.rotation differ by 5\.73'),
 ])
-def test_damaged_values(path, old, new, reason):
+def test_damaged_values_are_refused_with_a_reason(path, old, new, reason):
     calibration_file.write_calibration(CALIBRATION, path)
     text = path.read_text()
     assert old in text
@@ -141,7 +141,7 @@ def test_any_bytes_are_refused(tmp_path_factory, junk):
         calibration_file.read_calibration(path)
 
 
-def test_written_whole_or_not_at_all(tmp_path, path):
+def test_a_file_is_written_whole_or_not_at_all(tmp_path, path):
     path.write_text('old')
     calibration_file.write_calibration(replace(CALIBRATION, provenance={}), path)
     assert calibration_file.read_calibration(path).provenance['created'].endswith('+00:00')
@@ -171,7 +171,7 @@ def test_samples_not_used_for_one_reason_are_one_line_whatever_its_numbers():
                     f'2 rejected, the first: {reasons[12]}']
 
 
-def test_errors_of_known_differences():
+def test_errors_against_the_truth_are_those_of_known_differences():
     T = CALIBRATION.T_flange_sensor
     assert calibration_file.errors_against(T, T) == calibration_file.Errors(0.0, 0.0, 0.0)
     shifted = se3.perturb(T, np.array([3e-3, 0, 4e-3, 0, 0, 0]))

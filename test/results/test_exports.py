@@ -127,8 +127,7 @@ UPRIGHT = 0.5 ** 0.5
 @example((0.0, 0.0, 0.1), [0.0, UPRIGHT, 0.0, UPRIGHT], ('tool0', 'my laser'), False)
 @example((0.0, 0.0, 0.1), [1e-9, UPRIGHT, 0.0, UPRIGHT], ("it's", 'a"<&--b>'), False)
 @example((0.0, 0.0, 0.1), [0.1, UPRIGHT, 0.1, UPRIGHT + 1e-8], ('\\', '{x}$(y)#'), True)
-def test_what_is_written_reads_back(name: str, place: tuple[float, ...], turn: list[float],
-                                    frames: tuple[str, str], on_base: bool) -> None:
+def test_what_is_written_reads_back(name, place, turn, frames, on_base):
     calibration = replace(
         CALIBRATION, T_flange_sensor=from_xyzw(list(place), turn), parent_frame=frames[0],
         child_frame=frames[1], provenance={'config': {

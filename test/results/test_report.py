@@ -9,7 +9,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from command import chromium, handeye, ROOT
+from command import chromium, handeye, ROOT, succeeds
 from handeye_ros import config, se3
 from handeye_ros.data import Calibration
 from handeye_ros.results import calibration_file, report
@@ -41,8 +41,7 @@ return [painted, seen.size, c.toDataURL()];
 def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with the calibration of a plate and its report."""
     folder = tmp_path_factory.mktemp('solved')
-    run = handeye('solve', BAG, '--config', PLATE, '--out', folder, cwd=ROOT)
-    assert run.returncode == 0, run.stderr
+    succeeds('solve', BAG, '--config', PLATE, '--out', folder, cwd=ROOT)
     run = handeye('report', folder, cwd=ROOT)
     assert (run.returncode, run.stdout) == (0, f'wrote {folder / "report.html"}\n'), run.stderr
     return folder
@@ -76,7 +75,7 @@ def text_of(page: Any, name: str) -> str:
 
 
 @pytest.mark.once
-def test_it_opens_without_a_network(solved: Path) -> None:
+def test_the_report_opens_without_a_network(solved: Path) -> None:
     text = (solved / 'report.html').read_text()
     plain = re.sub(r'base64,[A-Za-z0-9+/=]+', '', text)
     assert not re.search(r'(src|href)="(?!data:)', plain) and '@import' not in plain
@@ -84,7 +83,7 @@ def test_it_opens_without_a_network(solved: Path) -> None:
     assert len(text.encode()) < 8e6
 
 
-def test_it_shows_the_same_numbers_as_the_file(page: Any, calibration: Calibration) -> None:
+def test_the_report_shows_the_same_numbers_as_the_file(page, calibration):
     T, std = calibration.T_flange_sensor, np.sqrt(np.diag(calibration.covariance))
     result = page.find_elements('css selector', '#transform td.number')
     values = np.array([cell.text for cell in result], dtype=float).reshape(6, 2)
@@ -107,8 +106,7 @@ def test_the_scene_is_drawn_and_turns(page: Any) -> None:
     assert painted > 3000 and after != before
 
 
-def test_what_was_not_used_is_shown_with_its_reason(calibration: Calibration,
-                                                    found: SolvedRecording) -> None:
+def test_what_was_not_used_is_shown_with_its_reason(calibration, found):
     reason = 'no edge <was> seen'
     stops = tuple(replace(stop, reason=reason) if stop.number == 3 else stop
                   for stop in found.stops)
@@ -119,8 +117,7 @@ def test_what_was_not_used_is_shown_with_its_reason(calibration: Calibration,
     assert 'Stop 3:\nnot used: no edge' in text
 
 
-def test_each_stop_agrees_as_the_file_says(calibration: Calibration, found: SolvedRecording
-                                           ) -> None:
+def test_each_stop_agrees_as_the_file_says(calibration, found):
     stated = {s.stamp: s.residual for s in calibration.samples}
     shown = {stop.stamp: stop.agreement for stop in found.stops if stop.agreement}
     assert {stamp: agreement.residual for stamp, agreement in shown.items()} == pytest.approx(
@@ -129,8 +126,7 @@ def test_each_stop_agrees_as_the_file_says(calibration: Calibration, found: Solv
     assert (left_out > list(stated.values())).all()
 
 
-def test_a_recording_that_says_something_else_is_reported(calibration: Calibration,
-                                                          found: SolvedRecording) -> None:
+def test_a_recording_that_says_something_else_is_reported(calibration, found):
     T = se3.perturb(calibration.T_flange_sensor, np.array([1e-3, 0, 0, 0, 0, 0]))
     good, sentence = verdict(replace(calibration, T_flange_sensor=T), found, np.empty((0, 3)))
     assert not good
@@ -151,7 +147,7 @@ def test_mapped_points_are_as_uncertain_as_draws_say(calibration: Calibration) -
 
 
 def test_the_recording_is_found_from_another_folder_and_shown_only_unchanged(
-        calibration: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        calibration, tmp_path, monkeypatch):
     def named(path: str) -> Calibration:
         inputs = [{**calibration.provenance['inputs'][0], 'path': path}]
         return replace(calibration, provenance={**calibration.provenance, 'inputs': inputs})

@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import replace
 import re
 
-from cells import squared_error
-from command import assert_refused, bench_of, handeye, ROOT
+from cells import ONE_IN_1000, squared_error
+from command import assert_refused, bench_of, handeye, ROOT, succeeds
 from handeye_ros import pipeline, se3
 from handeye_ros.arm import arm_of, corrected_urdf, GEOMETRY, read_arm, read_urdf
 from handeye_ros.bags.bag import read
@@ -109,8 +109,7 @@ def from_table(tmp_path_factory):
     header = [*(f'{joint.name} [degrees]' for joint in cell.arm.joints), 'x [mm]', 'y [mm]',
               'z [mm]']
     np.savetxt(folder / 'points.csv', rows, '%.5f', ',', header=','.join(header), comments='')
-    done = handeye('kinematics', 'points.csv', '--urdf', 'arm.urdf', '--out', 'out', cwd=folder)
-    assert done.returncode == 0, done.stderr
+    done = succeeds('kinematics', 'points.csv', '--urdf', 'arm.urdf', '--out', 'out', cwd=folder)
     return cell, bench.selected(cell.exact, ~first), folder, done.stdout
 
 
@@ -213,15 +212,13 @@ def test_the_file_of_an_arm_without_errors_is_read(from_table, tmp_path):
 
 
 def test_profiles_and_joint_states_of_a_bag_correct_the_arm(tmp_path):
-    done = handeye('kinematics', ROOT / 'bags/arm', '--urdf', ROOT / 'bags/arm/robot.urdf',
-                   '--set', 'target.type=sphere', '--out', 'out', cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    succeeds('kinematics', ROOT / 'bags/arm', '--urdf', ROOT / 'bags/arm/robot.urdf',
+             '--set', 'target.type=sphere', '--out', 'out', cwd=tmp_path)
     arm, found = read_arm(tmp_path / 'out'), read_calibration(tmp_path / 'out/calibration.yaml')
     assert found.quality.holdout_rms < 6e-5
     assert (found.parent_frame, arm.kinds) == ('flange', GEOMETRY)
-    again = handeye('solve', ROOT / 'bags/arm', '--set', 'target.type=sphere', '--kinematics',
-                    'out/kinematics.yaml', '--budget', '--out', 'again', cwd=tmp_path)
-    assert again.returncode == 0, again.stderr
+    again = succeeds('solve', ROOT / 'bags/arm', '--set', 'target.type=sphere', '--kinematics',
+                     'out/kinematics.yaml', '--budget', '--out', 'again', cwd=tmp_path)
     shares = re.search(r'corrected arm .* ([\d.]+) %', again.stdout)
     assert shares and float(shares[1]) > 50, 'the arm is told apart from a station that is wrong'
     after = read_calibration(tmp_path / 'again/calibration.yaml')
@@ -232,8 +229,7 @@ def test_the_truth_of_a_corrected_arm_is_of_its_flange_not_that_of_the_controlle
     for words in ('simulate small_arm cell --seed 962',
                   'kinematics cell --urdf cell/robot.urdf --set target.type=sphere --out arm',
                   'solve cell --set target.type=sphere --kinematics arm --out out'):
-        done = handeye(*words.split(), cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
+        done = succeeds(*words.split(), cwd=tmp_path)
     said = ' '.join(done.stdout.split())
     assert re.search('poses of the corrected arm in .*; with those of the controller it is', said)
     told = re.search(r'truth.yaml: translation ([\d.]+) mm', said)
@@ -243,7 +239,7 @@ def test_the_truth_of_a_corrected_arm_is_of_its_flange_not_that_of_the_controlle
     for folder in ('arm', 'out'):
         found = read_calibration(tmp_path / folder / 'calibration.yaml')
         away = se3.difference(found.T_flange_sensor, T_true)
-        assert away @ np.linalg.solve(found.covariance, away) < 22.5  # chi-squared, 1 in 1000
+        assert away @ np.linalg.solve(found.covariance, away) < ONE_IN_1000
 
 
 @pytest.fixture(scope='module')
@@ -319,7 +315,7 @@ def test_a_solve_with_a_corrected_arm_is_as_uncertain_as_the_arm_makes_it(tmp_pa
         samples, read_arm(tmp_path).forward(q), strict=True)]
     config = replace(config, kinematics=str(tmp_path / 'kinematics.yaml'))
     found = pipeline.solve(corrected, (), config, 'laser')
-    assert squared_error(found, truth) < 22.5  # of chi-squared: 1 in 1000
+    assert squared_error(found, truth) < ONE_IN_1000
     strict = replace(config, limits=replace(config.limits, translation=1e-6))
     with pytest.raises(DataError, match='most of that comes from the corrected arm'):
         pipeline.solve(corrected, (), strict, 'laser')

@@ -22,6 +22,7 @@ from streams import (
     collect,
     CONFIG,
     GOOD,
+    in_order,
     key,
     MANUAL,
     played,
@@ -49,7 +50,7 @@ def test_time_that_goes_backwards_is_dropped_and_counted() -> None:
 
 def test_messages_that_come_twice_are_not_late_but_a_clock_that_stands_still_is_told() -> None:
     session = Session(MANUAL)
-    for item in sorted([*stops((0, 1)), *profiles(0, 1)], key=lambda item: item.stamp):
+    for item in in_order(stops((0, 1)), profiles(0, 1)):
         add(session, item)
         add(session, item)
     assert session.late == () and taken(session, MANUAL).profiles > 5
@@ -84,7 +85,7 @@ def test_a_clock_that_is_set_back_goes_on_by_itself(config: Config) -> None:
     assert session.late == ('poses',)
     with pytest.raises(DataError, match='older stamps'):
         taken(session)  # of where the robot stood before its clock was set
-    for item in sorted([*stops((40, 42)), *profiles(40, 42)], key=lambda item: item.stamp):
+    for item in in_order(stops((40, 42)), profiles(40, 42)):
         add(session, replace(item, translation=item.translation + [0.5, 0.0, 0.0])
             if isinstance(item, TimedPose) else item)
         collect(session, config)
@@ -102,7 +103,7 @@ def test_a_clock_that_is_set_back_goes_on_by_itself(config: Config) -> None:
 
 def test_the_stop_of_now_is_given_while_the_robot_stands_and_again_when_it_is_over() -> None:
     session, early = Session(CONFIG), []
-    for item in sorted([*stops((0, 3), (4, 5)), *profiles(0, 5, 40.0)], key=lambda i: i.stamp):
+    for item in in_order(stops((0, 3), (4, 5)), profiles(0, 5, 40.0)):
         add(session, item)
         stop = session.early_stop()
         if stop:
@@ -142,11 +143,11 @@ def test_a_stray_of_another_frame_is_counted_and_more_are_refused(kind: str) -> 
         add(session, stray(number))
     with pytest.raises(InputError, match=f'{kind}.*two frames'):
         session.copied().evaluate_remaining()
-    for item in sorted([*stops((2, 6)), *profiles(2, 6)], key=lambda item: item.stamp):
+    for item in in_order(stops((2, 6)), profiles(2, 6)):
         add(session, item)
     assert session.conflict is None, 'only the first frame has come for some seconds'
     back = session.copied()
-    for item in sorted([*stops((-500, -498)), *profiles(-500, -498)], key=lambda i: i.stamp):
+    for item in in_order(stops((-500, -498)), profiles(-500, -498)):
         add(back, item)
         collect(back)
     assert back.conflict is None, 'a clock that is set back brings none of them back'
@@ -170,8 +171,7 @@ SPARSE = [pose(t, x=0.1 * (t // 10)) for t in range(60)]
     ([], 3, 'no_poses'), (MOVING, 3, 'no_stops'), (SPARSE, 60, 'sparse_poses'),
     ([replace(p, translation=p.translation * 1e3) for p in MOVING], 3, 'position_unit'),
     (stops((0, 1), (2, 2.3), (4, 4.3), (6, 6.3)), 7, 'no_stops')])  # most rests are too short
-def test_why_there_are_no_stops_is_distinguished(poses: list[TimedPose], end: int, reason: str
-                                                 ) -> None:
+def test_why_there_are_no_stops_is_distinguished(poses, end, reason):
     with pytest.raises(DataError) as refusal:
         played(poses, profiles(0, end)).require_any_stop()
     assert refusal.value.reason == reason
@@ -235,12 +235,11 @@ def test_one_stream_may_be_far_behind_the_other(first: str) -> None:
 @pytest.mark.parametrize('jump', [-1e9, -30.0, 1.5, 1e9])
 @pytest.mark.parametrize('kind', ['pose', 'profile'])
 @pytest.mark.parametrize('place', [0, 7])
-def test_one_wild_stamp_changes_nothing_but_that_message(
-        jump: float, kind: str, place: int) -> None:
+def test_one_wild_stamp_changes_nothing_but_that_message(jump, kind, place):
     streams: dict[str, list[TimedPose | Profile]] = {
         'pose': [*STREAM_POSES], 'profile': [*STREAM_PROFILES]}
     wild = streams[kind][place]
-    items = sorted([*STREAM_POSES, *STREAM_PROFILES], key=lambda item: item.stamp)
+    items = in_order(STREAM_POSES, STREAM_PROFILES)
     outcomes = []
     for left_out in (True, False):
         session = Session(CONFIG)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from handeye_ros.config import Config, ProfileConfig, with_values
-from handeye_ros.data import EdgePoint, NS, Profile, RawProfile, TimedPose
+from handeye_ros.data import EdgePoint, NS, Profile, RawProfile
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import MOST_PROFILES, ProfileBuffer, Stop
@@ -21,6 +21,7 @@ from streams import (
     collect,
     CONFIG,
     GOOD,
+    in_order,
     MANUAL,
     played,
     pose,
@@ -129,7 +130,7 @@ def test_a_stop_near_an_earlier_one_brings_nothing_new() -> None:
     by_hand = played([p for p in poses if p.stamp <= START + NS], profiles(0, 1), manual,
                      finish=False)
     taken(by_hand)
-    for item in sorted([*poses[51:], *profiles(1.01, 3)], key=lambda item: item.stamp):
+    for item in in_order(poses[51:], profiles(1.01, 3)):
         add(by_hand, item)
     with pytest.raises(DataError, match='6 mm .* from sample 1'):
         taken(by_hand)
@@ -190,8 +191,7 @@ def test_a_sample_by_hand_takes_none_from_the_stop_before() -> None:
 def test_a_sample_by_hand_is_not_taken_again_by_itself() -> None:
     session = played(stops((0, 1)), profiles(0, 1), finish=False)
     taken(session)
-    for item in sorted([*stops((0, 1), (2, 3))[52:], *profiles(1.02, 3)],
-                       key=lambda item: item.stamp):
+    for item in in_order(stops((0, 1), (2, 3))[52:], profiles(1.02, 3)):
         add(session, item)
         collect(session)
     session.evaluate_remaining()
@@ -204,8 +204,7 @@ def test_a_sample_by_hand_is_not_taken_again_by_itself() -> None:
     (stops((0, 1)), [], 'no profile has a stamp'),
     (stops((0, 1)), profiles(0, 1, points=BAD), 'edge'),
     (stops((0, 1)), profiles(0, 1.32), r'no pose has come for 0\.3 s')])
-def test_why_no_sample_can_be_taken_is_reported(
-        poses: list[TimedPose], found: list[Profile], words: str) -> None:
+def test_why_no_sample_can_be_taken_is_reported(poses, found, words):
     with pytest.raises(DataError, match=words):
         taken(played(poses, found, MANUAL, finish=False))
 

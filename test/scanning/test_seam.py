@@ -5,10 +5,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from command import assert_refused, handeye
+from calibrations import calibration_at
+from command import assert_refused, handeye, succeeds
 from handeye_ros import se3
 from handeye_ros.bags import bag_write
-from handeye_ros.data import Array, Calibration, Profile, Quality, TimedPose
+from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.scanning.cloud import write_cloud
@@ -366,10 +367,9 @@ def test_the_verb_writes_what_others_read(tmp_path):
         rows[axis] = column
     write_cloud(tmp_path / 'c.pcd', [rows])
     towards = [str(v) for v in -truth.normals.mean(axis=0)]
-    run = handeye('seam', 'c.pcd', '--out', 'seam', '--bag', '--towards', *towards,
-                  '--pitch', '5 mm', '--box', '-inf', 'inf', '-3m', '300cm', '-3', '3',
-                  '--start', '0mm', '0', '0', cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    succeeds('seam', 'c.pcd', '--out', 'seam', '--bag', '--towards', *towards,
+             '--pitch', '5 mm', '--box', '-inf', 'inf', '-3m', '300cm', '-3', '3',
+             '--start', '0mm', '0', '0', cwd=tmp_path)
     result = yaml.safe_load((tmp_path / 'seam/seam.yaml').read_text())
     assert result['kind'] == 'lap'
     rows = np.genfromtxt(tmp_path / 'seam/seam.csv', delimiter=',', names=True)
@@ -401,10 +401,8 @@ def test_the_verb_on_a_recording(tmp_path):
         poses.append(TimedPose(START + k * PERIOD, np.array([0.0, 3e-4 * k, 0.2]),
                                np.array([1.0, 0.0, 0.0, 0.0])))
     bag_write.write(tmp_path / 'bag', profiles, poses)
-    write_calibration(Calibration('none', 'plate', 'flange', 'laser', np.eye(4), 1e-12 * np.eye(6),
-                                  {}, Quality(0, 0, 0.0, 0.0, '', 0.0), ()), tmp_path / 'c.yaml')
-    run = handeye('seam', 'bag', '--calibration', 'c.yaml', cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    write_calibration(calibration_at(np.eye(4)), tmp_path / 'c.yaml')
+    succeeds('seam', 'bag', '--calibration', 'c.yaml', cwd=tmp_path)
     rows = np.genfromtxt(tmp_path / 'out/seam/seam.csv', delimiter=',', names=True)
     assert len(rows) >= 7 and np.ptp(rows['y']) > 0.03
     np.testing.assert_allclose(rows['x'], 0, atol=1.5e-4)

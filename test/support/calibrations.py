@@ -1,12 +1,13 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""A calibration for tests, and the comparison of two."""
+"""Calibrations for tests, and the comparison of two."""
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from handeye_ros import config, se3
-from handeye_ros.data import Calibration, Quality, SampleReport
+from handeye_ros.data import Array, Calibration, Quality, SampleReport
 from handeye_ros.results.calibration_file import text
 import numpy as np
 
@@ -27,6 +28,13 @@ CALIBRATION = Calibration(
     provenance={'version': '0.1.0', 'created': '2026-01-01T00:00:00+00:00',
                 'inputs': [{'path': 'bags/plate/plate.mcap', 'sha256': 64 * '0'}],
                 'config': config.flatten(config.Config())})
+
+
+def calibration_at(T: Array, **changes: Any) -> Calibration:
+    """Return a calibration of laser on flange of which only the transform is known, exactly."""
+    unknown = {'target': {}, 'samples': (), 'provenance': {'config': {}}}
+    return replace(CALIBRATION, T_flange_sensor=T,
+                   **{'covariance': np.zeros((6, 6)), **unknown, **changes})
 
 
 def equal(a: Calibration, b: Calibration) -> bool:

@@ -1,8 +1,18 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated cells as the tests of the core want them: samples, truth and settings together."""
+"""
+Simulated cells: what the sensor sees, what is true of it, and the settings, together.
+
+cell('plate', seed=3): samples of features with exactly known noise; exact_cell: without noise
+recorded('plate', seed=3): a recording of rendered profiles, so all steps are tested; slower
+noisy, solution_of, calibration_of: a cell of each method, solved once for all tests
+
+Keywords are settings, with __ for the dot: cell('sphere', target__radius=0.0).
+"""
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -10,22 +20,25 @@ from typing import Any
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Calibration, Profile, Sample, TimedPose
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.estimation.target import Target
 from handeye_ros.results.calibration_file import errors_against
 from handeye_ros.sampling.sweep import problem_of_known_poses
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
 from handeye_ros.simulate.sensor import FRAMES
 import numpy as np
 import pytest
+from streams import in_order
 
 NO_DOUBTS = {'noise__distortion': 0.0, 'noise__flatness': 0.0, 'noise__robot_smooth': 0.0,
              'noise__robot_scale': 0.0, 'noise__line_bend': 0.0, 'target__radius_std': 0.0,
              'target__size_std': 0.0, 'target__edge_angle_std': 0.0, 'target__setback_std': 0.0}
 EXACT_COLUMNS = 10 ** 12  # so fine that an edge has no sampling error
 EDGED = ('plate', 'line')  # scenes with edges; they only count the columns
+# squared errors, of chi-squared over 6, that one true answer in so many exceeds
+ONE_IN_20, ONE_IN_100, ONE_IN_1000 = 12.59, 16.81, 22.46
 ANY_POSE = se3.transform(se3.exp_rotation(np.array([0.7, -1.1, 0.4])), np.array([0.3, -0.2, 0.9]))
 
 
@@ -41,6 +54,11 @@ class Cell:
     @property
     def problem(self) -> Problem:
         return problem_of_known_poses(self.samples, self.config)
+
+    def solve(self, samples: Iterable[Sample] | None = None, **values: object) -> Calibration:
+        """Return the calibration from its samples, or others in their place, with settings."""
+        return pipeline.solve(self.samples if samples is None else [*samples], [],
+                              set_to(self.config, **values), 'laser')
 
     def error(self, T: Array) -> float:
         """Return the RMS error of points mapped by T, in metres."""
@@ -71,7 +89,7 @@ def settings_of(scenario: Scenario, **values: object) -> Config:
 
 
 def squared_error(found: Any, truth: Any) -> float:
-    """Return the squared error of a transform, in its covariance: of chi-squared over 6."""
+    """Return the squared error of a transform, in its covariance; see ONE_IN_20."""
     error = se3.difference(found.T_flange_sensor, truth.T_flange_sensor)
     return float(error @ np.linalg.solve(found.covariance, error))
 
@@ -89,18 +107,6 @@ def exact_cell(scenario: str | Scenario = 'plate', seed: int = 0, **values: obje
     noise = {'noise__sensor': 3e-5, 'noise__robot_translation': 2e-5,
              'noise__robot_rotation': 7e-5}
     return cell(exact(scenario), seed, **(noise | values))
-
-
-@lru_cache
-def scenario_of(target: Target) -> Scenario:
-    """Return the scenario of a method: of its own name, or the first whose samples it can use."""
-    if target.name in SCENARIOS:
-        return SCENARIOS[target.name]
-    for scenario in SCENARIOS.values():
-        samples, _ = simulate_samples(scenario, np.random.default_rng(0))
-        if len(target.observe(samples)):
-            return scenario
-    raise LookupError(f'the simulator has no scene for {target.name}')
 
 
 def solved(problem: Problem, seed: int = 0) -> Solution:
@@ -125,6 +131,18 @@ class Recorded:
     truth: Truth
     config: Config
 
+    @property
+    def messages(self) -> list[TimedPose | Profile]:
+        """Return poses and profiles in the order of their stamps."""
+        return in_order(self.poses, self.profiles)
+
+    def calibrate(self, profiles: Iterable[Profile] | None = None,
+                  poses: Iterable[TimedPose] | None = None, **values: object) -> Calibration:
+        """Return the calibration from it, or from other profiles or poses, with settings."""
+        return pipeline.calibrate(self.profiles if profiles is None else profiles,
+                                  self.poses if poses is None else poses,
+                                  set_to(self.config, **values))
+
     def error(self, T: Array) -> float:
         """Return the RMS error of points mapped by T, in metres."""
         return field_error(T, self.truth, self.scenario)
@@ -146,12 +164,12 @@ every_method = pytest.mark.parametrize('name', targets.TARGETS)
 
 def scenario_for(name: str, where: str = 'eye_in_hand') -> Scenario:
     """Return the scenario of a method, with the sensor on the flange or beside the robot."""
-    return replace(scenario_of(targets.TARGETS[name]), calibration_type=where)
+    return replace(SCENARIOS[name], calibration_type=where)
 
 
 @lru_cache
 def noisy(name: str, where: str = 'eye_in_hand', seed: int = 0) -> Cell:
-    return cell(scenario_for(name, where), seed, method=name)
+    return cell(scenario_for(name, where), seed)
 
 
 @lru_cache
@@ -161,8 +179,15 @@ def solution_of(name: str, where: str = 'eye_in_hand', seed: int = 0) -> Solutio
 
 @lru_cache
 def calibration_of(name: str) -> Calibration:
-    made = noisy(name)
-    return pipeline.solve(made.samples, [], made.config, 'laser')
+    return noisy(name).solve()
+
+
+@contextmanager
+def refused(reason: str, words: str | None = None) -> Iterator[pytest.ExceptionInfo[DataError]]:
+    """Expect a refusal for this reason, in a sentence that matches the words."""
+    with pytest.raises(DataError, match=words) as caught:
+        yield caught
+    assert caught.value.reason == reason
 
 
 def apart(a: Array, b: Array) -> float:

@@ -65,6 +65,13 @@ def handeye(*arguments, cwd, before=''):
     return subprocess.CompletedProcess(command, end.value.code or 0, *output)
 
 
+def succeeds(*arguments, cwd):
+    """Run `handeye` as above, and check that it ends well."""
+    run = handeye(*arguments, cwd=cwd)
+    assert run.returncode == 0, run.stderr
+    return run
+
+
 def assert_refused(run, code, *words):
     """Check that a run ended with a sentence that holds the words, and without an answer."""
     assert run.returncode == code, run.stderr

@@ -14,6 +14,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import TimedPose
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.pool import Pool
+from streams import in_order
 
 SPHERE = recorded('sphere')
 PLACES = []  # folders of sessions that name none, until the tests end
@@ -58,7 +59,7 @@ def fed(config: Config = SPHERE.config, recording=SPHERE) -> LiveSession:
 
 
 def feed(live: LiveSession, items) -> None:
-    for item in sorted(items, key=lambda item: item.stamp):
+    for item in in_order(items):
         feed_one(live, item)
     update(live)
 

@@ -3,8 +3,9 @@
 """A flange that moves evenly over a plane, and what a profiler on it sees."""
 from __future__ import annotations
 
+from calibrations import calibration_at
 from handeye_ros import se3
-from handeye_ros.data import Calibration, Profile, Quality, TimedPose
+from handeye_ros.data import Profile, TimedPose
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -14,10 +15,7 @@ T0, STEP = 1_700_000_000_000_000_000, 1_000_000
 def calibration(covariance=None):
     X = se3.transform(Rotation.from_euler('xyz', [0.3, -0.2, 1.1]).as_matrix(),
                       np.array([0.05, -0.02, 0.11]))
-    quality = Quality(18, 0, 2e-5, 2e-5, 'z', 1e-5)
-    return Calibration('plate', 'plate', 'flange', 'laser', X,
-                       np.zeros((6, 6)) if covariance is None else covariance, {}, quality, (),
-                       {'config': {}})
+    return calibration_at(X, covariance=np.zeros((6, 6)) if covariance is None else covariance)
 
 
 def pose_at(ms):

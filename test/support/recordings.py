@@ -6,9 +6,8 @@ from __future__ import annotations
 from handeye_ros.bags import bag_write
 from handeye_ros.bags.messages import DATATYPES, view
 from handeye_ros.bags.reader import CLOUD_TYPE, Reader
-from handeye_ros.config import Config, SamplingConfig
+from handeye_ros.config import Config
 from handeye_ros.data import Profile, TimedPose
-from handeye_ros.sampling.stops import StopFinder
 from mcap.writer import CompressionType, IndexType, Writer
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat
@@ -62,7 +61,7 @@ def rewrite(bag, path, messages=None, types=None, encoding='cdr', **options):
     return path
 
 
-LAYOUTS_OF_MCAP = {
+LAYOUTS_OF_MCAP = {  # options of rewrite
     'plain': {},
     'lz4': {'compression': CompressionType.LZ4},
     'zstd': {'compression': CompressionType.ZSTD},
@@ -83,23 +82,6 @@ POINTS = {
                              ('reflection_width', '<u2'), ('threshold', '<u2'),
                              ('moment0', '<u4'), ('moment1', '<u4')]),
 }
-
-
-def halves(recording, count):
-    """
-    Return profiles and poses of the first so many stops, and of the rest, of a bag or of both.
-
-    Cut in the middle of the way between two stops.
-    """
-    all_profiles, all_poses = (recording if isinstance(recording, tuple)
-                               else (recording.profiles, recording.poses))
-    finder, stations = StopFinder(SamplingConfig()), []
-    for pose in all_poses:
-        stations.append(finder.add(pose))
-    ends = [s for s in stations if s]
-    cut = ends[count - 1].end + 1
-    return tuple(tuple([item for item in items if (item.stamp > cut) == late]
-                       for items in (all_profiles, all_poses)) for late in (False, True))
 
 
 PROFILES, POSES = profiles(), poses()

@@ -37,10 +37,15 @@ XZ = {'x': (0, 7), 'z': (4, 7)}
 
 
 @contextmanager
-def running_node(tmp_path: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """Run the node; what it prints goes to node.log, what it saves below tmp_path."""
-    command = [sys.executable, '-m', 'handeye_ros.node.main', '--ros-args',
-               '-p', f'output_dir:={tmp_path}', *arguments]
+def running_node(tmp_path: Path, *arguments: str, program: Path | None = None
+                 ) -> Iterator[subprocess.Popen[str]]:
+    """
+    Run the node; what it prints goes to node.log, what it saves below tmp_path.
+
+    program: a changed node, to run in its place.
+    """
+    command = [sys.executable, *([program] if program else ['-m', 'handeye_ros.node.main']),
+               '--ros-args', '-p', f'output_dir:={tmp_path}', *arguments]
     with ((tmp_path / 'node.log').open('w') as log,
           running(command, cwd=ROOT, stdout=log, stderr=log, text=True) as process):
         yield process
@@ -88,10 +93,14 @@ class Client:
             assert time.monotonic() < end, f'waited in vain until {what}'
             self._executor.spin_once(timeout_sec=0.01)
 
+    def until_heard(self) -> None:
+        """Wait until the profiles and poses of the client have a subscriber."""
+        self.until(lambda: self.profiles.get_subscription_count()
+                   and self.poses.get_subscription_count(), 'profiles and poses are heard')
+
     def connect(self) -> None:
         """Wait until the node hears the client and answers; counts are from now on."""
-        self.until(lambda: self.profiles.get_subscription_count()
-                   and self.poses.get_subscription_count(), 'the node subscribes')
+        self.until_heard()
         self._before = self.state()
 
     def send(self, publisher: Any, messages: Iterable[Any], rate: float) -> None:

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
+from typing import Any
 
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, EdgePoint, NS, Profile, Reject, Sample, TimedPose
@@ -44,11 +46,16 @@ def profiles(start: float, end: float, rate: float = 20.0, points: Array = GOOD
     return [profile(t, points) for t in np.arange(start, end, 1 / rate) + 0.003]
 
 
+def in_order(*streams: Sequence[Any]) -> list[Any]:
+    """Return the messages of streams as they arrive: in the order of their stamps."""
+    return sorted(chain(*streams), key=lambda item: item.stamp)
+
+
 def played(poses: Sequence[TimedPose], profiles: Sequence[Profile], config: Config = CONFIG,
            finish: bool = True) -> Session:
     """Return a session that took both streams in the order of their stamps."""
     session = Session(config)
-    for item in sorted([*poses, *profiles], key=lambda item: item.stamp):
+    for item in in_order(poses, profiles):
         add(session, item)
         collect(session, config)
     if finish:

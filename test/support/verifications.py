@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from calibrations import calibration_at
 from command import bench_of
 from handeye_ros.config import Config
-from handeye_ros.data import Calibration, Quality
 from handeye_ros.verification.routines import ROUTINES
 from handeye_ros.verification.stations import stations_of
 from handeye_ros.verification.verify import verify
@@ -18,8 +18,8 @@ bench = bench_of('verify')
 
 def stated(X, name='plate', provenance=None, offset=None, target=None):
     """Return a calibration with the uncertainty of the bench."""
-    return Calibration(name, name, 'flange', 'laser', X, np.diag(bench.STD ** 2), target or {},
-                       Quality(0, 0, 0.0, 0.0, '', 0.0), (), provenance or {}, offset)
+    return calibration_at(X, name=name, method=name, covariance=np.diag(bench.STD ** 2),
+                          target=target or {}, provenance=provenance or {}, time_offset=offset)
 
 
 def measured(name, seed=0, **values):

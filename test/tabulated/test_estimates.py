@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from cells import ONE_IN_100
 from handeye_ros import se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array
@@ -19,7 +20,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tracker_session import session, T_flange_sensor
 
-REGION = 16.81 / 6  # holds 99 % of the squares
 IN_HAND = Config()
 ON_BASE = with_values(IN_HAND, {'calibration_type': 'eye_on_base'}, 'test')
 
@@ -50,7 +50,7 @@ def test_points_are_as_sure_as_they_say(count: int, mean: float) -> None:
         noise.append(found.target['point_noise'])
         assert found.used.sum() >= min(count, 4)
     assert np.mean(squares) == pytest.approx(mean, abs=0.25)
-    assert np.mean(np.array(squares) < REGION) >= 0.95
+    assert np.mean(np.array(squares) < ONE_IN_100 / 6) >= 0.95
     assert np.median(noise) == pytest.approx(3e-5, rel=0.1)
 
 
@@ -100,7 +100,7 @@ def test_views_are_as_sure_as_they_say(on_base: bool, count: int) -> None:
         assert list(found.target['pose']['translation'].values()) == pytest.approx(
             Z[:3, 3], abs=2e-3 if count == 20 else 1e-2)
     assert np.mean(squares) == pytest.approx(0.9, abs=0.3)
-    assert np.mean(np.array(squares) < REGION) >= 0.95
+    assert np.mean(np.array(squares) < ONE_IN_100 / 6) >= 0.95
 
 
 def test_a_wrong_view_is_left_out() -> None:
@@ -126,7 +126,7 @@ def tracked(measured: jing2020.Readings) -> TableAnswer:
     return solve(TrackerSession(config, pieces, measured.parts['ball'][0], measured.q30))
 
 
-def test_the_tracker_without_noise() -> None:
+def test_the_tracker_without_noise_finds_the_truth() -> None:
     """The block may be crooked; the ball and the faces are what was swept."""
     found = tracked(session(1, skew=4.0))
     np.testing.assert_allclose(se3.difference(found.X, T_flange_sensor), 0, atol=1e-9)

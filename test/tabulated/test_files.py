@@ -72,8 +72,7 @@ def read_configured(name: str, folder: Path) -> TableProblem:
 
 
 @pytest.mark.parametrize('name', [name for name in FILE_SCENES if name != 'tracker'])
-def test_solve_answers_near_the_truth_and_says_how_near(name: str, handeye: Run, tmp_path: Path
-                                                        ) -> None:
+def test_solve_answers_near_the_truth_and_says_how_near(name, handeye, tmp_path):
     folder, table = tmp_path / 'cell', TABLES[target_of(name)]
     for seed, options, expected in ((2, (), 0), (1, (), 2), (1, ('--force',), 0)):
         made = handeye('simulate', name, folder, '--seed', seed, *options)
@@ -261,8 +260,8 @@ INVERTED = 'set calibration_type to the other one, or, if it is right, give the 
      'by more than a metre: measure again or leave that row out, and check which face'),
     ('hand_eye calibration_type=eye_on_base', str, 3, INVERTED),
     ('hand_eye_on_base calibration_type=eye_in_hand', str, 3, INVERTED)])
-def test_files_without_an_answer(name: str, change: Callable[[str], str], code: int, words: str,
-                                 handeye: Run, tmp_path: Path) -> None:
+def test_files_without_an_answer_are_refused_in_a_sentence(
+        name, change, code, words, handeye, tmp_path):
     name, *settings = name.split()
     write_simulated(name, 1, tmp_path / 'cell')
     file = tmp_path / 'cell' / TABLES[target_of(name)]
@@ -283,8 +282,7 @@ NUMBERS: dict[str, Callable[[Rotation], np.ndarray]] = {
     ('xyz', 'deg', 'mm', 'a b c', 'kuka', 'with the flange written as fanuc-wpr they agree'),
     ('zyx', 'deg', 'm', 'roll[deg] pitch[deg] yaw[deg]', '', 'kuka-abc and name the columns')])
 def test_the_notation_of_a_controller_is_named(
-        written: str, unit: str, length: str, columns: str, angles: str, words: str, handeye: Run,
-        tmp_path: Path) -> None:
+        written, unit, length, columns, angles, words, handeye, tmp_path):
     write_simulated('hand_eye', 1, tmp_path / 'cell')
     table = Table(tmp_path / 'cell' / 'poses.csv')
     flange, target = table.poses('flange'), table.poses('target')
@@ -331,8 +329,7 @@ def test_turns_about_one_axis_are_refused(eye_on_base: bool, handeye: Run, tmp_p
     refused(handeye('compare', *given(name, tmp_path)), 3, 'all poses share one rotation axis')
 
 
-def test_an_answer_beyond_the_limits_is_refused_and_others_may_answer(handeye: Run, tmp_path: Path
-                                                                      ) -> None:
+def test_an_answer_beyond_the_limits_is_refused_and_others_may_answer(handeye, tmp_path):
     write_simulated('points', 1, tmp_path / 'cell')
     arguments = given('points', tmp_path / 'cell')
     for limit, words in (('translation', 'the position along'), ('rotation', 'the rotation about'),
@@ -354,8 +351,7 @@ def test_an_answer_beyond_the_limits_is_refused_and_others_may_answer(handeye: R
     (('target.type=tracker', 'tracker.h1=0.031'),
      'tracker.h0 and tracker.first_reading must be set'),
     (('target.type=pointz',), "target.type is 'pointz', expected one of plate, line, ")])
-def test_settings_that_do_not_fit_end_with_2(settings: tuple[str, ...], words: str, handeye: Run
-                                             ) -> None:
+def test_settings_that_do_not_fit_end_with_2(settings, words, handeye):
     assignments = [argument for setting in settings for argument in ('--set', setting)]
     for verb in ('solve', 'compare'):
         refused(handeye(verb, ROOT / 'bags' / 'tracker', *assignments), 2, words)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 import re
 
-from cells import cell, recorded, squared_error
+from cells import cell, ONE_IN_1000, recorded, squared_error
 from handeye_ros import pipeline
 from handeye_ros.config import with_values
 from handeye_ros.data import EdgePoint, FaceLine
@@ -18,18 +18,12 @@ import pytest
 LINE = SCENARIOS['line']
 
 
-def transform(made, **config):
-    """Return T_flange_sensor from the samples of a cell."""
-    found = pipeline.solve(made.samples, [], replace(made.config, **config), 'laser')
-    return found.T_flange_sensor
-
-
 def test_points_alone_need_no_face_lines() -> None:
     made = cell(LINE, 1)
     bare = [replace(s, features=tuple(f for f in s.features if isinstance(f, EdgePoint)))
             for s in made.samples]
-    np.testing.assert_allclose(
-        pipeline.solve(bare, [], made.config, 'laser').T_flange_sensor, transform(made), atol=1e-9)
+    np.testing.assert_allclose(made.solve(bare).T_flange_sensor, made.solve().T_flange_sensor,
+                               atol=1e-9)
     assert any(isinstance(f, FaceLine) for s in made.samples for f in s.features)
 
 
@@ -39,7 +33,7 @@ def test_points_alone_need_no_face_lines() -> None:
 def test_a_bar_of_which_both_edges_are_in_sight(width: float, use_face: bool) -> None:
     bar = replace(LINE, target=PlateTarget(size=(0.2, width)))
     made = recorded(bar, 2, target__use_face=use_face)
-    found = pipeline.calibrate(made.profiles, made.poses, made.config)
+    found = made.calibrate()
     assert found.quality.samples_used >= 12
     assert made.error(found.T_flange_sensor) < 3e-4
 
@@ -47,7 +41,7 @@ def test_a_bar_of_which_both_edges_are_in_sight(width: float, use_face: bool) ->
 @pytest.mark.thorough
 def test_stations_at_another_edge_are_left_out() -> None:
     made = cell(replace(LINE, wrong_edges=2), 4)
-    found = pipeline.solve(made.samples, [], made.config, 'laser')
+    found = made.solve()
     wrong = {s.start for s in made.truth.stations if s.label == 'p2'}
     assert {report.stamp for report in found.samples if not report.used} == wrong
     assert made.error(found.T_flange_sensor) < 3e-4
@@ -67,7 +61,7 @@ def test_an_edge_between_two_faces_of_which_either_is_taken_with_its_other_end()
                     replace(edge, point=edge.point + 0.03 * inwards, direction=inwards))
             face = replace(face, centre=edge.point + 0.015 * inwards, direction=inwards)
             samples.append(replace(sample, features=(face, *ends)))
-        answer = pipeline.solve(samples, [], made.config, 'laser')
+        answer = made.solve(samples)
         found += made.error(answer.T_flange_sensor) < 3e-4
     assert found == 2
 
@@ -84,9 +78,8 @@ def test_the_edge_of_a_block_keeps_to_one_face(seed: int) -> None:
     assert min(slopes) < 0 < max(slopes)  # both are among them
     found = pipeline.answer_session(session, config).require_calibration()
     assert found.quality.samples_used >= 13
-    assert squared_error(found, made.truth) < 22.5
-    alone = with_values(config, {'target.use_face': False}, 'test')
-    points = pipeline.calibrate(made.profiles, made.poses, alone)
+    assert squared_error(found, made.truth) < ONE_IN_1000
+    points = made.calibrate(target__type='line', target__use_face=False)
     assert np.trace(found.covariance[:3, :3]) < np.trace(points.covariance[:3, :3])
 
 
@@ -116,12 +109,12 @@ def corner_samples(seed, only_open, count=24):
 def test_a_corner_is_not_taken_for_the_reach_of_the_sensor(only_open: int) -> None:
     for seed in range(5):
         made = corner_samples(seed, only_open)
-        assert made.error(transform(made)) < 5e-4
+        assert made.error(made.solve().T_flange_sensor) < 5e-4
 
 
 def test_solved_as_a_plate_it_says_that_no_sample_shows_the_other_edge() -> None:
     made = cell(LINE, 0, target__type='plate')
-    note = pipeline.solve(made.samples, [], made.config, 'laser').target['note']
+    note = made.solve().target['note']
     assert re.match('no sample shows edge [pq] of the target: cross it too', note)
 
 
@@ -135,5 +128,5 @@ def test_an_end_of_the_same_kind_on_the_other_side_of_the_face_is_no_edge(use_fa
         other = replace(edge, direction=-edge.direction,
                         point=edge.point - edge.direction * rng.uniform(0.012, 0.05))
         samples.append(replace(sample, features=(*sample.features, other)))
-    found = pipeline.solve(samples, [], made.config, 'laser')
+    found = made.solve(samples)
     assert made.error(found.T_flange_sensor) < 1.5e-3

@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 from cells import cell, recorded
-from handeye_ros import pipeline
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine
 from handeye_ros.errors import FeatureError
@@ -43,7 +42,7 @@ def test_one_surface_is_chosen_where_others_lie_beside(values: dict[str, float])
     plate = SCENARIOS['plate']
     made = recorded(replace(plate, target=replace(plate.target, **values)), 1, columns=640,
                     target__type='plane')
-    found = pipeline.calibrate(made.profiles, made.poses, made.config)
+    found = made.calibrate()
     assert made.error(found.T_flange_sensor) < 3e-4
     assert 'samples show other surfaces too than the plane that was used' in found.target['note']
 
@@ -63,7 +62,7 @@ def test_a_plane_through_two_near_surfaces_is_no_answer(seed: int) -> None:
         seen = (table,) if rng.random() < 0.2 else (face, beside)[:rng.integers(1, 3)]
         samples.append(replace(sample, features=tuple(
             sorted(seen, key=lambda line: -line.spread))))
-    found = pipeline.solve(samples, [], made.config, 'laser')
+    found = made.solve(samples)
     assert made.error(found.T_flange_sensor) < 3e-4
 
 

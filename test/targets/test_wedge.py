@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import islice
 
 from cells import cell, exact_cell, recorded
-from handeye_ros import pipeline, se3
+from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import FaceLine, Sample
 from handeye_ros.errors import FeatureError
@@ -37,7 +37,7 @@ def test_turned_by_half_the_faces_change_sides() -> None:
     X = made.truth.T_flange_sensor
     in_flange = [replace(s, T_base_flange=s.T_base_flange @ X) for s in made.samples]
     mixed = [turned_about_z(s) if i % 2 else s for i, s in enumerate(in_flange)]
-    found = pipeline.solve(mixed, [], made.config, 'laser')
+    found = made.solve(mixed)
     assert np.abs(se3.difference(found.T_flange_sensor, np.eye(4))).max() < 1e-6
 
 
@@ -92,7 +92,7 @@ def test_a_block_on_a_table_is_distinguished_from_the_groove_at_its_foot(seed: i
         else:
             pairs = [groove, block] if rng.random() < 0.5 else [block, groove]
         samples.append(replace(sample, features=tuple(line for pair in pairs for line in pair)))
-    found = pipeline.solve(samples, [], made.config, 'laser')
+    found = made.solve(samples)
     assert made.error(found.T_flange_sensor) < 2e-4
 
 
@@ -125,10 +125,9 @@ def stepped(scenario: Scenario) -> tuple[Solid, ...]:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize('seed', [3, 5])
-def test_a_step_along_the_edge_gives_no_answer_between_two_edges(
-        seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_step_along_the_edge_gives_no_answer_between_two_edges(seed, monkeypatch):
     monkeypatch.setitem(scenes.SCENES, 'stepped', replace(scenes.SCENES['wedge'], solids=stepped))
     made = recorded(replace(SCENARIOS['wedge'], scene='stepped', stations=(18, 0),
                             stated=(('target.type', 'wedge'),)), seed)
-    found = pipeline.calibrate(made.profiles, made.poses, made.config)
+    found = made.calibrate()
     assert made.error(found.T_flange_sensor) < 3e-4

@@ -55,7 +55,7 @@ def within(result):
 @pytest.mark.parametrize('name', [
     name if name in QUICK else pytest.param(name, marks=pytest.mark.thorough)
     for name in ROUTINES])
-def test_on_bags(tmp_path, name):
+def test_a_routine_on_bags_passes_the_right_calibration_and_fails_a_wrong_one(tmp_path, name):
     rng = np.random.default_rng(2)
     made = bench.RENDERED[name](rng)
     bags = [tmp_path / f'bag_{k}' for k in range(len(made.passes))]
