@@ -357,7 +357,7 @@ def test_heights_of_edges_are_named_where_too_few_stops_show_the_target(monkeypa
     made = simulate(scenario, np.random.default_rng(2))
     with refused('surface', 'agree on one plane, but not on the edges') as caught:
         pipeline.calibrate(made.profiles, made.poses, settings_of(scenario, target__type='line'))
-    told = re.findall(r'(\d+\.\d) mm: stops ([\d, ]+)', str(caught.value))
-    heights = [float(height) for height, _ in told]  # of clamps, target and table
+    listed = re.findall(r'(\d+\.\d) mm: stops ([\d, ]+)', str(caught.value))
+    heights = [float(height) for height, _ in listed]  # of clamps, target and table
     assert heights == pytest.approx([40.0, 25.0, 0.0], abs=0.2)
     assert [len(numbers.split(', ')) for _, numbers in listed] == [7, 6, 1]
