@@ -41,6 +41,7 @@ ONLY_FACE = ('only its face was used: its edge point lies on no edge of the targ
 CONTRADICTION_SIGMAS, NOTED_SIGMAS = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
 PLATE_LENGTHS = 'size_p', 'size_q'  # of a plate
 SMALLEST_BEND = 3e-5  # m, told
+PARTED_P = 0.01  # largest probability that random stations are the first, or the last, ones
 LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
 
 
@@ -335,6 +336,25 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
             yield (f'the {name.replace("_", " ")} of the target is {value * scale:.3f} +- '
                    f'{std * scale:.3f} {unit}, not the configured {stated * scale:.3f}: the '
                    'answer uses the estimate')
+
+
+def outliers_at_one_end(solution: Solution) -> str:
+    """
+    Return in words that all stations that were dropped are the first, or the last, ones.
+
+    '' if they are not, or if wrong stations in a random order are so too with PARTED_P.
+    """
+    n, used = len(solution.full_problem.poses), solution.used
+    dropped = n - len(used)
+    if solution.problem.pose_model is not None or math.comb(n, dropped) < 2 / PARTED_P:
+        return ''
+    which, side = {0: ('last', 'before'), dropped: ('first', 'after')}.get(
+        int(used[0]), ('', ''))
+    if not which or np.ptp(used) >= n - dropped:
+        return ''
+    return (f'the {which} {dropped} of {n} samples contradict the {n - dropped} {side} them: the '
+            'target or the sensor seems to have moved in between, or the tool or base of the '
+            'robot was switched: check that both are fixed firmly, and take all samples again')
 
 
 def lost_edges(solution: Solution) -> str:

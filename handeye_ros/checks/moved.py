@@ -15,9 +15,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-import math
 
 from handeye_ros import se3
+from handeye_ros.calibration import outliers_at_one_end
 from handeye_ros.checks.hypotheses import (
     DECISIVE_EVIDENCE,
     FALSE_CAUSE_PROBABILITY,
@@ -53,7 +53,6 @@ WARNING_EVIDENCE = 5.0
 LEAST_MOVE_SIGMAS = 3.0  # smallest move over the robot's smooth error
 RANDOM_ORDERS, PARTS_EXCHANGED = 200, 40  # of the permutation test
 WARNING_P, REFUSAL_P = 0.1, 0.01  # largest p-value of the permutation test: to warn, to refuse
-PARTED_P = 0.01  # largest probability that random stations are the first, or the last, ones
 
 
 # -- two parts of a recording, where no answer fits all of it
@@ -149,25 +148,6 @@ def with_possible_move(solution: Solution) -> tuple[Solution, str]:
     return replace(solution, added_covariances={
         **solution.added_covariances,
         POSSIBLE_MOVE: cover(covariance, with_move) - covariance}), move.in_words()
-
-
-def outliers_at_one_end(solution: Solution) -> str:
-    """
-    Return in words that all stations that were dropped are the first, or the last, ones.
-
-    '' if they are not, or if wrong stations in a random order are so too with PARTED_P.
-    """
-    n, used = len(solution.full_problem.poses), solution.used
-    dropped = n - len(used)
-    if solution.problem.pose_model is not None or math.comb(n, dropped) < 2 / PARTED_P:
-        return ''
-    which, side = {0: ('last', 'before'), dropped: ('first', 'after')}.get(
-        int(used[0]), ('', ''))
-    if not which or np.ptp(used) >= n - dropped:
-        return ''
-    return (f'the {which} {dropped} of {n} samples contradict the {n - dropped} {side} them: the '
-            'target or the sensor seems to have moved in between, or the tool or base of the '
-            'robot was switched: check that both are fixed firmly, and take all samples again')
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,6 @@ from handeye_ros.guidance.view import extremes, Move
 from handeye_ros.results import exports, table
 from handeye_ros.results.scene import outline_of, profile_picture, rounded, StopSnapshot
 from handeye_ros.review import stop_snapshot
-from handeye_ros.targets import target_for
 from handeye_ros.verification.routines import ROUTINES
 import numpy as np
 
@@ -217,7 +216,7 @@ def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
 
     return {
         'known': solution is not None, 'range_sign': config.profile.range_sign,
-        'round': not target_for(config).face_count,
+        'round': config.target.type == 'sphere',
         'view': rounded(extremes(np.concatenate(view))), 'live': as_rows(pose),
         'stations': [{'number': stop.number, 'T': as_rows(stop.sample.T_base_flange)}
                      for stop in live.session_copy().stops if stop.sample],
