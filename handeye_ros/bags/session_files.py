@@ -44,7 +44,7 @@ from handeye_ros.bags.reader import (
     Reader,
     STRING_TYPE,
 )
-from handeye_ros.config import Config, flatten, with_values
+from handeye_ros.config import Config, flatten, RECORD_PREFIX, with_values
 from handeye_ros.data import Reject
 from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.output import atomic_file, folder_name, write_errors_for
@@ -352,7 +352,8 @@ def _event_of(file: Path) -> tuple[str, Config, Stop]:
             require_format(file, content['format'], FORMAT)
         known_keys = flatten(Config())
         settings = {key: value for key, value in configuration['config'].items()
-                    if key in known_keys}  # those of older versions may be gone
+                    # those of older versions may be gone
+                    if key in known_keys or key.startswith(RECORD_PREFIX)}
         stamp, refusal = int(outcome['began']), str(outcome['refused'])
         stop = Stop(stamp, reader=partial(load_stop, file, stamp), number=int(outcome['number']),
                     result=NOT_EVALUATED if outcome['taken'] else

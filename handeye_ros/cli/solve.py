@@ -47,6 +47,7 @@ def solve(
         '--budget', help='Also show which causes the uncertainty comes from.')] = False,
 ) -> None:
     """Find the transform from a recording or a file."""
+    from handeye_ros.frames import T_sensor_plane
     from handeye_ros.output import folder_name
     from handeye_ros.results import exports, table
     from handeye_ros.results.calibration_file import errors_against, true_transform
@@ -81,7 +82,8 @@ def solve(
     if causes:
         show(causes)
     if T_true is not None:
-        errors = errors_against(calibration.T_flange_sensor, T_true,
+        T_plane = opened.table.T_sensor_plane if opened.table else T_sensor_plane(settings)
+        errors = errors_against(calibration.T_flange_sensor @ T_plane, T_true @ T_plane,
                                 opened.table.field() if opened.table else None)
         region = opened.table.field_text if opened.table else 'the field of view'
         typer.echo(table.error_sentence(errors, region))

@@ -286,11 +286,11 @@ class Errors:
 
 def errors_against(T_est: Array, T_true: Array, field: Array | None = None) -> Errors:
     """
-    Return the errors of T_flange_sensor (4, 4) against the true one.
+    Return the errors of a transform (4, 4) from the sensor plane against the true one.
 
-    field: points (k, 3) in the sensor frame that are mapped (m), field_points when not given. The
-    RMS of |(T_est - T_true) p| is the error in use; that of the translation alone is dominated by
-    the lever arm of the rotation.
+    field: points (k, 3) in that plane that are mapped (m), field_points when not given. The RMS
+    of |(T_est - T_true) p| is the error in use; that of the translation alone is dominated by the
+    lever arm of the rotation.
     """
     delta, points = se3.difference(T_est, T_true), field_points() if field is None else field
     distances = np.linalg.norm(se3.apply(T_est, points) - se3.apply(T_true, points), axis=1)

@@ -15,6 +15,7 @@ from handeye_ros import config as configuration
 from handeye_ros import se3
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import mm
+from handeye_ros.frames import T_sensor_plane
 from handeye_ros.output import rendered
 from handeye_ros.results import exports, table
 from handeye_ros.results.calibration_file import config_of, field_points, FIELD_TEXT
@@ -74,7 +75,7 @@ def verdict(calibration: Calibration, recording: SolvedRecording, visible: Array
     if wrong := contradiction(calibration, recording):
         return False, f'Do not rely on this calibration: {wrong}'
     points, region = (visible, 'the points that were seen') if len(visible) else (
-        field_points(), FIELD_TEXT)
+        se3.apply(T_sensor_plane(config_of(calibration)), field_points()), FIELD_TEXT)
     return (True, f'Good for mapping points of {calibration.child_frame} into '
             f'{calibration.parent_frame} to {mm(mapped_std(calibration, points))} (1 sigma in '
             f'space, over {region}).')

@@ -17,7 +17,7 @@ from itertools import compress, islice
 
 from handeye_ros.config import Config, NoiseConfig, parse_length
 from handeye_ros.data import Array, Calibration, Profile, ROTATION_LAG
-from handeye_ros.errors import DataError
+from handeye_ros.errors import BadValueError, DataError
 from handeye_ros.frames import mount_poses, target_frame, unit_vectors
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.scanning.cloud import Points
@@ -52,6 +52,8 @@ class ScanOptions:
         """Return the options of a command line; raises BadValueError."""
         nearest, farthest = (parse_length(text, '--range', 10.0) for text in limits)
         edge = parse_length(voxel, '--voxel', 0.1, 0.0)
+        if not 0.0 <= degrees <= 90.0:
+            raise BadValueError('--incidence', degrees, '0 to 90 degrees')
         return cls(nearest, farthest, float(np.deg2rad(degrees)), edge, std)
 
 

@@ -150,9 +150,10 @@ def test_the_command_line_shows_the_samples(whole: Path, tmp_path: Path) -> None
 
 
 def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
-    live = feed(stored(tmp_path), stops=5)
+    live = feed(stored(tmp_path, with_values(SPHERE.config, {'record.operator': 'Ada'})), stops=5)
     live.remove_last_sample()
     other = again(live)
+    assert read_session(Path(other.path)).config.record == (('operator', 'Ada'),)
     assert [s['number'] for s in state_of(other)['samples']] == [1, 2, 3, 4]
     feed(other, stops=9)
     state = state_of(other)

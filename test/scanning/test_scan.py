@@ -92,6 +92,12 @@ def test_points_beyond_the_limits_of_range_and_incidence_are_left_out():
         scanned(nothing, [profile], moving(200))
 
 
+@pytest.mark.parametrize('degrees', [-30.0, 91.0, np.nan])
+def test_an_incidence_that_is_none_is_refused(degrees):
+    with pytest.raises(InputError, match='--incidence is .*, expected 0 to 90 degrees'):
+        ScanOptions.of_texts(('-inf', 'inf'), degrees, '0', std=False)
+
+
 def test_thinning_keeps_one_point_of_each_cube():
     scanner = Scanner(calibration(), Config(), ScanOptions(voxel=2e-3))
     thin = xyz(scanned(scanner, plane_profiles(200), moving(200)))
