@@ -246,16 +246,16 @@ def block_estimates(solution: Solution) -> dict[str, BlockEstimate]:
 
 def reported_parameters(solution: Solution) -> dict[str, Any]:
     """Return the reported nuisance parameters: values of single ones, scales of others."""
-    conservative, report = solution.conservative, dict[str, Any]()
-    estimates = block_estimates(conservative)
-    for block in sorted(conservative.blocks, key=lambda block: block.count > 1):
+    for_report, report = solution.for_report, dict[str, Any]()
+    estimates = block_estimates(for_report)
+    for block in sorted(for_report.blocks, key=lambda block: block.count > 1):
         if block.report and block.count == 1:
             estimate = estimates[block.name]
             report |= {block.report: block.origin + estimate.value,
                        f'{block.report}_std': estimate.std}
         elif block.report:
             report[block.report] = math.hypot(report.get(block.report, 0.0),
-                                              block.std * conservative.prior_scale(block))
+                                              block.std * for_report.prior_scale(block))
     return report
 
 
@@ -264,7 +264,7 @@ def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
     estimate = block_estimates(solution).get(name)
     if estimate is None:
         return None
-    reported = block_estimates(solution.conservative)[name]
+    reported = block_estimates(solution.for_report)[name]
     return ClockEstimate(estimate.value,
                          math.hypot(reported.std, reported.value - estimate.value))
 
@@ -272,7 +272,7 @@ def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
 def notes_of(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the remarks on an answer in words: clocks, laser, target, edges, surfaces."""
     yield from offset_notes(solution)
-    bend = block_estimates(solution.conservative).get(LINE_BEND)
+    bend = block_estimates(solution.for_report).get(LINE_BEND)
     if bend and abs(bend.significance) > CONTRADICTION_SIGMAS and abs(bend.value) > SMALLEST_BEND:
         yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
                f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '
@@ -286,10 +286,11 @@ def notes_of(solution: Solution, config: Config) -> Iterator[str]:
     for edge in sorted({name.partition('_')[0] for name in target.essential} - seen):
         yield (f'no sample shows edge {edge} of the target: cross it too, or set target.type to '
                'line if the target has one edge only')
-    shown = solution.full_problem.subset(solution.used).observations
-    unused = ~np.isin(shown.error_source, problem.observations.error_source)
-    if not target.essential and unused.any():
-        yield (f'{len(np.unique(shown.station[unused]))} of {len(solution.used)} samples show '
+    n = len(solution.used)
+    shown, used = (np.bincount(each.observations.station, minlength=n)
+                   for each in (solution.full_problem.subset(solution.used), problem))
+    if not target.essential and (shown > used).any():
+        yield (f'{np.count_nonzero(shown > used)} of {n} samples show '
                f'other surfaces too than the {target.name} that was used in all of them')
 
 
@@ -314,7 +315,7 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the notes on measures of the target that contradict the configuration."""
     target = solution.problem.target
     stated_to_solver = target.stated_values(solution.problem.config)
-    estimates, reported = block_estimates(solution), block_estimates(solution.conservative)
+    estimates, reported = block_estimates(solution), block_estimates(solution.for_report)
     names = target.parameter_names
     values = dict(zip(names, solution.estimate.state[-len(names):].tolist(), strict=True))
     stds = dict(zip(names, solution.target_std[-len(names):].tolist(), strict=True))

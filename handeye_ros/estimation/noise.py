@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 TURN_LENGTH = 0.3  # m: a joint error that turns the flange by 1 rad shifts it by this
-PRIOR_FREEDOM = 4.0  # degrees of freedom of the prior of variance factors, about 1
+FACTOR_FREEDOM = 4.0  # degrees of freedom of the prior of variance factors, about 1
+LOCAL_SHARE = 0.6  # of the sensor's distortion that differs between stations, as speckle does
 
 TRIED_SCALES = np.geomspace(0.001, 1e4, 43)  # of blocks; quantities are summed over these
 TRIED_VARIANCES = np.square(TRIED_SCALES)
@@ -41,7 +42,9 @@ SINGLE_PRIOR = _log_half_t(2.0, 0.8)
 # For the estimate: zero, unless the data show something.
 MAP_PRIOR = _log_half_t(1.0, 0.01)
 
-EDGES = 1  # place of the edge points among the variance factors
+# Places of the variance factors: of the own errors of faces and arcs, and of edges; of distortion
+# that differs between stations; of the poses; of the white errors of pose values, such as time.
+FACES, EDGES, LOCAL_DISTORTION, POSES, POSE_VALUES = range(5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +52,7 @@ class Noise:
     """
     Factors on the configured variances in (3), and the scales of blocks.
 
-    variance_factors: (5,) of the own errors of faces and arcs; of those of edges (EDGES); of the
-        distortion that differs between stations; of the pose noise; of the white errors of the
-        pose values, such as time
+    variance_factors: (5,), see FACES
     block_variances: tau^2 of each block by name
     blocks_as_noise: whether blocks count as errors of each station
     """
@@ -88,11 +89,11 @@ def covariance_parts(linear: Linear, group: StationGroup) -> Array:
     """
     Return the parts of the covariance, (3), as (p, stations, c, c), for variance factors of 1.
 
-    The p parts: two components of the features' errors, the distortion that differs between
-    stations, the poses, and the pose values if they have white errors.
+    The p parts are in the order of the variance factors; the last is there if the pose values have
+    white errors.
     """
     noise = linear.problem.config.noise
-    local_distortion = (0.6 * noise.distortion) ** 2  # the share that differs, as speckle does
+    local_distortion = (LOCAL_SHARE * noise.distortion) ** 2
     pose_variances = np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
     # no covariance between the components, so that any factors keep the sum positive
     features = _outer(linear.wrt_feature[group.rows]) * group.shared

@@ -25,8 +25,8 @@ A sweep differs from stops in these places, found by Sample.moving and sampling.
 - profiles: fewer points of a line or arc are kept (lines.py, arcs.py)
 - stops.py cuts it by time, into passes; features.py combines no profiles; passes_expanded (here)
   takes a pass apart, with one trajectory for all
-- estimation: problem_with_clocks (here) adds the three unknowns; far fewer profiles than stops are
-  many (Problem.many)
+- estimation: problem_with_clocks (here) adds the three unknowns; fewer profiles than stops are
+  enough (Problem.enough)
 - session.py: a pass is never a duplicate, nor taken early; guidance advises to sweep on
 - checks: other settings and clocks are not tried (causes.py); with the other sign of the range or
   other poses the clocks are searched anew (hypotheses.py, conventions.py); a move must be larger

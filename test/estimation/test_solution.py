@@ -85,7 +85,7 @@ def test_a_solve_that_diverges_reports_the_errors_of_any_other(seed: int) -> Non
     of_a_cause = replace(found, added_covariances={'cause': 1e-6 * np.eye(6)})
     more = of_a_cause.reported_covariance - found.reported_covariance
     np.testing.assert_allclose(more[:6, :6], 1e-6 * np.eye(6), atol=1e-12)
-    beside = found.conservative.covariance[:6, :6]
+    beside = found.for_report.covariance[:6, :6]
     assert np.linalg.eigvalsh(found.transform_covariance - beside).min() > -1e-9 * beside.max()
 
 
