@@ -28,7 +28,7 @@ from handeye_ros.data import (
     TIME_OFFSET,
 )
 from handeye_ros.estimation.blocks import LINE_BEND, with_columns
-from handeye_ros.estimation.problem import Estimate, Problem
+from handeye_ros.estimation.problem import Estimate, mapped, Problem
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, name_direction, T_sensor_plane
 import numpy as np
@@ -150,7 +150,8 @@ def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
     if fold is None:
         fold = np.arange(n) % min(n, MOST_FOLDS)
     estimates, poses = solution.predictions(fold)
-    p = measured.mapped(poses @ np.array([estimate.X for estimate in estimates])[fold])
+    T = poses @ np.array([estimate.X for estimate in estimates])[fold]
+    p = mapped(measured.points, T[measured.station])
     fold_of_point, left_out = fold[measured.station], np.empty(len(p))
     for k, estimate in enumerate(estimates):
         in_fold = np.flatnonzero(fold_of_point == k)
@@ -188,14 +189,9 @@ class MeasuredPoints:
 
         poses: (n, 4, 4) instead of the reported ones, such as without the robot's smooth error.
         """
-        p = self.mapped((problem.poses if poses is None else poses) @ estimate.X)
+        T = (problem.poses if poses is None else poses) @ estimate.X
+        p = mapped(self.points, T[self.station])
         return problem.target.conditions(p, self.kind, estimate.state, problem.config).g
-
-    def mapped(self, T: Array) -> Array:
-        """Return the points (k, 3) mapped by T (n, 4, 4) of their stations."""
-        x, z = self.points.T[:, :, None]
-        by_x, by_z, origin = np.moveaxis(T[:, :3, [0, 2, 3]], 2, 0)[:, self.station]
-        return np.asarray(by_x * x + by_z * z + origin)
 
 
 def measured_points(used: Sequence[Sample], problem: Problem) -> MeasuredPoints:

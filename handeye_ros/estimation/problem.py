@@ -106,12 +106,6 @@ class Observations:
         """Return some observations, by a mask or by their numbers."""
         return type(self)(*(getattr(self, f.name)[keep] for f in fields(self)))
 
-    def in_base(self, poses: Array, X: Array) -> Array:
-        """Return the points (m, 3) in the base, at poses (n, 4, 4) with the sensor at X (4, 4)."""
-        in_mount = self.points @ X[:3, [0, 2]].T + X[:3, 3]
-        T = poses[self.station]
-        return np.asarray(np.einsum('mij,mj->mi', T[:, :3, :3], in_mount) + T[:, :3, 3])
-
     def repeated(self, stations: int, points: Array) -> Self:
         """Return the observations of one station repeated, with points (stations * m, 2)."""
         values = (getattr(self, f.name) for f in fields(self))
@@ -265,7 +259,7 @@ class Problem:
 
     def points_in_base(self, X: Array) -> Array:
         """Return the observed points (m, 3) in the base."""
-        return self.observations.in_base(self.poses, X)
+        return mapped(self.observations.points, (self.poses @ X)[self.observations.station])
 
     def retracted(self, estimate: Estimate, step: Array) -> Estimate:
         """Return the estimate, or several, after a step (..., u) in the unknown columns."""
@@ -344,6 +338,11 @@ class Linear:
         """Return the derivatives (m, k) by parameters that move the poses by twists (n, 6, k)."""
         station = self.problem.observations.station
         return np.asarray((self.wrt_pose[:, None] @ twists[station])[:, 0])
+
+
+def mapped(points: Array, T: Array) -> Array:
+    """Return points (m, 2) of the sensor plane mapped by transforms (m, 4, 4) of their own."""
+    return np.asarray((T[:, :3, [0, 2]] @ points[:, :, None])[..., 0] + T[:, :3, 3])
 
 
 def linearise(problem: Problem, estimate: Estimate) -> Linear:

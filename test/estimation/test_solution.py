@@ -21,8 +21,8 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import Estimate, linearise, Problem
 from handeye_ros.estimation.solve import map_solution, Solution
-from handeye_ros.sampling.sweep import problem_of_known_poses
 from handeye_ros.simulate import SCENARIOS
+from handeye_ros.targets import problem_of_known_poses
 import numpy as np
 import pytest
 
