@@ -75,7 +75,7 @@ def _each_station_wrong(configured: Solution) -> tuple[Array, Array, Array]:
     n, C = len(configured.problem.poses), configured.covariance
     wrt_pose_error = configured.whitening(configured.linear.wrt_pose * POSE_ERROR)
     explained, log_ratio, added = np.empty(n), np.empty(n), np.empty((n, 6, 6))
-    for group in configured.problem.station_groups:
+    for group in configured.problem.observations.station_groups:
         stations = configured.problem.observations.station[group.rows[:, 0]]
         K, J = wrt_pose_error[group.rows], configured.jacobian[group.rows]
         JK = np.swapaxes(J, 1, 2) @ K
@@ -119,7 +119,7 @@ def budget(solution: Solution) -> list[Term]:
 def _parts_of_noise(reported: Solution) -> dict[str, Array]:
     """Return the parts (6, 6) of C that come from the white errors of sensor and poses, (3)."""
     parts = {'sensor, white': np.zeros((6, 6)), 'poses, white': np.zeros((6, 6))}
-    groups = reported.problem.station_groups
+    groups = reported.problem.observations.station_groups
     for group, root in zip(groups, reported.whitening.roots, strict=True):
         V = covariance_parts(reported.linear, group)
         V = V * reported.noise.variance_factors[:len(V), None, None, None]

@@ -35,10 +35,10 @@ def _log_half_t(freedom: float, scale: float) -> Array:
 
 
 # For the report: as configured in the mean square, and with some chance several times as much.
-CONSERVATIVE_PRIOR = _log_half_t(3.0, 0.8)
+REPORT_PRIOR = _log_half_t(3.0, 0.8)
 # The same for a block of one parameter, which says little about a scale. Not a Cauchy prior: a
 # sigma would grow by half or more as samples are added that fit (see estimator.md).
-SINGLE_PRIOR = _log_half_t(2.0, 0.8)
+SINGLE_REPORT_PRIOR = _log_half_t(2.0, 0.8)
 # For the estimate: zero, unless the data show something.
 MAP_PRIOR = _log_half_t(1.0, 0.01)
 
@@ -129,7 +129,7 @@ def _outer(factor: Array, variances: Array | float = 1.0) -> Array:
 @lru_cache(maxsize=4)  # the search asks twice: for the residuals, then for the step from there
 def whitening(linear: Linear, noise: Noise) -> Whitening:
     """Return the map that whitens residuals to unit covariance."""
-    groups = linear.problem.station_groups
+    groups = linear.problem.observations.station_groups
     return Whitening(tuple(group.rows for group in groups), tuple(
         inverse_roots(total_covariance(linear, group, noise)) for group in groups))
 
@@ -166,7 +166,7 @@ def _variances_of_block(covariance: Array, value: Array, before: float, largest:
     squares = variance * gradient ** 2
     log_likelihood = 0.5 * (squares - np.log(growth)).sum(axis=1)
     log_likelihood[largest < TRIED_VARIANCES] = -np.inf
-    prior = SINGLE_PRIOR if len(value) == 1 else CONSERVATIVE_PRIOR
+    prior = SINGLE_REPORT_PRIOR if len(value) == 1 else REPORT_PRIOR
     second_moment = (variance * (1 + squares)).sum(axis=1)
     return (_matching_variance(MAP_PRIOR + log_likelihood, squares.sum(axis=1)),
             _matching_variance(prior + log_likelihood, second_moment))

@@ -209,11 +209,6 @@ class Problem:
         R, _ = self.mounts_of_rows
         return np.stack([R * x, R * z, R]).transpose(0, 3, 1, 2).reshape(9, -1)
 
-    @property
-    def station_groups(self) -> tuple[StationGroup, ...]:
-        """Return the stations, grouped by their number of observations."""
-        return self.observations.station_groups
-
     @cached_property
     def ambiguous(self) -> bool:
         """Return whether stations show several similar surfaces; only one is the target."""

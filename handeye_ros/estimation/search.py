@@ -119,15 +119,14 @@ def with_systematic_errors(agreed: Solution) -> Solution:
     this. With many, a part of them tells linearisation, noise and scales.
     """
     problem, n = agreed.full_problem, len(agreed.full_problem.poses)
-    part = (minimum_near(agreed.problem, agreed.estimate, Noise())
-            if agreed.problem.is_large else None)
+    part = minimum_near(agreed.problem, agreed.estimate) if agreed.problem.is_large else None
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         fitted_problem = agreed.problem.subset(np.flatnonzero(np.isin(agreed.used, used)))
         if part:
             return solution_at_minimum(fitted_problem, part, before)
         return with_possibly_wrong_station(
-            map_solution(fitted_problem, agreed.estimate, Noise()), n - len(used))
+            map_solution(fitted_problem, agreed.estimate), n - len(used))
 
     solution, used, dropped = drop_outliers(
         agreed.used, n, problem.target.min_samples, fitted,

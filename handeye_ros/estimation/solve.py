@@ -41,7 +41,6 @@ from handeye_ros.estimation.noise import (
     FACTOR_FREEDOM,
     LOCAL_DISTORTION,
     Noise,
-    POSE_VALUES,
     prior_variances,
     total_covariance,
     Whitening,
@@ -58,7 +57,7 @@ FULL_STEPS = 5  # in which the scales change in full, later by half
 LAST_STEPS = 3  # of variance factors and scales, after the last of the unknowns
 LEFT_BY_OTHERS = 1e-6  # share of a variance; a station that leaves less to the others is needed
 # prior variance factors for the estimate: no distortion that differs, unless the data show some
-MAP_PRIOR_FACTORS = np.where(np.arange(POSE_VALUES + 1) == LOCAL_DISTORTION, 1e-4, 1.0)
+MAP_PRIOR_FACTORS = np.where(np.arange(5) == LOCAL_DISTORTION, 1e-4, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,8 +202,9 @@ class Solution:
     def estimated_factors(self, prior: Array | float = 1.0) -> Array:
         """Return the variance factors (5,) from residuals and their prior phi_0, (7)."""
         # e' V~ e, and the trace of V~ (I - A C A'), of each factor
-        sums = np.zeros((len(self.noise.variance_factors), 2))
-        for group, root in zip(self.problem.station_groups, self.whitening.roots, strict=True):
+        before, groups = self.noise.variance_factors, self.problem.observations.station_groups
+        sums = np.zeros((len(before), 2))
+        for group, root in zip(groups, self.whitening.roots, strict=True):
             parts = covariance_parts(self.linear, group)
             whitened_parts = (root @ parts @ np.swapaxes(root, 1, 2)).reshape(len(parts), -1)
             e = self.postfit_residuals[group.rows]
@@ -212,7 +212,6 @@ class Solution:
             expected = np.eye(e.shape[1]) - self.predicted_covariance(group.rows)
             sums[:len(parts)] += whitened_parts @ np.column_stack(
                 [products.ravel(), expected.ravel()])
-        before = self.noise.variance_factors
         squares, trace = before * sums.T
         after = before * (squares + FACTOR_FREEDOM * prior / before) / (
             np.maximum(trace, 0.0) + FACTOR_FREEDOM)
@@ -300,7 +299,7 @@ class Solution:
         ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
         J = self.jacobian[:, :self.unknowns]
         J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-        for group in self.problem.station_groups:
+        for group in self.problem.observations.station_groups:
             s = np.linalg.svd(J[group.rows], compute_uv=False)
             # smaller singular values are repeated information with other noise
             ranks[station[group.rows[:, 0]]] = (s > 1e-3 * s[:, :1]).sum(axis=1)
@@ -352,7 +351,7 @@ class Solution:
     def expected_rms(self) -> float:
         """Return the expected RMS (m) of residuals for configured noise and nuisances."""
         covariances = (total_covariance(self.linear, group, BLOCKS_AS_NOISE)
-                       for group in self.problem.station_groups)
+                       for group in self.problem.observations.station_groups)
         total = sum(float(np.einsum('nii->', covariance)) for covariance in covariances)
         return float((total / len(self.linear.residuals)) ** 0.5)
 
@@ -419,7 +418,7 @@ class Solution:
     def indispensable_stations(self) -> NDArray[np.intp]:
         """Return the used stations that determine something that no other one shows."""
         station, needed = self.problem.observations.station, np.zeros(len(self.used), dtype=bool)
-        for group in self.problem.station_groups:
+        for group in self.problem.observations.station_groups:
             # 1 where all that is known of a direction comes from the station itself
             largest_share = np.linalg.eigvalsh(self.predicted_covariance(group.rows))[:, -1]
             needed[station[group.rows[:, 0]]] = largest_share > 1 - LEFT_BY_OTHERS
@@ -463,13 +462,9 @@ class Minimum:
     for_report: Noise
 
 
-def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
-    """
-    Return the MAP solution near a start, with prior scales and noise estimated from residuals.
-
-    noise: to start with.
-    """
-    return solution_at_minimum(problem, minimum_near(problem, start, noise))
+def map_solution(problem: Problem, start: Estimate) -> Solution:
+    """Return the MAP solution near a start, with prior scales and noise estimated."""
+    return solution_at_minimum(problem, minimum_near(problem, start))
 
 
 def solution_at_minimum(problem: Problem, minimum: Minimum, before: Solution | None = None
@@ -493,7 +488,7 @@ def solution_at_minimum(problem: Problem, minimum: Minimum, before: Solution | N
     return replace(solution, report=report.with_scales_for_report(steps))
 
 
-def minimum_near(problem: Problem, start: Estimate, noise: Noise) -> Minimum:
+def minimum_near(problem: Problem, start: Estimate) -> Minimum:
     """
     Return the minimum near a start, with noise and scales estimated there.
 
@@ -502,7 +497,7 @@ def minimum_near(problem: Problem, start: Estimate, noise: Noise) -> Minimum:
     n = len(problem.poses)
     if problem.is_large:
         problem = problem.subset(np.arange(0, n, round(n / problem.enough)))
-    reached, converged = _iterated(solution_at(problem, start, noise))
+    reached, converged = _iterated(solution_at(problem, start, Noise()))
     if not converged:  # the nearest is the answer, as uncertain as any
         return Minimum(reached.linear, reached.noise, reached.noise)
     # both scales follow from the posterior at those for the report

@@ -23,7 +23,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.estimation.basis import bent_line, distortion_fields
 from handeye_ros.estimation.blocks import line_bend
-from handeye_ros.estimation.noise import EDGES, FACES, Noise, POSES
+from handeye_ros.estimation.noise import EDGES, FACES, POSES
 from handeye_ros.estimation.problem import linearise, PoseModel, Problem
 from handeye_ros.estimation.solve import map_solution, Solution
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, sensor, simulate, simulate_samples
@@ -46,7 +46,7 @@ def misjudged(made: Cell, factor: float) -> Cell:
 
 def final(made: Cell) -> Solution:
     first = solved(made.problem)
-    return map_solution(first.problem, first.estimate, Noise())
+    return map_solution(first.problem, first.estimate)
 
 
 def squared(made: Cell) -> float:
@@ -171,7 +171,7 @@ def test_what_poses_depend_on_is_found_and_the_poses_are_moved(scenario: str) ->
     wrong = model.at(np.zeros(2))[0]
     problem = Problem(true.target, wrong if true.config.in_hand else se3.inverse(wrong),
                       true.observations, true.config, model)
-    found = map_solution(problem, start, Noise())
+    found = map_solution(problem, start)
     off = found.problem.pose_values - TRUE
     assert [b.name for b in found.blocks[-2:]] == ['first', 'second']
     std = 1e-3 * np.sqrt(np.diag(found.covariance)[-2:])
@@ -179,7 +179,7 @@ def test_what_poses_depend_on_is_found_and_the_poses_are_moved(scenario: str) ->
     now, _ = model.at(found.problem.pose_values)
     assert np.allclose(found.problem.robot_poses, now)
     assert np.allclose(found.corrected_poses(), found.problem.poses)
-    known = map_solution(true, start, Noise())
+    known = map_solution(true, start)
     assert made.error(found.estimate.X) < made.error(known.estimate.X) + 1e-5
     half = problem.with_pose_values(TRUE).subset(np.arange(0, len(wrong), 2))
     assert np.allclose(half.poses, true.poses[::2])
