@@ -123,6 +123,8 @@ def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
     samples, truth = simulate_samples(many, np.random.default_rng(0))
     config = settings_of(many)
     found = pipeline.answer_samples(samples, (), config).require_solution()
+    _, following = found.for_report.estimated_block_variances()
+    assert following == pytest.approx(found.for_report.variances, rel=0.1), 'they have converged'
     off = se3.difference(found.estimate.X, truth.T_flange_sensor)
     assert np.abs(off).max() < 1e-4
     lengths = [d.std * found.prior_scale(d) for d in found.blocks if d.name in ('scale', 'radius')]
