@@ -28,7 +28,7 @@ from handeye_ros.data import (
     TIME_OFFSET,
 )
 from handeye_ros.estimation.blocks import LINE_BEND, with_columns
-from handeye_ros.estimation.problem import Estimate, Problem
+from handeye_ros.estimation.problem import Estimate, mapped, Problem
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, name_direction, T_sensor_plane
 import numpy as np
@@ -150,7 +150,8 @@ def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
     if fold is None:
         fold = np.arange(n) % min(n, MOST_FOLDS)
     estimates, poses = solution.predictions(fold)
-    p = measured.mapped(poses @ np.array([estimate.X for estimate in estimates])[fold])
+    T = poses @ np.array([estimate.X for estimate in estimates])[fold]
+    p = mapped(measured.points, T[measured.station])
     fold_of_point, left_out = fold[measured.station], np.empty(len(p))
     for k, estimate in enumerate(estimates):
         in_fold = np.flatnonzero(fold_of_point == k)
@@ -188,14 +189,9 @@ class MeasuredPoints:
 
         poses: (n, 4, 4) instead of the reported ones, such as without the robot's smooth error.
         """
-        p = self.mapped((problem.poses if poses is None else poses) @ estimate.X)
+        T = (problem.poses if poses is None else poses) @ estimate.X
+        p = mapped(self.points, T[self.station])
         return problem.target.conditions(p, self.kind, estimate.state, problem.config).g
-
-    def mapped(self, T: Array) -> Array:
-        """Return the points (k, 3) mapped by T (n, 4, 4) of their stations."""
-        x, z = self.points.T[:, :, None]
-        by_x, by_z, origin = np.moveaxis(T[:, :3, [0, 2, 3]], 2, 0)[:, self.station]
-        return np.asarray(by_x * x + by_z * z + origin)
 
 
 def measured_points(used: Sequence[Sample], problem: Problem) -> MeasuredPoints:
@@ -246,16 +242,16 @@ def block_estimates(solution: Solution) -> dict[str, BlockEstimate]:
 
 def reported_parameters(solution: Solution) -> dict[str, Any]:
     """Return the reported nuisance parameters: values of single ones, scales of others."""
-    conservative, report = solution.conservative, dict[str, Any]()
-    estimates = block_estimates(conservative)
-    for block in sorted(conservative.blocks, key=lambda block: block.count > 1):
+    for_report, report = solution.for_report, dict[str, Any]()
+    estimates = block_estimates(for_report)
+    for block in sorted(for_report.blocks, key=lambda block: block.count > 1):
         if block.report and block.count == 1:
             estimate = estimates[block.name]
             report |= {block.report: block.origin + estimate.value,
                        f'{block.report}_std': estimate.std}
         elif block.report:
             report[block.report] = math.hypot(report.get(block.report, 0.0),
-                                              block.std * conservative.prior_scale(block))
+                                              block.std * for_report.prior_scale(block))
     return report
 
 
@@ -264,7 +260,7 @@ def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
     estimate = block_estimates(solution).get(name)
     if estimate is None:
         return None
-    reported = block_estimates(solution.conservative)[name]
+    reported = block_estimates(solution.for_report)[name]
     return ClockEstimate(estimate.value,
                          math.hypot(reported.std, reported.value - estimate.value))
 
@@ -272,7 +268,7 @@ def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
 def notes_of(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the remarks on an answer in words: clocks, laser, target, edges, surfaces."""
     yield from offset_notes(solution)
-    bend = block_estimates(solution.conservative).get(LINE_BEND)
+    bend = block_estimates(solution.for_report).get(LINE_BEND)
     if bend and abs(bend.significance) > CONTRADICTION_SIGMAS and abs(bend.value) > SMALLEST_BEND:
         yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
                f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '
@@ -286,10 +282,11 @@ def notes_of(solution: Solution, config: Config) -> Iterator[str]:
     for edge in sorted({name.partition('_')[0] for name in target.essential} - seen):
         yield (f'no sample shows edge {edge} of the target: cross it too, or set target.type to '
                'line if the target has one edge only')
-    shown = solution.full_problem.subset(solution.used).observations
-    unused = ~np.isin(shown.error_source, problem.observations.error_source)
-    if not target.essential and unused.any():
-        yield (f'{len(np.unique(shown.station[unused]))} of {len(solution.used)} samples show '
+    n = len(solution.used)
+    shown, used = (np.bincount(each.observations.station, minlength=n)
+                   for each in (solution.full_problem.subset(solution.used), problem))
+    if not target.essential and (shown > used).any():
+        yield (f'{np.count_nonzero(shown > used)} of {n} samples show '
                f'other surfaces too than the {target.name} that was used in all of them')
 
 
@@ -314,7 +311,7 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the notes on measures of the target that contradict the configuration."""
     target = solution.problem.target
     stated_to_solver = target.stated_values(solution.problem.config)
-    estimates, reported = block_estimates(solution), block_estimates(solution.conservative)
+    estimates, reported = block_estimates(solution), block_estimates(solution.for_report)
     names = target.parameter_names
     values = dict(zip(names, solution.estimate.state[-len(names):].tolist(), strict=True))
     stds = dict(zip(names, solution.target_std[-len(names):].tolist(), strict=True))

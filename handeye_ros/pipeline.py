@@ -56,7 +56,7 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mount_poses_of
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.sweep import problem_of_known_poses, with_estimated_clocks
+from handeye_ros.sampling.sweep import with_estimated_clocks
 import numpy as np
 
 SEED = 0  # of the random searches: the same samples give the same answer
@@ -180,7 +180,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         synced = with_estimated_clocks(samples, config)
         samples, rejects = synced.samples, [*rejects, *synced.rejects]
         # 4. Robust estimate: linear starts, graduated non-convexity, outlier rejection.
-        problem = synced.problem or problem_of_known_poses(samples, config)
+        problem = synced.problem or targets.problem_of_known_poses(samples, config)
         solution = robust_solution(problem, rng, subsets=True, start=synced.estimate)
         # 5. Shape of the target: estimate it where only this makes the samples agree.
         solution = with_free_shape_if_needed(problem, solution, rng, synced.estimate)

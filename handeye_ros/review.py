@@ -29,7 +29,8 @@ from handeye_ros.results.scene import Agreement, StopSnapshot
 from handeye_ros.results.table import figures_table, sample_summary
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
-from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded, problem_of_known_poses
+from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
+from handeye_ros.targets import problem_of_known_poses
 import numpy as np
 from rich.table import Table
 

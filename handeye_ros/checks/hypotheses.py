@@ -35,8 +35,8 @@ from handeye_ros.estimation.search import CONVINCING_SQUARE, quick_solution, rob
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
-from handeye_ros.sampling.sweep import problem_of_known_poses, with_estimated_clocks
-from handeye_ros.targets import target_for
+from handeye_ros.sampling.sweep import with_estimated_clocks
+from handeye_ros.targets import problem_of_known_poses, target_for
 import numpy as np
 
 FALSE_CAUSE_PROBABILITY = 1e-5  # probability of naming a wrong cause

@@ -174,9 +174,9 @@ class _Move:
         alternatives = [self.unmoved]
         if _is_sweep(self.solution):
             near = self.station + _margin(self.solution) * np.arange(-2, 3)
-            conservative = self.solution.conservative
+            reported = self.solution.for_report
             alternatives.append(
-                with_noise_reestimated(conservative, (_wrong_times(conservative, near),)))
+                with_noise_reestimated(reported, (_wrong_times(reported, near),)))
         return min(other.deviance for other in alternatives) - self.moved.deviance
 
     @cached_property
@@ -224,10 +224,10 @@ def _likeliest_move(solution: Solution) -> _Move | None:
 
     The move and the noise with it are estimated in turn, until the same move is the likeliest.
     """
-    problem, conservative, n = solution.problem, solution.conservative, len(solution.used)
+    problem, reported, n = solution.problem, solution.for_report, len(solution.used)
     if n < problem.target.min_samples + 4:  # too few to tell a move from an outlier
         return None
-    noises = [conservative]
+    noises = [reported]
     if not _is_sweep(solution):
         # of a few stations, estimated noise absorbs a move; configured may be too large
         noises.append(solution_at(problem, solution.estimate, Noise()))
@@ -243,13 +243,13 @@ def _likeliest_move(solution: Solution) -> _Move | None:
         station = int(first)
         while (body, station) not in tried:
             moved = with_noise_reestimated(
-                conservative, _blocks_of_move(conservative, body, station))
+                reported, _blocks_of_move(reported, body, station))
             tried[body, station] = moved
             # noise and scales estimated with the move do not absorb it: its time is clearer
             again = solution_at(problem, solution.estimate, moved.noise)
             station = int(all_moments[np.argmax(_bayes_factors(again, all_moments)[0, :, body])])
     (body, station), moved = min(tried.items(), key=lambda item: item[1].deviance)
-    return _Move(solution, body, station, moved, with_noise_reestimated(conservative))
+    return _Move(solution, body, station, moved, with_noise_reestimated(reported))
 
 
 def _is_sweep(solution: Solution) -> bool:

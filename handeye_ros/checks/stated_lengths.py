@@ -74,7 +74,7 @@ def with_free_size_if_needed(solution: Solution) -> Solution:
     free = with_systematic_errors(replace(
         solution, full_problem=replace(solution.full_problem, config=free_config),
         linear=replace(solution.linear, problem=replace(problem, config=free_config))))
-    with_stated, with_free = (block_estimates(each.conservative) for each in (solution, free))
+    with_stated, with_free = (block_estimates(each.for_report) for each in (solution, free))
     wrong = any(abs(with_free[name].value)
                 > max(FREED_FROM_SIGMAS * with_free[name].std, 2 * stated[name][1])
                 for name in lengths if name in with_free)
@@ -110,7 +110,7 @@ def require_one_scale(solution: Solution) -> None:
 
     Raises DataError: scale, or moved where the evidence for a move is decisive.
     """
-    scale = block_estimates(solution.conservative).get('scale')
+    scale = block_estimates(solution.for_report).get('scale')
     if scale and abs(scale.contradiction) > NOTED_SIGMAS and abs(scale.value) > max(
             SMALLEST_SCALE_ERROR, NOTED_SIGMAS * scale.std):
         with_possible_move(solution)  # raises where something surely moved

@@ -17,7 +17,7 @@ from handeye_ros.data import Array, Term
 from handeye_ros.estimation.basis import grid_over
 from handeye_ros.estimation.blocks import with_columns
 from handeye_ros.estimation.least_squares import chi2_sf
-from handeye_ros.estimation.noise import covariance_parts, Noise
+from handeye_ros.estimation.noise import covariance_parts, Noise, POSES
 from handeye_ros.estimation.solve import Solution, solution_at
 import numpy as np
 
@@ -32,14 +32,14 @@ def with_possibly_wrong_station(solution: Solution, dropped: int) -> Solution:
     """
     Return a solution with its contamination, (10), and the station that is almost surely wrong.
 
-    Between problem.many stations and twice as many the probabilities fade to 0. dropped: number of
-    stations dropped as wrong, which make another wrong one likelier.
+    Between problem.enough stations and twice as many the probabilities fade to 0. dropped: number
+    of stations dropped as wrong, which make another wrong one likelier.
     """
-    n = len(solution.problem.poses)
-    faded = min(1.0, 2 - n / solution.problem.many)
-    if faded <= 0:
+    problem, n = solution.problem, len(solution.problem.poses)
+    if problem.is_large:
         return solution
-    configured = solution_at(solution.problem, solution.estimate, Noise())
+    faded = min(1.0, 2 - n / problem.enough)
+    configured = solution_at(problem, solution.estimate, Noise())
     explained, log_likelihood_ratio, added = _each_station_wrong(configured)
     # posterior probability that each is the only wrong one, against that none is (odds 1); all
     # odds are divided by the largest, as their exponentials may be no numbers
@@ -75,7 +75,7 @@ def _each_station_wrong(configured: Solution) -> tuple[Array, Array, Array]:
     n, C = len(configured.problem.poses), configured.covariance
     wrt_pose_error = configured.whitening(configured.linear.wrt_pose * POSE_ERROR)
     explained, log_ratio, added = np.empty(n), np.empty(n), np.empty((n, 6, 6))
-    for group in configured.problem.station_groups:
+    for group in configured.problem.observations.station_groups:
         stations = configured.problem.observations.station[group.rows[:, 0]]
         K, J = wrt_pose_error[group.rows], configured.jacobian[group.rows]
         JK = np.swapaxes(J, 1, 2) @ K
@@ -97,36 +97,36 @@ def budget(solution: Solution) -> list[Term]:
     Return what each cause contributes to the reported covariance of the transform, and the total.
 
     White noise of sensor and poses, and each block by its name, are the exact parts of C in (5) at
-    the conservative scales: whitened noise of covariance V gives (C A')V(C A')', and the
+    the scales for the report: whitened noise of covariance V gives (C A')V(C A')', and the
     parameters of a block, with the prior information 1/tau^2, give C_xn C_nx / tau^2. Then what
     (8), (10) and a corrected arm add to it.
     """
-    conservative = solution.conservative
-    parts = _parts_of_noise(conservative)
-    for block, columns in with_columns(conservative.blocks, conservative.unknowns):
-        C_xn = conservative.covariance[:6, columns]
-        parts[block.name] = C_xn * conservative.prior_information[columns] @ C_xn.T
-    shift = np.outer(solution.conservative_shift, solution.conservative_shift)
+    reported = solution.for_report
+    parts = _parts_of_noise(reported)
+    for block, columns in with_columns(reported.blocks, reported.unknowns):
+        C_xn = reported.covariance[:6, columns]
+        parts[block.name] = C_xn * reported.prior_information[columns] @ C_xn.T
+    shift = np.outer(solution.shift_for_report, solution.shift_for_report)
     parts |= {'prior scales': shift, **solution.added_covariances}
     parts['best-fit transform'] = (
-        solution.transform_covariance - conservative.covariance[:6, :6] - shift
+        solution.transform_covariance - reported.covariance[:6, :6] - shift
         - sum(solution.added_covariances.values()))
     terms = [_term(solution, name, part) for name, part in parts.items()]
     return [*sorted((term for term in terms if term.mapped > 0), key=lambda term: -term.mapped),
             _term(solution, 'all', solution.transform_covariance)]
 
 
-def _parts_of_noise(conservative: Solution) -> dict[str, Array]:
+def _parts_of_noise(reported: Solution) -> dict[str, Array]:
     """Return the parts (6, 6) of C that come from the white errors of sensor and poses, (3)."""
     parts = {'sensor, white': np.zeros((6, 6)), 'poses, white': np.zeros((6, 6))}
-    groups = conservative.problem.station_groups
-    for group, root in zip(groups, conservative.whitening.roots, strict=True):
-        V = covariance_parts(conservative.linear, group)
-        V = V * conservative.noise.variance_factors[:len(V), None, None, None]
-        A = conservative.jacobian[group.rows]
-        gain = (A @ conservative.covariance[:, :6]).swapaxes(1, 2) @ root  # of residuals in m
-        for name, V_part in zip(parts, (V[:3].sum(axis=0), V[3:].sum(axis=0)), strict=True):
-            parts[name] += (gain @ V_part @ gain.swapaxes(1, 2)).sum(axis=0)
+    groups = reported.problem.observations.station_groups
+    for group, root in zip(groups, reported.whitening.roots, strict=True):
+        V = covariance_parts(reported.linear, group)
+        V = V * reported.noise.variance_factors[:len(V), None, None, None]
+        A = reported.jacobian[group.rows]
+        gain = (A @ reported.covariance[:, :6]).swapaxes(1, 2) @ root  # of residuals in m
+        for name, V_parts in zip(parts, np.split(V, [POSES]), strict=True):
+            parts[name] += (gain @ V_parts.sum(axis=0) @ gain.swapaxes(1, 2)).sum(axis=0)
     return parts
 
 

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 TURN_LENGTH = 0.3  # m: a joint error that turns the flange by 1 rad shifts it by this
-PRIOR_FREEDOM = 4.0  # degrees of freedom of the prior of variance factors, about 1
+FACTOR_FREEDOM = 4.0  # degrees of freedom of the prior of variance factors, about 1
+LOCAL_SHARE = 0.6  # of the sensor's distortion that differs between stations, as speckle does
 
 TRIED_SCALES = np.geomspace(0.001, 1e4, 43)  # of blocks; quantities are summed over these
 TRIED_VARIANCES = np.square(TRIED_SCALES)
@@ -34,14 +35,16 @@ def _log_half_t(freedom: float, scale: float) -> Array:
 
 
 # For the report: as configured in the mean square, and with some chance several times as much.
-CONSERVATIVE_PRIOR = _log_half_t(3.0, 0.8)
+REPORT_PRIOR = _log_half_t(3.0, 0.8)
 # The same for a block of one parameter, which says little about a scale. Not a Cauchy prior: a
 # sigma would grow by half or more as samples are added that fit (see estimator.md).
-SINGLE_PRIOR = _log_half_t(2.0, 0.8)
+SINGLE_REPORT_PRIOR = _log_half_t(2.0, 0.8)
 # For the estimate: zero, unless the data show something.
 MAP_PRIOR = _log_half_t(1.0, 0.01)
 
-EDGES = 1  # place of the edge points among the variance factors
+# Places of the variance factors: of the own errors of faces and arcs, and of edges; of distortion
+# that differs between stations; of the poses; of the white errors of pose values, such as time.
+FACES, EDGES, LOCAL_DISTORTION, POSES, POSE_VALUES = range(5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +52,7 @@ class Noise:
     """
     Factors on the configured variances in (3), and the scales of blocks.
 
-    variance_factors: (5,) of the own errors of faces and arcs; of those of edges (EDGES); of the
-        distortion that differs between stations; of the pose noise; of the white errors of the
-        pose values, such as time
+    variance_factors: (5,), see FACES
     block_variances: tau^2 of each block by name
     blocks_as_noise: whether blocks count as errors of each station
     """
@@ -88,11 +89,11 @@ def covariance_parts(linear: Linear, group: StationGroup) -> Array:
     """
     Return the parts of the covariance, (3), as (p, stations, c, c), for variance factors of 1.
 
-    The p parts: two components of the features' errors, the distortion that differs between
-    stations, the poses, and the pose values if they have white errors.
+    The p parts are in the order of the variance factors; the last is there if the pose values have
+    white errors.
     """
     noise = linear.problem.config.noise
-    local_distortion = (0.6 * noise.distortion) ** 2  # the share that differs, as speckle does
+    local_distortion = (LOCAL_SHARE * noise.distortion) ** 2
     pose_variances = np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
     # no covariance between the components, so that any factors keep the sum positive
     features = _outer(linear.wrt_feature[group.rows]) * group.shared
@@ -128,7 +129,7 @@ def _outer(factor: Array, variances: Array | float = 1.0) -> Array:
 @lru_cache(maxsize=4)  # the search asks twice: for the residuals, then for the step from there
 def whitening(linear: Linear, noise: Noise) -> Whitening:
     """Return the map that whitens residuals to unit covariance."""
-    groups = linear.problem.station_groups
+    groups = linear.problem.observations.station_groups
     return Whitening(tuple(group.rows for group in groups), tuple(
         inverse_roots(total_covariance(linear, group, noise)) for group in groups))
 
@@ -165,7 +166,7 @@ def _variances_of_block(covariance: Array, value: Array, before: float, largest:
     squares = variance * gradient ** 2
     log_likelihood = 0.5 * (squares - np.log(growth)).sum(axis=1)
     log_likelihood[largest < TRIED_VARIANCES] = -np.inf
-    prior = SINGLE_PRIOR if len(value) == 1 else CONSERVATIVE_PRIOR
+    prior = SINGLE_REPORT_PRIOR if len(value) == 1 else REPORT_PRIOR
     second_moment = (variance * (1 + squares)).sum(axis=1)
     return (_matching_variance(MAP_PRIOR + log_likelihood, squares.sum(axis=1)),
             _matching_variance(prior + log_likelihood, second_moment))

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from handeye_ros.estimation.blocks import ParameterBlock
 
 UNUSED = -1  # the kind of an observation that is not part of the target
-# Of more stations, a single one matters less: (10) fades, and the others count as no redundancy.
-# From twice as many on, (10) is left out, and a part of them tells the noise, which stays as
-# further outliers are dropped. Profiles of a sweep, neighbours on a path, are many sooner.
-MANY_STATIONS, MANY_PROFILES = 200, 100
+# So many tell noise and scales; of a sweep, fewer: neighbours on a path tell little new.
+ENOUGH_STATIONS, ENOUGH_PROFILES = 200, 100
+DISTORTION_LENGTH = 0.01  # m: the distortion of points 12 mm apart has the correlation 0.5
+SAME_POINT = 1e-9  # m: conditions of one feature that are nearer are on one point
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class StationGroup:
 
     rows: (s, c) row numbers
     correlation: (s, c, c) of the distortion
-    shared: (s, c, c) 1 where two observations share the error of one feature
+    shared: (s, c, c) 1 where two observations are on one point, whose error they share
     components: (2, s, c, c) 1 where both observations are of faces or arcs, or both are edge
         points: each has a variance factor
     """
@@ -59,7 +59,7 @@ class Observations:
     points: (m, 2) metres
     kind: (m,) index of the condition in the target's kinds
     error_factor: (m, 2, 2) factor L: the point's error is L @ e, e of unit covariance
-    error_number: (m,) observations of a station with equal error_number share e
+    feature: (m,) number of the feature in its profile
     ending: (m,) how the face ends at an edge point (numbered from 1), 0 for other points; edge
         points have a variance factor of their own
     outward: (m, 2) unit vector out of the face
@@ -71,7 +71,7 @@ class Observations:
     points: Array
     kind: NDArray[np.intp]
     error_factor: Array
-    error_number: NDArray[np.intp]
+    feature: NDArray[np.intp]
     ending: NDArray[np.intp]
     outward: Array
     shape_std: Array
@@ -80,22 +80,18 @@ class Observations:
         """Return the number of conditions."""
         return len(self.station)
 
-    @property
-    def error_source(self) -> NDArray[np.intp]:
-        """Return numbers (m,), equal for observations that share an error e."""
-        return (self.station << 32) + self.error_number
-
     @cached_property
     def station_groups(self) -> tuple[StationGroup, ...]:
         """Return the stations, grouped by their number of observations."""
         grouped = []
         for rows in rows_by_count(self.station):
-            points, number = self.points[rows], self.error_number[rows]
+            points, feature = self.points[rows], self.feature[rows]
             is_edge = self.ending[rows] > 0
             apart = points[:, :, None] - points[:, None, :]
-            # 0.01 m: correlation length of the sensor's distortion
-            correlation = np.exp(-0.5 * np.einsum('nijk,nijk->nij', apart, apart) / 0.01 ** 2)
-            shared = (number[:, :, None] == number[:, None, :]).astype(float)
+            squared = np.einsum('nijk,nijk->nij', apart, apart)
+            correlation = np.exp(-0.5 * squared / DISTORTION_LENGTH ** 2)
+            same_feature = feature[:, :, None] == feature[:, None, :]
+            shared = (same_feature & (squared < SAME_POINT ** 2)).astype(float)
             pairs = [mask[:, :, None] & mask[:, None, :] for mask in (~is_edge, is_edge)]
             grouped.append(StationGroup(rows, correlation, shared, np.array(pairs, dtype=float)))
         return tuple(grouped)
@@ -109,12 +105,6 @@ class Observations:
     def select(self, keep: NDArray[np.bool_ | np.intp]) -> Self:
         """Return some observations, by a mask or by their numbers."""
         return type(self)(*(getattr(self, f.name)[keep] for f in fields(self)))
-
-    def in_base(self, poses: Array, X: Array) -> Array:
-        """Return the points (m, 3) in the base, at poses (n, 4, 4) with the sensor at X (4, 4)."""
-        in_mount = self.points @ X[:3, [0, 2]].T + X[:3, 3]
-        T = poses[self.station]
-        return np.asarray(np.einsum('mij,mj->mi', T[:, :3, :3], in_mount) + T[:, :3, 3])
 
     def repeated(self, stations: int, points: Array) -> Self:
         """Return the observations of one station repeated, with points (stations * m, 2)."""
@@ -219,11 +209,6 @@ class Problem:
         R, _ = self.mounts_of_rows
         return np.stack([R * x, R * z, R]).transpose(0, 3, 1, 2).reshape(9, -1)
 
-    @property
-    def station_groups(self) -> tuple[StationGroup, ...]:
-        """Return the stations, grouped by their number of observations."""
-        return self.observations.station_groups
-
     @cached_property
     def ambiguous(self) -> bool:
         """Return whether stations show several similar surfaces; only one is the target."""
@@ -245,9 +230,14 @@ class Problem:
         return smooth_basis(self.robot_poses, self.long_errors)
 
     @property
-    def many(self) -> int:
-        """Return the number of stations of which a single one matters less."""
-        return MANY_STATIONS if self.pose_model is None else MANY_PROFILES
+    def enough(self) -> int:
+        """Return the number of stations that tell noise and scales."""
+        return ENOUGH_STATIONS if self.pose_model is None else ENOUGH_PROFILES
+
+    @property
+    def is_large(self) -> bool:
+        """Return whether a part of the stations suffices to tell noise and scales."""
+        return len(self.poses) >= 2 * self.enough
 
     @property
     def tolerances(self) -> Array:
@@ -264,7 +254,7 @@ class Problem:
 
     def points_in_base(self, X: Array) -> Array:
         """Return the observed points (m, 3) in the base."""
-        return self.observations.in_base(self.poses, X)
+        return mapped(self.observations.points, (self.poses @ X)[self.observations.station])
 
     def retracted(self, estimate: Estimate, step: Array) -> Estimate:
         """Return the estimate, or several, after a step (..., u) in the unknown columns."""
@@ -343,6 +333,11 @@ class Linear:
         """Return the derivatives (m, k) by parameters that move the poses by twists (n, 6, k)."""
         station = self.problem.observations.station
         return np.asarray((self.wrt_pose[:, None] @ twists[station])[:, 0])
+
+
+def mapped(points: Array, T: Array) -> Array:
+    """Return points (m, 2) of the sensor plane mapped by transforms (m, 4, 4) of their own."""
+    return np.asarray((T[:, :3, [0, 2]] @ points[:, :, None])[..., 0] + T[:, :3, 3])
 
 
 def linearise(problem: Problem, estimate: Estimate) -> Linear:

@@ -36,12 +36,10 @@ from handeye_ros.estimation.least_squares import (
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise, whitening
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem, UNUSED
 from handeye_ros.estimation.solve import (
-    LAST_STEPS,
     map_solution,
-    minimum_of_part,
-    reported_at,
+    minimum_near,
     Solution,
-    solution_of_many,
+    solution_at_minimum,
 )
 import numpy as np
 from numpy.typing import NDArray
@@ -102,7 +100,7 @@ def without_outliers(robust: Solution) -> Solution:
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         start = (before or robust).estimate
         return Solution.of_linear(least_squares_fit(robust.problem.subset(used), start),
-                                  BLOCKS_AS_NOISE)
+                                  BLOCKS_AS_NOISE, ())
 
     def left_out_squares(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
         squares, freedom = solution.left_out_squares()
@@ -121,22 +119,18 @@ def with_systematic_errors(agreed: Solution) -> Solution:
     this. With many, a part of them tells linearisation, noise and scales.
     """
     problem, n = agreed.full_problem, len(agreed.full_problem.poses)
-    part = (minimum_of_part(agreed.problem, agreed.estimate, Noise())
-            if len(agreed.used) >= 2 * problem.many else None)
+    part = minimum_near(agreed.problem, agreed.estimate) if agreed.problem.is_large else None
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         fitted_problem = agreed.problem.subset(np.flatnonzero(np.isin(agreed.used, used)))
-        if part is None:
-            return with_possibly_wrong_station(
-                map_solution(fitted_problem, agreed.estimate, Noise()), n - len(used))
-        noise, steps = (before.noise, 1) if before else (part.for_report, LAST_STEPS)
-        return reported_at(part.linear, noise, fitted_problem, steps)
+        if part:
+            return solution_at_minimum(fitted_problem, part, before)
+        return with_possibly_wrong_station(
+            map_solution(fitted_problem, agreed.estimate), n - len(used))
 
     solution, used, dropped = drop_outliers(
         agreed.used, n, problem.target.min_samples, fitted,
-        lambda fit: fit.conservative.left_out_squares(), lambda fit: fit.surely_wrong)
-    if part:
-        solution = solution_of_many(part, solution)
+        lambda fit: fit.for_report.left_out_squares(), lambda fit: fit.surely_wrong)
     return replace(solution, full_problem=problem, used=used,
                    dropped_squares={**agreed.dropped_squares, **dropped})
 
@@ -155,7 +149,7 @@ def refined_robustly(problem: Problem, start: Estimate) -> Solution:
         assigned = reassigned(complete, moved.estimate, moved.problem)
         return moved if assigned is moved.problem else linearise(assigned, moved.estimate)
     fit = graduated(linearise(reassigned(problem, start), start), mean_squares, refit)
-    return replace(Solution.of_linear(fit, BLOCKS_AS_NOISE),
+    return replace(Solution.of_linear(fit, BLOCKS_AS_NOISE, ()),
                    full_problem=problem.with_pose_values(fit.problem.pose_values))
 
 

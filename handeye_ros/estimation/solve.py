@@ -38,8 +38,9 @@ from handeye_ros.estimation.least_squares import (
 from handeye_ros.estimation.noise import (
     BLOCKS_AS_NOISE,
     covariance_parts,
+    FACTOR_FREEDOM,
+    LOCAL_DISTORTION,
     Noise,
-    PRIOR_FREEDOM,
     prior_variances,
     total_covariance,
     Whitening,
@@ -55,7 +56,8 @@ CONVERGED_SIGMAS, NEAR_SIGMAS, MOST_STEPS = 0.25, 1.0, 10
 FULL_STEPS = 5  # in which the scales change in full, later by half
 LAST_STEPS = 3  # of variance factors and scales, after the last of the unknowns
 LEFT_BY_OTHERS = 1e-6  # share of a variance; a station that leaves less to the others is needed
-MAP_PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
+# prior variance factors for the estimate: no distortion that differs, unless the data show some
+MAP_PRIOR_FACTORS = np.where(np.arange(5) == LOCAL_DISTORTION, 1e-4, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +83,7 @@ class Solution:
 
     What is reported, (8), is the estimate of one solution with the covariance of another:
 
-    at_conservative_scales: of a solution for the estimate, that for the report: its estimate moves
-        too far, its covariance is realistic
+    report: the latter, of a solution for the estimate: its own estimate moves too far
     added_covariances: (6, 6) by cause, added to the reported covariance of the transform, as by
         (10)
     """
@@ -100,14 +101,12 @@ class Solution:
     probability_wrong: float = 0.0
     added_covariances: Mapping[str, Array] = field(default_factory=dict)
     surely_wrong: tuple[int, ...] = ()
-    at_conservative_scales: Solution | None = None
+    report: Solution | None = None
 
     @classmethod
-    def of_linear(cls, linear: Linear, noise: Noise,
-                  blocks: tuple[ParameterBlock, ...] | None = None) -> Solution:
-        """Return the solution of a linearised problem; blocks: by default all of the problem."""
-        if blocks is None:
-            blocks = () if noise.blocks_as_noise else blocks_at(linear)
+    def of_linear(cls, linear: Linear, noise: Noise, blocks: tuple[ParameterBlock, ...]
+                  ) -> Solution:
+        """Return the solution of a linearised problem with the parameters of blocks."""
         residuals = linear.residuals
         for block in blocks:
             if block.value is not None:  # its parameter is in the estimate, or in the poses
@@ -203,8 +202,9 @@ class Solution:
     def estimated_factors(self, prior: Array | float = 1.0) -> Array:
         """Return the variance factors (5,) from residuals and their prior phi_0, (7)."""
         # e' V~ e, and the trace of V~ (I - A C A'), of each factor
-        sums = np.zeros((len(MAP_PRIOR_FACTORS), 2))
-        for group, root in zip(self.problem.station_groups, self.whitening.roots, strict=True):
+        before, groups = self.noise.variance_factors, self.problem.observations.station_groups
+        sums = np.zeros((len(before), 2))
+        for group, root in zip(groups, self.whitening.roots, strict=True):
             parts = covariance_parts(self.linear, group)
             whitened_parts = (root @ parts @ np.swapaxes(root, 1, 2)).reshape(len(parts), -1)
             e = self.postfit_residuals[group.rows]
@@ -212,10 +212,9 @@ class Solution:
             expected = np.eye(e.shape[1]) - self.predicted_covariance(group.rows)
             sums[:len(parts)] += whitened_parts @ np.column_stack(
                 [products.ravel(), expected.ravel()])
-        before = self.noise.variance_factors
         squares, trace = before * sums.T
-        after = before * (squares + PRIOR_FREEDOM * prior / before) / (
-            np.maximum(trace, 0.0) + PRIOR_FREEDOM)
+        after = before * (squares + FACTOR_FREEDOM * prior / before) / (
+            np.maximum(trace, 0.0) + FACTOR_FREEDOM)
         return np.asarray(np.clip(after, 1e-4, 1e8))
 
     def estimated_block_variances(self) -> tuple[Array, Array]:
@@ -236,9 +235,9 @@ class Solution:
         noise = replace(self.noise, variance_factors=self.estimated_factors(prior))
         return Solution.of_linear(self.linear, noise, self.blocks)
 
-    def with_conservative_scales(self, steps: int) -> Solution:
+    def with_scales_for_report(self, steps: int) -> Solution:
         """
-        Return the solution at estimated conservative prior scales, itself if these stay the same.
+        Return the solution at the estimated prior scales for the report, itself if it is there.
 
         Ends early if a step hardly changes the variances.
         """
@@ -251,9 +250,9 @@ class Solution:
         return current
 
     @property
-    def conservative(self) -> Solution:
-        """Return the solution at the conservative scales, itself where it is that."""
-        return self.at_conservative_scales or self
+    def for_report(self) -> Solution:
+        """Return the solution for the report, itself without one."""
+        return self.report or self
 
     @cached_property
     def reported_covariance(self) -> Array:
@@ -262,10 +261,10 @@ class Solution:
 
         It covers the errors of both the mount's transform and the best-fit transform.
         """
-        reported = self.conservative.covariance[:self.unknowns, :self.unknowns].copy()
-        if self.at_conservative_scales is None:
+        reported = self.for_report.covariance[:self.unknowns, :self.unknowns].copy()
+        if self.report is None:
             return reported
-        shift = self.conservative_shift
+        shift = self.shift_for_report
         reported[:6, :6] = cover(reported[:6, :6] + np.outer(shift, shift), self._best_fit)
         reported[:6, :6] += sum(self.added_covariances.values())
         return reported
@@ -276,18 +275,18 @@ class Solution:
         return self.reported_covariance[:6, :6]
 
     @property
-    def conservative_shift(self) -> Array:
-        """Return d (6,): how far the conservative scales would move the estimate, (8)."""
-        return se3.difference(self.conservative.estimate.X, self.estimate.X)
+    def shift_for_report(self) -> Array:
+        """Return d (6,): how far the scales for the report would move the estimate, (8)."""
+        return se3.difference(self.for_report.estimate.X, self.estimate.X)
 
     @property
     def _best_fit(self) -> Array:
         """Return the mean square (6, 6) of the best-fit transform about the estimate, (9)."""
-        conservative = self.conservative
-        G = best_fit_motions(conservative.linear, conservative.blocks)
-        L = np.hstack([np.eye(6, conservative.unknowns), G])
-        d_fit = self.conservative_shift + G @ conservative.nuisance
-        return np.asarray(L @ conservative.covariance @ L.T + np.outer(d_fit, d_fit))
+        reported = self.for_report
+        G = best_fit_motions(reported.linear, reported.blocks)
+        L = np.hstack([np.eye(6, reported.unknowns), G])
+        d_fit = self.shift_for_report + G @ reported.nuisance
+        return np.asarray(L @ reported.covariance @ L.T + np.outer(d_fit, d_fit))
 
     @cached_property
     def ranks(self) -> NDArray[np.intp]:
@@ -300,7 +299,7 @@ class Solution:
         ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
         J = self.jacobian[:, :self.unknowns]
         J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-        for group in self.problem.station_groups:
+        for group in self.problem.observations.station_groups:
             s = np.linalg.svd(J[group.rows], compute_uv=False)
             # smaller singular values are repeated information with other noise
             ranks[station[group.rows[:, 0]]] = (s > 1e-3 * s[:, :1]).sum(axis=1)
@@ -325,10 +324,10 @@ class Solution:
     @property
     def target_std(self) -> Array:
         """Return 1 sigma (k,) of the target's parameters, 0 for known ones."""
-        std, conservative = np.zeros(len(self.problem.target.parameter_names)), self.conservative
-        variances = np.diag(conservative.covariance)
+        std, reported = np.zeros(len(self.problem.target.parameter_names)), self.for_report
+        variances = np.diag(reported.covariance)
         std[self.problem.free_columns[6:] - 6] = np.sqrt(variances[6:self.unknowns])
-        for block, columns in with_columns(conservative.blocks, self.unknowns):
+        for block, columns in with_columns(reported.blocks, self.unknowns):
             if block.parameter is not None:
                 std[block.parameter] = block.std * variances[columns][0] ** 0.5
         return std
@@ -340,7 +339,7 @@ class Solution:
 
         A repeated pose adds no information; of very many poses only some are counted.
         """
-        distinct = farthest_points(pose_features(self.problem.poses), self.problem.many)
+        distinct = farthest_points(pose_features(self.problem.poses), self.problem.enough)
         return int(self.ranks[distinct].sum()) - self.unknowns
 
     @property
@@ -352,7 +351,7 @@ class Solution:
     def expected_rms(self) -> float:
         """Return the expected RMS (m) of residuals for configured noise and nuisances."""
         covariances = (total_covariance(self.linear, group, BLOCKS_AS_NOISE)
-                       for group in self.problem.station_groups)
+                       for group in self.problem.observations.station_groups)
         total = sum(float(np.einsum('nii->', covariance)) for covariance in covariances)
         return float((total / len(self.linear.residuals)) ** 0.5)
 
@@ -362,7 +361,7 @@ class Solution:
         log_det_V = -2 * sum(float(np.log(np.einsum('nii->ni', root)).sum())
                              for root in self.whitening.roots)
         factors, priors = self.noise.variance_factors, self.prior_information[self.unknowns:]
-        prior_of_factors = PRIOR_FREEDOM * float((np.log(factors) + 1 / factors - 1).sum())
+        prior_of_factors = FACTOR_FREEDOM * float((np.log(factors) + 1 / factors - 1).sum())
         return float(log_det_V + np.linalg.slogdet(self.information)[1] - np.log(priors).sum()
                      + self.sum_of_squares + prior_of_factors)
 
@@ -419,7 +418,7 @@ class Solution:
     def indispensable_stations(self) -> NDArray[np.intp]:
         """Return the used stations that determine something that no other one shows."""
         station, needed = self.problem.observations.station, np.zeros(len(self.used), dtype=bool)
-        for group in self.problem.station_groups:
+        for group in self.problem.observations.station_groups:
             # 1 where all that is known of a direction comes from the station itself
             largest_share = np.linalg.eigvalsh(self.predicted_covariance(group.rows))[:, -1]
             needed[station[group.rows[:, 0]]] = largest_share > 1 - LEFT_BY_OTHERS
@@ -463,52 +462,48 @@ class Minimum:
     for_report: Noise
 
 
-def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
+def map_solution(problem: Problem, start: Estimate) -> Solution:
+    """Return the MAP solution near a start, with prior scales and noise estimated."""
+    return solution_at_minimum(problem, minimum_near(problem, start))
+
+
+def solution_at_minimum(problem: Problem, minimum: Minimum, before: Solution | None = None
+                        ) -> Solution:
     """
-    Return the MAP solution near a start, with prior scales and noise estimated from residuals.
+    Return the MAP solution of a problem at the minimum of its stations, or of a part of them.
 
-    It is for the estimate, at the MAP scales, and holds another one for the report: at the
-    conservative scales, with long errors of the robot only. noise: to start with.
+    It is for the estimate, and holds another one for the report: at wider scales, with long errors
+    of the robot only. before: the same of a few stations more, whose scales are hardly different.
     """
-    if len(problem.poses) < 2 * problem.many:
-        minimum = minimum_near(problem, start, noise)
-        return replace(Solution.of_linear(minimum.linear, minimum.for_estimate),
-                       at_conservative_scales=reported_at(minimum.linear, minimum.for_report,
-                                                          problem))
-    part = minimum_of_part(problem, start, noise)
-    return solution_of_many(part, reported_at(part.linear, part.for_report, problem))
+    at = minimum.linear
+    problem = problem.with_pose_values(at.problem.pose_values)
+    solution = solution_at(problem, at.estimate, minimum.for_estimate)
+    if len(problem.poses) > len(at.problem.poses):  # one step from the scales of the part
+        at_report_scales = replace(solution, noise=replace(
+            minimum.for_estimate, block_variances=minimum.for_report.block_variances))
+        for_estimate, _ = at_report_scales.estimated_block_variances()
+        solution = solution.with_variances(for_estimate)
+    noise, steps = (before.for_report.noise, 1) if before else (minimum.for_report, LAST_STEPS)
+    report = solution_at(replace(problem, long_errors=True), at.estimate, noise)
+    return replace(solution, report=report.with_scales_for_report(steps))
 
 
-def minimum_of_part(problem: Problem, start: Estimate, noise: Noise) -> Minimum:
-    """Return the minimum of evenly chosen stations, about `many`, of a problem with more."""
+def minimum_near(problem: Problem, start: Estimate) -> Minimum:
+    """
+    Return the minimum near a start, with noise and scales estimated there.
+
+    Of a large problem it is that of evenly chosen stations.
+    """
     n = len(problem.poses)
-    return minimum_near(problem.subset(np.arange(0, n, round(n / problem.many))), start, noise)
-
-
-def solution_of_many(part: Minimum, reported: Solution) -> Solution:
-    """
-    Return the MAP solution of many stations, from the minimum of a part and that for the report.
-
-    It is linearised where the part was, and has its noise. The scales of the estimate take one
-    step from those of the part.
-    """
-    problem = replace(reported.problem, long_errors=False)
-    solution = solution_at(problem, part.linear.estimate, part.for_estimate)
-    conservative = replace(solution, noise=replace(
-        part.for_estimate, block_variances=part.for_report.block_variances))
-    for_estimate, _ = conservative.estimated_block_variances()
-    return replace(solution.with_variances(for_estimate), at_conservative_scales=reported)
-
-
-def minimum_near(problem: Problem, start: Estimate, noise: Noise) -> Minimum:
-    """Return the minimum near a start, with noise and scales estimated there."""
-    reached, converged = _iterated(solution_at(problem, start, noise))
+    if problem.is_large:
+        problem = problem.subset(np.arange(0, n, round(n / problem.enough)))
+    reached, converged = _iterated(solution_at(problem, start, Noise()))
     if not converged:  # the nearest is the answer, as uncertain as any
         return Minimum(reached.linear, reached.noise, reached.noise)
-    # both scales follow from the posterior at the conservative ones
+    # both scales follow from the posterior at those for the report
     for_estimate = for_report = reached
     if reached.blocks:
-        posterior = reached.with_conservative_scales(LAST_STEPS - 1)
+        posterior = reached.with_scales_for_report(LAST_STEPS - 1)
         for_estimate, for_report = map(reached.with_variances,
                                        posterior.estimated_block_variances())
     # the noise of the estimate, at its own scales; that of the report stays as it converged
@@ -522,7 +517,7 @@ def _iterated(start: Solution) -> tuple[Solution, bool]:
     Return the solution that repeated steps (5) reach and True, or, if none, the nearest and False.
 
     The nearest has the shortest step in sigmas. After each step the variance factors are estimated
-    from the residuals before it, (7), and then the conservative scales from those after it, (6).
+    from the residuals before it, (7), and then the scales for the report from those after it, (6).
     (Both from the same residuals may swing from too much of one to too much of the other for ever.
     Where these do all the same, half of the later changes, in logarithms, ends it.)
     """
@@ -537,7 +532,8 @@ def _iterated(start: Solution) -> tuple[Solution, bool]:
         factors = current.estimated_factors()
         steady = np.abs(np.log(factors / current.noise.variance_factors)).max() < 0.1
         noise = replace(current.noise, variance_factors=factors)
-        following = Solution.of_linear(current.relinearise(), noise).with_conservative_scales(1)
+        linear = current.relinearise()
+        following = Solution.of_linear(linear, noise, blocks_at(linear)).with_scales_for_report(1)
         if number >= FULL_STEPS and len(current.blocks) == len(following.blocks):
             following = following.with_variances(np.sqrt(following.variances * current.variances))
         current = following
@@ -547,20 +543,10 @@ def _iterated(start: Solution) -> tuple[Solution, bool]:
     return (current, True) if length < NEAR_SIGMAS else (nearest, False)
 
 
-def reported_at(linear: Linear, noise: Noise, problem: Problem, steps: int = LAST_STEPS
-                ) -> Solution:
-    """
-    Return the solution of a problem for the report, linearised where another is.
-
-    It has the conservative scales, some steps from those of noise.
-    """
-    long_errors = replace(problem.with_pose_values(linear.problem.pose_values), long_errors=True)
-    return solution_at(long_errors, linear.estimate, noise).with_conservative_scales(steps)
-
-
 def solution_at(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
-    """Return the solution at an estimate."""
-    return Solution.of_linear(linearise(problem, estimate), noise)
+    """Return the solution at an estimate; all blocks are its parameters if they are no noise."""
+    linear = linearise(problem, estimate)
+    return Solution.of_linear(linear, noise, () if noise.blocks_as_noise else blocks_at(linear))
 
 
 def with_noise_reestimated(solution: Solution, further: tuple[ParameterBlock, ...] = ()
@@ -569,5 +555,5 @@ def with_noise_reestimated(solution: Solution, further: tuple[ParameterBlock, ..
     linear = linearise(solution.problem, solution.estimate)
     estimated = Solution.of_linear(linear, solution.noise, (*further, *blocks_at(linear)))
     for _ in range(LAST_STEPS):
-        estimated = estimated.with_estimated_factors().with_conservative_scales(2)
+        estimated = estimated.with_estimated_factors().with_scales_for_report(2)
     return estimated

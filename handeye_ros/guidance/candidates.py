@@ -270,7 +270,7 @@ def covariances_with_one_more(solution: Solution, candidates: Problem) -> Array:
     candidates: with equally many observations at each. The blocks count as errors of the station.
     """
     C, noise = solution.reported_covariance, replace(solution.noise, blocks_as_noise=True)
-    A = Solution.of_linear(linearise(candidates, solution.estimate), noise).jacobian
+    A = solution_at(candidates, solution.estimate, noise).jacobian
     A = A.reshape(len(candidates.poses), -1, len(C))
     # (N + A'A)^-1 = C - C A' (1 + A C A')^-1 A C inverts only a small matrix
     AC = A @ C
@@ -286,8 +286,8 @@ def std_with_one_more(solution: Solution, levers: Array, added: Problem) -> floa
 
     added: the problem of that station alone. Here all blocks are shared with the others.
     """
-    conservative = solution.conservative
-    problem = conservative.problem
+    reported = solution.for_report
+    problem = reported.problem
     observations = [problem.observations, replace(
         added.observations, station=added.observations.station + len(problem.poses))]
     with_added = replace(
@@ -296,7 +296,7 @@ def std_with_one_more(solution: Solution, levers: Array, added: Problem) -> floa
                                                     for obs in observations])
                                     for item in fields(Observations))))
     before, after = (
-        se3.mapped_std(levers, solution_at(each, solution.estimate, conservative.noise
+        se3.mapped_std(levers, solution_at(each, solution.estimate, reported.noise
                                            ).covariance[:6, :6]) for each in (problem, with_added))
     now = se3.mapped_std(levers, solution.transform_covariance)
     return float(now) * min(float(after / before), 1.0)

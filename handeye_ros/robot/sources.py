@@ -44,9 +44,9 @@ from handeye_ros.robot.selection import (
 )
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.sweep import problem_of_known_poses, with_estimated_clocks
+from handeye_ros.sampling.sweep import with_estimated_clocks
 from handeye_ros.tables import ANGLE, LENGTH, Table, UNITS
-from handeye_ros.targets import target_for
+from handeye_ros.targets import problem_of_known_poses, target_for
 from handeye_ros.targets.profile_target import xyz
 import numpy as np
 from numpy.typing import NDArray

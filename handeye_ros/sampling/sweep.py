@@ -25,8 +25,8 @@ A sweep differs from stops in these places, found by Sample.moving and sampling.
 - profiles: fewer points of a line or arc are kept (lines.py, arcs.py)
 - stops.py cuts it by time, into passes; features.py combines no profiles; passes_expanded (here)
   takes a pass apart, with one trajectory for all
-- estimation: problem_with_clocks (here) adds the three unknowns; far fewer profiles than stops are
-  many (Problem.many)
+- estimation: problem_with_clocks (here) adds the three unknowns; fewer profiles than stops are
+  enough (Problem.enough)
 - session.py: a pass is never a duplicate, nor taken early; guidance advises to sweep on
 - checks: other settings and clocks are not tried (causes.py); with the other sign of the range or
   other poses the clocks are searched anew (hypotheses.py, conventions.py); a move must be larger
@@ -43,7 +43,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 
-from handeye_ros import targets
 from handeye_ros.config import Config
 from handeye_ros.data import Array, CLOCK_DRIFT, Reject, ROTATION_LAG, Sample, TIME_OFFSET
 from handeye_ros.errors import DataError
@@ -60,9 +59,9 @@ from handeye_ros.estimation.search import (
     station_squares,
 )
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.frames import mount_poses_of
 from handeye_ros.sampling.stops import evenly, evenly_chosen
 from handeye_ros.sampling.trajectory import Instants, joined, Trajectory
+from handeye_ros.targets import problem_of_known_poses
 import numpy as np
 from numpy.typing import NDArray
 
@@ -125,12 +124,6 @@ def _poses_and_derivatives(clocked: ClockedPoses, clock_values: Array) -> tuple[
     derivatives[:, :3, 1] = 0.0  # a lag is of the rotation alone
     derivatives[:, :, 2] *= clocked.since_middle[:, None]
     return instants.T_base_flange, derivatives
-
-
-def problem_of_known_poses(samples: Sequence[Sample], config: Config) -> Problem:
-    """Return the problem of samples whose poses are known, as those of stops are."""
-    target = targets.target_for(config)
-    return Problem(target, mount_poses_of(samples, config), target.observe(samples), config)
 
 
 def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:

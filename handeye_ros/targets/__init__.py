@@ -3,8 +3,13 @@
 """The target models, one file each."""
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from handeye_ros.config import Config
+from handeye_ros.data import Sample
 from handeye_ros.errors import BadValueError, InputError
+from handeye_ros.estimation.problem import Problem
+from handeye_ros.frames import mount_poses_of
 from handeye_ros.targets.line import LINE
 from handeye_ros.targets.plane import PLANE
 from handeye_ros.targets.plate import PLATE
@@ -32,3 +37,9 @@ def target_for(config: Config) -> ProfileTarget:
         known = [*TARGETS, *FROM_FILES] if key == 'target.type' else TARGETS
         raise BadValueError(key, name, 'one of ' + ', '.join(known))
     return TARGETS[name]
+
+
+def problem_of_known_poses(samples: Sequence[Sample], config: Config) -> Problem:
+    """Return the problem of samples whose poses are known, as those of stops are."""
+    target = target_for(config)
+    return Problem(target, mount_poses_of(samples, config), target.observe(samples), config)

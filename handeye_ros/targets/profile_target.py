@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 NO_OUTWARD = np.zeros(2)  # the outward direction at points that are no edges
 FACE = 0  # the kind of a condition on a face, in every target that has them
-ERRORS_PER_FEATURE = 64  # per feature, at most
 # share of the RMS of each degree: the first are the largest
 FLATNESS_SHARES = {2: 0.8, 3: 0.5, 4: 0.3}
 
@@ -47,19 +46,18 @@ class ObservationRows:
 
     parts: list[tuple[NDArray[Any], ...]] = field(default_factory=list)
 
-    def add(self, station: int, points: Array, kind: int, factor: Array, error: int = 0,
+    def add(self, station: int, points: Array, kind: int, factor: Array, feature: int = 0,
             edge: EdgePoint | None = None) -> None:
         """
         Append a condition for each of points (k, 2), with factors (k, 2, 2); see Observations.
 
-        error: number of the first point's error in its station, the next points have the next
-        numbers; edge: that the points are on, or None.
+        edge: that the points are on, or None.
         """
         ones = np.ones(len(points), dtype=np.intp)
         ending, outward, shape_std = (
             (1 + ENDINGS.index(edge.ending), edge.direction, edge.shape_std) if edge else
             (0, NO_OUTWARD, 0.0))
-        self.parts.append((station * ones, points, kind * ones, factor, error - 1 + ones.cumsum(),
+        self.parts.append((station * ones, points, kind * ones, factor, feature * ones,
                            ending * ones, outward * ones[:, None], shape_std * ones))
 
     def observations(self) -> Observations:
@@ -114,15 +112,14 @@ class ProfileTarget(Target):
         rows = ObservationRows()
         for station, sample in enumerate(samples):
             for number, feature in enumerate(sample.features):
-                error = ERRORS_PER_FEATURE * number
                 if isinstance(feature, EdgePoint):
                     for kind in self.edge_kinds:
                         rows.add(station, self.edge_place(feature)[None], kind,
-                                 edge_error_factor(feature)[None], error, feature)
+                                 edge_error_factor(feature)[None], number, feature)
                 else:
                     points, across = _normal_points(feature)
                     rows.add(station, points, number % max(self.face_count, 1),
-                             np.stack([across, np.zeros_like(across)], axis=-1), error)
+                             np.stack([across, np.zeros_like(across)], axis=-1), number)
         return rows.observations()
 
     def edge_place(self, edge: EdgePoint) -> Array:
@@ -131,7 +128,7 @@ class ProfileTarget(Target):
 
     def pieces(self, observations: Observations) -> NDArray[np.intp]:
         """Return the number (m,) of the surface, or pair of surfaces, in its profile."""
-        return observations.error_number // (self.face_count * ERRORS_PER_FEATURE)
+        return observations.feature // self.face_count
 
     def ambiguous(self, observations: Observations) -> bool:
         """Return whether a station shows several surfaces or pairs of them."""
@@ -209,7 +206,8 @@ def ends_of_faces(linear: Linear) -> Blocks:
     """
     obs, kinds = linear.problem.observations, linear.problem.target.kinds
     std, end = linear.problem.config.target.setback_std, obs.ending > 0
-    _, feature, count = np.unique(obs.error_source, return_inverse=True, return_counts=True)
+    _, feature, count = np.unique(obs.station * (1 + obs.feature.max(initial=0)) + obs.feature,
+                                  return_inverse=True, return_counts=True)
     kind = np.where(count[feature] > 1, 0, obs.kind)  # conditions of one point share its edge
     # derivatives by outward moves, scaled to unit length per feature
     by_move = out_of_face(linear)

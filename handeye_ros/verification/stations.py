@@ -98,8 +98,7 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
         for number, index in enumerate(usable.tolist(), len(stamps)):
             valid = profiles[index].points[np.isfinite(profiles[index].points).all(axis=1)]
             points = valid[evenly_chosen(len(valid), POINTS_OF_PROFILE)]
-            rows.add(number, points, 0, np.repeat(noise[None], len(points), axis=0),
-                     number * POINTS_OF_PROFILE)
+            rows.add(number, points, 0, np.repeat(noise[None], len(points), axis=0), number)
         poses.append(flange.T_base_flange[usable])
         stamps += [profiles[index].stamp for index in usable.tolist()]
         counts.append(len(usable))

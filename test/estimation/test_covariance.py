@@ -49,7 +49,7 @@ def test_the_noise_of_a_station_is_positive_whatever_its_size(factors):
     problem = replace(solution.problem, config=with_values(
         solution.problem.config, {'noise.distortion': 2e-5}, 'a test'))
     linear = replace(solution.linear, problem=problem)
-    for stations in problem.station_groups:
+    for stations in problem.observations.station_groups:
         noise = np.tensordot(factors, covariance_parts(linear, stations), 1)
         assert np.array_equal(noise, np.swapaxes(noise, 1, 2))
         assert np.linalg.eigvalsh(noise).min() > 0

@@ -23,7 +23,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.estimation.basis import bent_line, distortion_fields
 from handeye_ros.estimation.blocks import line_bend
-from handeye_ros.estimation.noise import Noise
+from handeye_ros.estimation.noise import EDGES, FACES, POSES
 from handeye_ros.estimation.problem import linearise, PoseModel, Problem
 from handeye_ros.estimation.solve import map_solution, Solution
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, sensor, simulate, simulate_samples
@@ -46,7 +46,7 @@ def misjudged(made: Cell, factor: float) -> Cell:
 
 def final(made: Cell) -> Solution:
     first = solved(made.problem)
-    return map_solution(first.problem, first.estimate, Noise())
+    return map_solution(first.problem, first.estimate)
 
 
 def squared(made: Cell) -> float:
@@ -67,7 +67,7 @@ def test_the_covariance_is_true_though_the_noise_was_stated_wrongly(factor: floa
 @pytest.mark.thorough
 def test_noise_that_was_stated_rightly_is_kept() -> None:
     noises = [final(cell('plate', seed)).noise for seed in range(10)]
-    factors = [[noise.variance_factors[i] for i in (0, 1, 3)] for noise in noises]
+    factors = [[noise.variance_factors[i] for i in (FACES, EDGES, POSES)] for noise in noises]
     sensor, edge, robot = np.abs(np.log(factors)).max(axis=0)
     assert max(sensor, robot) < math.log(2.5)
     # the own noise of 18 edge points is a fifth of their residuals' variance: they say little
@@ -123,7 +123,8 @@ def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
     samples, truth = simulate_samples(many, np.random.default_rng(0))
     config = settings_of(many)
     found = pipeline.answer_samples(samples, (), config).require_solution()
-    assert found.conservative, 'the scales of the blocks have converged'
+    _, following = found.for_report.estimated_block_variances()
+    assert following == pytest.approx(found.for_report.variances, rel=0.1), 'they have converged'
     off = se3.difference(found.estimate.X, truth.T_flange_sensor)
     assert np.abs(off).max() < 1e-4
     lengths = [d.std * found.prior_scale(d) for d in found.blocks if d.name in ('scale', 'radius')]
@@ -172,7 +173,7 @@ def test_what_poses_depend_on_is_found_and_the_poses_are_moved(scenario: str) ->
     wrong = model.at(np.zeros(2))[0]
     problem = Problem(true.target, wrong if true.config.in_hand else se3.inverse(wrong),
                       true.observations, true.config, model)
-    found = map_solution(problem, start, Noise())
+    found = map_solution(problem, start)
     off = found.problem.pose_values - TRUE
     assert [b.name for b in found.blocks[-2:]] == ['first', 'second']
     std = 1e-3 * np.sqrt(np.diag(found.covariance)[-2:])
@@ -180,7 +181,7 @@ def test_what_poses_depend_on_is_found_and_the_poses_are_moved(scenario: str) ->
     now, _ = model.at(found.problem.pose_values)
     assert np.allclose(found.problem.robot_poses, now)
     assert np.allclose(found.corrected_poses(), found.problem.poses)
-    known = map_solution(true, start, Noise())
+    known = map_solution(true, start)
     assert made.error(found.estimate.X) < made.error(known.estimate.X) + 1e-5
     half = problem.with_pose_values(TRUE).subset(np.arange(0, len(wrong), 2))
     assert np.allclose(half.poses, true.poses[::2])

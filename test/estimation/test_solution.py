@@ -18,11 +18,10 @@ from cells import (
 )
 from handeye_ros import se3
 from handeye_ros.data import Array, Sample
-from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import Estimate, linearise, Problem
 from handeye_ros.estimation.solve import map_solution, Solution
-from handeye_ros.sampling.sweep import problem_of_known_poses
 from handeye_ros.simulate import SCENARIOS
+from handeye_ros.targets import problem_of_known_poses
 import numpy as np
 import pytest
 
@@ -67,7 +66,7 @@ def frozen(sample: Sample) -> Sample:
 def test_of_very_many_stations_all_count_though_some_tell_the_noise() -> None:
     made = cell(replace(SCENARIOS['plate'], stations=(250, 250)), noise__robot_smooth=1e-4)
     first = solved(made.problem)
-    whole, half = (map_solution(problem, first.estimate, Noise()) for problem in (
+    whole, half = (map_solution(problem, first.estimate) for problem in (
         first.problem, first.problem.subset(np.arange(0, 500, 2))))
     std, of_half = (np.sqrt(np.diag(found.reported_covariance)[:6]) for found in (whole, half))
     assert (std < 0.9 * of_half).all() and (std > 0.6 * of_half).all()
@@ -80,12 +79,12 @@ def test_a_solve_that_diverges_reports_the_errors_of_any_other(seed: int) -> Non
     """A start that is off by metres and radians."""
     problem, at = noisy('sphere').problem, solution_of('sphere').estimate
     far = se3.perturb(at.X, np.random.default_rng(seed).normal(size=6))
-    found = map_solution(problem, replace(at, X=far), Noise())
+    found = map_solution(problem, replace(at, X=far))
     assert apart(found.estimate.X, at.X) > 0.1, 'it has not found the answer'
     of_a_cause = replace(found, added_covariances={'cause': 1e-6 * np.eye(6)})
     more = of_a_cause.reported_covariance - found.reported_covariance
     np.testing.assert_allclose(more[:6, :6], 1e-6 * np.eye(6), atol=1e-12)
-    beside = found.conservative.covariance[:6, :6]
+    beside = found.for_report.covariance[:6, :6]
     assert np.linalg.eigvalsh(found.transform_covariance - beside).min() > -1e-9 * beside.max()
 
 

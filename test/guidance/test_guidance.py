@@ -12,8 +12,7 @@ from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.problem import linearise
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solve import Solution, solution_at
 from handeye_ros.guidance.advice import (
     Advice,
     advise,
@@ -82,7 +81,7 @@ def test_what_a_sample_brings_is_what_the_solver_then_says(made: tuple[Cell, Sol
     observations, last = solution.problem.observations, len(solution.problem.poses) - 1
     fewer = replace(solution.problem,
                     observations=observations.select(observations.station != last))
-    before = Solution.of_linear(linearise(fewer, solution.linear.estimate), solution.noise)
+    before = solution_at(fewer, solution.linear.estimate, solution.noise)
     after = covariances_with_one_more(before, solution.problem.subset(np.array([last])))[0]
     np.testing.assert_allclose(after, solution.covariance[:6, :6], rtol=1e-5, atol=1e-15)
 
@@ -196,7 +195,7 @@ def test_before_the_first_sample_it_tells_how_to_take_it() -> None:
 
 def test_a_sensor_that_is_not_roughly_known_is_not_aimed(made: tuple[Cell, Solution]) -> None:
     found, solution = made
-    vague = replace(solution, at_conservative_scales=solution,
+    vague = replace(solution, report=solution,
                     added_covariances={'a test': ROUGHLY_KNOWN ** 2 * 2 * np.eye(6)})
     result = advice((found, vague))
     assert result.next is None and result.move is not None

@@ -25,7 +25,6 @@ from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.results.calibration_file import errors_against
-from handeye_ros.sampling.sweep import problem_of_known_poses
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
 from handeye_ros.simulate.sensor import FRAMES
 import numpy as np
@@ -53,7 +52,7 @@ class Cell:
 
     @property
     def problem(self) -> Problem:
-        return problem_of_known_poses(self.samples, self.config)
+        return targets.problem_of_known_poses(self.samples, self.config)
 
     def solve(self, samples: Iterable[Sample] | None = None, **values: object) -> Calibration:
         """Return the calibration from its samples, or others in their place, with settings."""
