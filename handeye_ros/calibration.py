@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import permutations
 import math
 from typing import Any
 
@@ -39,7 +40,6 @@ MOST_FOLDS = 20  # of the cross-validation
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
              'crosses the edge at too small an angle')
 CONTRADICTION_SIGMAS, NOTED_SIGMAS = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
-PLATE_LENGTHS = 'size_p', 'size_q'  # of a plate
 SMALLEST_BEND = 3e-5  # m, told
 PARTED_P = 0.01  # largest probability that random stations are the first, or the last, ones
 LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
@@ -310,20 +310,24 @@ def offset_notes(solution: Solution) -> Iterator[str]:
 def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the notes on measures of the target that contradict the configuration."""
     target = solution.problem.target
-    stated_to_solver = target.stated_values(solution.problem.config)
+    measures, stated_to_solver = map(target.stated_values, (config, solution.problem.config))
     estimates, reported = block_estimates(solution), block_estimates(solution.for_report)
     names = target.parameter_names
     values = dict(zip(names, solution.estimate.state[-len(names):].tolist(), strict=True))
     stds = dict(zip(names, solution.target_std[-len(names):].tolist(), strict=True))
-    # edge p may be either of the two stated lengths
-    lengths = min((config.target.size, config.target.size[::-1]), key=lambda sizes: sum(
-        abs(size - values[name]) for name, size in zip(PLATE_LENGTHS, sizes, strict=False)))
-    for name, (stated, tolerance) in target.stated_values(config).items():
+    freed = [name for name, (_, tolerance) in measures.items()
+             if name in stated_to_solver and stated_to_solver[name][1] > tolerance]
+    # each freed length may be any of those that are stated
+    stated_of_freed = min(
+        (dict(zip(freed, lengths, strict=True))
+         for lengths in permutations(measures[name][0] for name in freed)),
+        key=lambda lengths: sum(abs(lengths[name] - values[name]) for name in freed))
+    for name, (stated, tolerance) in measures.items():
         value, std = values[name], stds[name]
         if name not in reported:  # it was freed, to make the stations agree
             contradicts = abs(value - stated) > NOTED_SIGMAS * math.hypot(std, tolerance)
-        elif stated_to_solver[name][1] > tolerance:  # both lengths were freed, one may be right
-            stated, std = lengths[PLATE_LENGTHS.index(name)], reported[name].std
+        elif name in freed:  # with the other lengths, so that it may be right
+            stated, std = stated_of_freed[name], reported[name].std
             contradicts = abs(value - stated) > std
         else:
             stated, std = value - estimates[name].value, reported[name].std

@@ -86,8 +86,7 @@ def _delay_hypotheses(rests: Sequence[_Rest], config: Config) -> Iterator[Hypoth
     stamps = [rest.sample.stamp for rest in rests if rest.sample]
     for stops_late in (0, 1, -1):
         pairs = list(zip(rests[max(stops_late, 0):], rests[max(-stops_late, 0):], strict=False))
-        delay = _delay(pairs)
-        if abs(delay) <= SMALLEST_OFFSET:
+        if not pairs or abs(delay := _delay(pairs)) <= SMALLEST_OFFSET:
             continue
         samples = [replace(seen.sample, T_base_flange=posed.T_base_flange)
                    for seen, posed in pairs if seen.sample]
@@ -118,7 +117,8 @@ def _delay(pairs: Sequence[tuple[_Rest, _Rest]]) -> float:
 
 def _rests(session: Session, config: Config) -> list[_Rest]:
     """Return the rest of the profiles at each stop that has several, in the order of time."""
-    stops = [(stop, profiles, _changes(profiles)) for stop in stops_to_explain(session)
+    in_time = sorted(stops_to_explain(session), key=lambda stop: stop.stamp)
+    stops = [(stop, profiles, _changes(profiles)) for stop in in_time
              if len(profiles := _compared_profiles(stop, config)) > 1]
     if not stops:
         return []

@@ -30,7 +30,7 @@ Values = tuple[tuple[str, str], ...]  # of settings, by their keys
 
 def setting_hypotheses(session: Session, config: Config, baseline: Fit) -> Iterator[Hypothesis]:
     """Yield the hypotheses that other settings explain the stops of a session."""
-    stops = stops_to_explain(session)[:MOST_STOPS]
+    stops = evenly(stops_to_explain(session), MOST_STOPS)
     stamps = [stop.result.stamp for stop in stops]
     few_profiles = [thinned(stop, config) for stop in stops]
     show_edge = {sample.stamp for stop in stops if (sample := stop.sample) and any(

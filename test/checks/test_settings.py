@@ -124,6 +124,13 @@ def test_right_settings_are_not_blamed() -> None:
     refuse_by_best(stated, setting_hypotheses(session, cell.config, stated))
 
 
+def test_the_stops_that_are_read_again_are_of_the_whole_recording(monkeypatch) -> None:
+    """The first stops of this plate show one edge only: they fit a line."""
+    monkeypatch.setattr('handeye_ros.checks.settings.MOST_STOPS', 9)
+    with pytest.raises(DataError, match='set target.type to plate$'):
+        recorded('plate_in_order', rate=8.0).calibrate(target__type='sphere', target__size=())
+
+
 @lru_cache(maxsize=2)
 def at_20_hz(target: str) -> Recorded:
     scenario = replace(SCENARIOS[target], sensor=replace(SCENARIOS[target].sensor, rate=20.0))
@@ -173,6 +180,28 @@ def test_clocks_are_not_blamed_where_few_stops_end_early_or_are_wrong(scenario, 
     made = simulate(scenario, np.random.default_rng(seed))
     config = settings_of(scenario)
     require_same_clock(pipeline.gather(made.profiles, made.poses, config), config)
+
+
+@pytest.mark.filterwarnings('error')
+def test_the_clocks_of_one_stop_are_not_blamed() -> None:
+    made = at_20_hz('plate')
+    end = made.truth.stations[0].end
+    session = pipeline.gather([p for p in made.profiles if p.stamp < end],
+                              [p for p in made.poses if p.stamp < end], made.config)
+    assert len(session.stops) == 1
+    require_same_clock(session, made.config)
+
+
+def test_clocks_are_compared_in_the_order_of_time_whatever_the_numbers_of_stops() -> None:
+    """A sample that is taken while another stop waits for profiles has the smaller number."""
+    made, late = at_20_hz('plate'), round(2.2 * NS)
+    session = pipeline.gather([replace(p, stamp=p.stamp + late) for p in made.profiles],
+                              made.poses, made.config)
+    for stop in session.stops:  # 1 and 2 exchanged, 3 and 4, ...
+        session.add_stop(replace(stop, number=stop.number - 1 if stop.number % 2 == 0
+                                 else stop.number + 1))
+    with pytest.raises(DataError, match='2.[123] s late'):
+        require_same_clock(session, made.config)
 
 
 def test_clocks_are_not_blamed_for_profiles_that_shake_at_the_begin_or_end_of_stops() -> None:

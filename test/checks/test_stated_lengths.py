@@ -98,6 +98,12 @@ def test_a_size_given_the_other_way_round_is_the_same_plate() -> None:
             assert 'note' not in answer.target and error < 2e-4
 
 
+@pytest.mark.parametrize('name', ['sphere', 'line'])
+def test_a_size_that_a_target_does_not_have_is_ignored(name: str) -> None:
+    answer, _ = solved(SCENARIOS[name], 1, target__size=[0.2, 0.15])
+    assert 'size' not in answer.target.get('note', '')
+
+
 def test_edges_that_are_none_of_the_plate_are_reported() -> None:
     answer, error = solved(replace(SCENARIOS['plate'], wrong_edges=4), 0)
     assert 'the edges of 4 of the 18 samples' in answer.target['note'] and error < 1.5e-4
