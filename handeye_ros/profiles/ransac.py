@@ -19,12 +19,12 @@ PAIR_COUNT, PAIR_SPANS = 48, (3, 8, 20)  # per span; profile length over that of
 TRIPLE_COUNT, TRIPLE_SPANS = 72, (2.5, 4, 8, 16, 32)  # the same of triples
 VOTER_COUNT = 256  # points that vote
 DECISIVE_SHARE = 0.5  # share of a quarter of the voters that decides on a line: no other has more
-REFIT_WIDTHS = (2.0, 1.5, 1.0)  # of successive lines, in tolerances
+LINE_FIT_WIDTHS = (2.0, 1.5, 1.0)  # of successive lines, in tolerances
 MOST_CIRCLES = 8  # circles tried, in the order of their votes
 FEWEST_VOTES = 5
 LEAST_SPREAD = 1e-9  # smallest spread of points along x, relative: less is rounding
 NARROWEST_LINE = 1e-6  # smallest length of a line along x (m)
-LEAST_SAGITTA = 4.0  # smallest sagitta of points on a circle, in tolerances: less is a line
+LEAST_CIRCLE_SAGITTA = 4.0  # smallest sagitta of points on a circle, in tolerances: less is a line
 
 
 def dominant_line(x: Array, z: Array, tolerance: float, fewest: int) -> NDArray[np.bool_] | None:
@@ -54,7 +54,7 @@ def dominant_line(x: Array, z: Array, tolerance: float, fewest: int) -> NDArray[
         if votes.max() > DECISIVE_SHARE * voters.shape[1]:
             break
     line = lines[votes.argmax()]
-    for width in REFIT_WIDTHS:
+    for width in LINE_FIT_WIDTHS:
         count, sx, sz, sxx, sxz = (terms @ _near(line, terms[:3], width * tolerance)).tolist()
         if count < fewest:
             return None
@@ -88,7 +88,7 @@ def circles_among(points: Array, smallest: float, largest: float, tolerance: flo
         # evenly spread points of a chord have this variance: a line may fit them as well
         count = np.maximum(votes, 1.0)
         variance = (squares - (x * x + z * z) / count) / count
-        votes[12 * variance / (8 * r) < LEAST_SAGITTA * tolerance] = 0
+        votes[12 * variance / (8 * r) < LEAST_CIRCLE_SAGITTA * tolerance] = 0
         best = int(votes.argmax())
         if votes[best] < FEWEST_VOTES:
             return

@@ -33,7 +33,7 @@ MOST_POSES = 20_000  # of one stop: stamps need not go on as time does
 # Profiles of a sample, evenly spread. A robot at rest sees the same speckle, and 32 profiles
 # reduce the noise of single ones far below that of the poses. A stop keeps more: for other
 # settings, and for the test of the clocks (50 ms apart, see checks/clocks.py) in 3.75 s.
-MOST_PROFILES = 32
+PROFILES_OF_SAMPLE = 32
 
 Item = TypeVar('Item')
 NOT_EVALUATED = Reject(0, 'not evaluated yet')
@@ -107,9 +107,9 @@ class Stop:
                                        *_thinned(taken[end:], 8)))
 
     def settled_profiles(self, config: Config) -> list[AnyProfile]:
-        """Return MOST_PROFILES of the time without vibration at most, not yet decoded."""
+        """Return PROFILES_OF_SAMPLE of the time without vibration at most, not yet decoded."""
         first, last = self._settled_span(config)
-        return evenly([p for p in self.profiles if first <= p.stamp <= last], MOST_PROFILES)
+        return evenly([p for p in self.profiles if first <= p.stamp <= last], PROFILES_OF_SAMPLE)
 
     def trimmed(self, config: Config) -> Stop:
         """Return the stop reduced to what its sample needs, to be evaluated elsewhere."""
@@ -289,6 +289,16 @@ class ProfileBuffer(Copyable):
         while self._bytes > self.most_bytes and len(self.items) > 1:
             self.dropped += 1
             self._forget(slice(0, 1))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Return a sentence about the dropped ones, if any."""
+        return (f'dropped {self.dropped} profiles, the oldest of those that wait: together these '
+                f'may take {self.most_bytes / 1e6:.0f} MB',) if self.dropped else ()
+
+    def clear(self) -> None:
+        """Forget all profiles; those that were dropped stay counted."""
+        self._forget(slice(None))
 
     def keep(self, first: int, last: int, now: int) -> None:
         """Forget all profiles outside two stamps but those after a third one."""

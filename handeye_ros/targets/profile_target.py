@@ -26,7 +26,6 @@ from handeye_ros.targets.starts import of_nearest_piece
 import numpy as np
 from numpy.typing import NDArray
 
-NO_OUTWARD = np.zeros(2)  # the outward direction at points that are no edges
 FACE = 0  # the kind of a condition on a face, in every target that has them
 ERRORS_PER_FEATURE = 64  # per feature, at most
 # share of the RMS of each degree: the first are the largest
@@ -58,7 +57,7 @@ class ObservationRows:
         ones = np.ones(len(points), dtype=np.intp)
         ending, outward, shape_std = (
             (1 + ENDINGS.index(edge.ending), edge.direction, edge.shape_std) if edge else
-            (0, NO_OUTWARD, 0.0))
+            (0, np.zeros(2), 0.0))
         self.parts.append((station * ones, points, kind * ones, factor, error - 1 + ones.cumsum(),
                            ending * ones, outward * ones[:, None], shape_std * ones))
 

@@ -22,7 +22,7 @@ GUESS_STATIONS = 40  # more only take longer
 SAME_SURFACE = 3e-4  # m: largest distance between pieces of one surface
 FITTING_SHARE = 0.7  # of the stations that a start should fit
 SIMILAR_RATIO = 2.0  # to the best start's distance: up to it the given order decides
-DIRECTION_COUNT = 400  # that a sweep tries
+SWEPT_DIRECTIONS = 400  # that a sweep tries
 TINY = 1e-30  # m^2
 
 
@@ -146,7 +146,7 @@ def linear_solutions(problem: Problem, axes: list[int], across: slice, count: in
     W' (R (x r1 + z r3 + t) + a) = c, which is linear in r1, r3, t and c. The best solutions have
     small residuals, and r1 and r3 that are nearly orthonormal.
     """
-    frames = frames_along(hemisphere(DIRECTION_COUNT))[:, :, axes]
+    frames = frames_along(hemisphere(SWEPT_DIRECTIONS))[:, :, axes]
     T, W = problem.poses[problem.observations.station], frames[:, :, across]
     R, a, middle = T[:, :3, :3], T[:, :3, 3], problem.poses[:, :3, 3].mean(axis=0)
     x, z = problem.observations.points.T[:, :, None, None]
