@@ -17,7 +17,7 @@ from handeye_ros.bags.bag import read
 from handeye_ros.bags.session_files import is_session, read_session
 from handeye_ros.calibration import measured_points, residuals_and_left_out, rms_by
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Calibration, Sample
+from handeye_ros.data import Array, Calibration, ClockValues, Sample
 from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.estimation.search import reassigned
 from handeye_ros.estimation.solve import Solution
@@ -144,7 +144,7 @@ def agreements(session: Session, answer: Answer, config: Config) -> dict[int, Ag
             for k, number in enumerate(sample_of) if not np.isnan(residual[k])}
 
 
-def _residuals_of_unused(samples: Sequence[Sample], clock_values: Sequence[float],
+def _residuals_of_unused(samples: Sequence[Sample], clock_values: ClockValues,
                          solution: Solution, config: Config) -> Array:
     """
     Return the RMS residual (n,) of samples that a solution does not use, NaN without points.

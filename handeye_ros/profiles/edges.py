@@ -33,7 +33,13 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.edge_rounding import fitted_bend
-from handeye_ros.profiles.segment import legendre_2, returned, Segment, STEEPEST_SURFACE
+from handeye_ros.profiles.segment import (
+    legendre_2,
+    line_through,
+    returned,
+    Segment,
+    STEEPEST_SURFACE,
+)
 import numpy as np
 from numpy.typing import NDArray
 
@@ -171,10 +177,10 @@ def edge_at(end: FaceEnd) -> EdgePoint:
     next_surface = beyond[0] if beyond else None
     if next_surface:
         tail = tail[tail < next_surface.first]
-    is_corner = next_surface is not None and _meet_in_corner(end, next_surface, tail)
-    ending = 'roof' if is_corner else _ending(end, next_surface, tail)
+    has_corner = next_surface is not None and _meet_in_corner(end, next_surface, tail)
+    ending = 'roof' if has_corner else _ending(end, next_surface, tail)
     _require_room(end)
-    if next_surface and is_corner:
+    if next_surface and has_corner:
         return _corner(end, next_surface)
     return _wall(end, tail) or _edge_before_drop(end, tail, ending, next_surface)
 
@@ -326,16 +332,14 @@ def _wall(end: FaceEnd, tail: NDArray[np.intp]) -> EdgePoint | None:
     on_wall = (tail_v > 0.5 * lowest) & (tail_v < 0.97 * lowest)
     if lowest < SMALLEST_WALL or np.count_nonzero(on_wall) < WALL_POINTS:
         return None
-    # the line u = foot + slope * v of the wall
-    u, v = tail_u[on_wall], tail_v[on_wall]
-    mean, spread = float(v.mean()), float(v.std())
-    covariance = float((v - mean) @ (u - u.mean())) / len(v)
-    if not abs(covariance) < WALL_SLOPE * spread ** 2:  # also of points at one depth
+    v = tail_v[on_wall]
+    line = line_through(v, tail_u[on_wall])  # u of the wall is top + slope * v
+    if line is None or abs(line[1]) >= WALL_SLOPE:
         return None
-    slope = covariance / spread ** 2
-    scatter = float((u - u.mean() - slope * (v - mean)).std()) + end.pitch / 12 ** 0.5
-    std = scatter * np.sqrt((1 + (mean / spread) ** 2) / len(v))
-    top, flat_end = float(u.mean() - slope * mean), _flat_end(end, tail_u, tail_v)
+    top, _, _, residual = line
+    scatter = float(residual.std()) + end.pitch / 12 ** 0.5
+    std = scatter * np.sqrt((1 + (v.mean() / v.std()) ** 2) / len(v))
+    flat_end = _flat_end(end, tail_u, tail_v)
     # a wall seen so steeply that it seems to stand below the face is badly measured
     return end.edge(max(top, flat_end), float(np.hypot(std, max(flat_end - top, 0.0))), 'roof')
 

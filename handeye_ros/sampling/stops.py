@@ -18,7 +18,7 @@ from typing import NamedTuple, TypeVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config, SamplingConfig
-from handeye_ros.data import AnyProfile, Array, NS, Profile, RawProfile, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Array, NS, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.sampling.stream import around, by_stamp, Copyable, LAST_STAMP
 import numpy as np
@@ -122,7 +122,7 @@ class Stop:
 
     def _covers(self, profile: AnyProfile) -> bool:
         """Return whether a profile was surely taken during the stop, given its duration."""
-        before, after = profile.reach if isinstance(profile, RawProfile) else (0, 0)
+        before, after = profile.reach
         return profile.stamp - before >= self.start and profile.stamp + after <= self.end
 
     def _settled_span(self, config: Config) -> tuple[int, int]:
@@ -285,7 +285,7 @@ class ProfileBuffer(Copyable):
     def add(self, profiles: Sequence[AnyProfile]) -> None:
         """Add the next profiles."""
         self.items += profiles
-        self._bytes += sum(map(_bytes_of, profiles))
+        self._bytes += sum(profile.held_bytes for profile in profiles)
         while self._bytes > self.most_bytes and len(self.items) > 1:
             self.dropped += 1
             self._forget(slice(0, 1))
@@ -307,9 +307,5 @@ class ProfileBuffer(Copyable):
         self._forget(slice(0, bisect_left(self.items, first, key=by_stamp)))
 
     def _forget(self, part: slice) -> None:
-        self._bytes -= sum(map(_bytes_of, self.items[part]))
+        self._bytes -= sum(profile.held_bytes for profile in self.items[part])
         del self.items[part]
-
-
-def _bytes_of(profile: AnyProfile) -> int:
-    return profile.held_bytes if isinstance(profile, RawProfile) else 0

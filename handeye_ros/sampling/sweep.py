@@ -45,7 +45,15 @@ from itertools import islice
 
 from handeye_ros import targets
 from handeye_ros.config import Config
-from handeye_ros.data import Array, CLOCK_DRIFT, Reject, ROTATION_LAG, Sample, TIME_OFFSET
+from handeye_ros.data import (
+    Array,
+    CLOCK_DRIFT,
+    ClockValues,
+    Reject,
+    ROTATION_LAG,
+    Sample,
+    TIME_OFFSET,
+)
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.basis import smooth_basis_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock, smooth_errors
@@ -203,7 +211,7 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     in_time = np.flatnonzero(_flange_at(start_values, clocked, problem).inside)
     fit = refined_robustly(problem.subset(in_time).with_pose_values(start_values), start.estimate)
     # each sample gets the pose of its time
-    clock_values = tuple(fit.problem.pose_values.tolist())
+    clock_values = ClockValues(*fit.problem.pose_values.tolist())
     instants = _flange_at(clock_values, clocked, problem)
     timed = [replace(sample, T_base_flange=T, clock_values=clock_values)
              for sample, T, inside in zip(
