@@ -177,11 +177,11 @@ def edge_at(end: FaceEnd) -> EdgePoint:
     next_surface = beyond[0] if beyond else None
     if next_surface:
         tail = tail[tail < next_surface.first]
-    has_corner = next_surface is not None and _meet_in_corner(end, next_surface, tail)
-    ending = 'roof' if has_corner else _ending(end, next_surface, tail)
-    _require_room(end)
-    if next_surface and has_corner:
+    if next_surface and _meet_in_corner(end, next_surface, tail):
+        _require_room(end)
         return _corner(end, next_surface)
+    ending = _ending(end, next_surface, tail)
+    _require_room(end)
     return _wall(end, tail) or _edge_before_drop(end, tail, ending, next_surface)
 
 

@@ -36,18 +36,15 @@ def dominant_line(x: Array, z: Array, tolerance: float, fewest: int) -> NDArray[
     n = len(x)
     if n < fewest:
         return None
-    terms = np.empty((5, n))  # 1, x, z, x^2, x z: their sums over points give the line of these
-    terms[0] = 1.0
-    np.subtract(x, x.item(n // 2), out=terms[1])  # avoids loss of digits
-    np.subtract(z, z.item(n // 2), out=terms[2])
-    np.multiply(terms[1], terms[1:3], out=terms[3:])
+    x, z = x - x[n // 2], z - z[n // 2]  # avoids loss of digits
+    # the sums of these over some points give their line
+    terms = np.stack([np.ones(n), x, z, x * x, x * z])
     pairs = _subsets(n, 2, PAIR_COUNT, PAIR_SPANS)
-    (x, x_after), (z, z_after) = (v.take(pairs) for v in terms[1:3])
-    lines = np.full((len(x), 3), -1.0)  # offset, slope, -1
+    (x, x_after), (z, z_after) = x.take(pairs), z.take(pairs)
     width = x_after - x
     width[np.abs(width) < NARROWEST_LINE] = np.inf
-    lines[:, 1] = (z_after - z) / width
-    lines[:, 0] = z - lines[:, 1] * x
+    slopes = (z_after - z) / width
+    lines = np.column_stack([z - slopes * x, slopes, np.full(len(x), -1.0)])
     step = -(-n // VOTER_COUNT)
     for voters in (terms[:3, ::4 * step], terms[:3, ::step]):
         votes = _near(lines, voters, 2 * tolerance).sum(axis=1, dtype=np.int16)

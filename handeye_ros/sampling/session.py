@@ -416,11 +416,10 @@ class Session(Copyable):
         return replace(stop, number=earlier.number if earlier else self.last_number + 1,
                        result=Reject(result.stamp, duplicate, final=True) if duplicate else result)
 
-    def add_stop(self, stop: Stop) -> Stop:
-        """Store and return an evaluated stop, in place of an earlier part of it."""
+    def add_stop(self, stop: Stop) -> None:
+        """Store an evaluated stop, in place of an earlier part of it."""
         self._stops[stop.stamp] = stop
         self.last_number = max(self.last_number, stop.number)
-        return stop
 
     def remove(self, stop: Stop) -> None:
         """Forget the result of a stop."""

@@ -3,8 +3,9 @@
 """
 A plane: one straight piece of each profile lies on it; its border is not used.
 
-If several surfaces are visible, each station uses the one that fits the plane, so that all
-stations use the same surface.
+The smallest target, and the example for a new one: what it must state is listed in
+profile_target.py. If several surfaces are visible, each station uses the one that fits the
+plane, so that all stations use the same surface.
 
 Frame of the target: any point of the plane as origin, z its normal, towards the sensor.
 """

@@ -3,11 +3,18 @@
 """
 What targets share.
 
-A new target is a subclass of Target (estimation/target.py) in one file: the features of a profile
-that show it, the conditions of their points in the target's frame, which moves and measures of it
-are unknown, and a start. Here are its observations, what all targets do with their pose, and the
-systematic errors that those of faces have in common: set-back of faces, shapes of edges, flatness,
-range at grazing incidence.
+A new target is a subclass of ProfileTarget in a file of its own, listed in __init__.py; plane.py
+is the smallest. It states
+
+- name, and extract: the features of one profile, or FeatureError (profiles/)
+- kinds, and normals or local_conditions: what vanishes for the points of features in its frame
+- parameter_names, pose_axes, stated_values: what of its pose and measures is unknown, or known
+- starts: estimates to search from (starts.py), and reassign where a profile may show other things
+- describe: what was estimated, as plain values
+
+Here are its observations, what all targets do with their pose, and the systematic errors that
+those of faces have in common: set-back of faces, shapes of edges, flatness, range at grazing
+incidence.
 """
 from __future__ import annotations
 
