@@ -155,7 +155,7 @@ def _residuals_of_unused(samples: Sequence[Sample], clock_values: ClockValues,
     sample_of_station = np.repeat(np.arange(len(samples)),
                                   [len(sample.station_samples) for sample in samples])
     if any(station.moving for station in stations):
-        instants = ClockedPoses.of(stations).at(*clock_values)
+        instants = ClockedPoses(stations).at(*clock_values)
         stations = [replace(station, T_base_flange=T) for station, T, inside in zip(
             stations, instants.T_base_flange, instants.inside, strict=True) if inside]
         sample_of_station = sample_of_station[instants.inside]

@@ -88,7 +88,6 @@ def passes_expanded(samples: Sequence[Sample]) -> tuple[Sample, ...]:
                  for sample in samples for station in sample.station_samples)
 
 
-@dataclass(frozen=True, eq=False)
 class ClockedPoses:
     """
     Poses of n samples as a function of the clocks; those of stops are constant.
@@ -96,18 +95,13 @@ class ClockedPoses:
     T_base_flange: (n, 4, 4) with the stamps as they are; moving: (n,) whether the robot moved.
     """
 
-    T_base_flange: Array
-    stamps: NDArray[np.int64]
-    moving: NDArray[np.bool_]
-    trajectory: Trajectory
-
-    @classmethod
-    def of(cls, samples: Sequence[Sample]) -> ClockedPoses:
-        """Return the clocked poses of samples, at least one of them of a moving robot."""
-        return cls(np.array([sample.T_base_flange for sample in samples]),
-                   np.array([sample.stamp for sample in samples]),
-                   np.array([sample.moving for sample in samples]),
-                   next(sample.trajectory for sample in samples if sample.moving))
+    def __init__(self, samples: Sequence[Sample]) -> None:
+        """Take samples, at least one of them of a moving robot."""
+        self.T_base_flange = np.array([sample.T_base_flange for sample in samples])
+        self.stamps = np.array([sample.stamp for sample in samples])
+        self.moving = np.array([sample.moving for sample in samples])
+        self.trajectory: Trajectory = next(
+            sample.trajectory for sample in samples if sample.moving)
 
     @property
     def since_middle(self) -> Array:
@@ -144,7 +138,7 @@ def problem_of_known_poses(samples: Sequence[Sample], config: Config) -> Problem
 def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:
     """Return the problem of samples, some of a moving robot, with the clocks as unknowns."""
     problem = problem_of_known_poses(samples, config)
-    clocked = ClockedPoses.of(samples)
+    clocked = ClockedPoses(samples)
     stds = config.time_offset_std, config.rotation_lag_std, config.clock_drift_std
     model = PoseModel(
         partial(_poses_and_derivatives, clocked), CLOCK_KEYS, stds,
@@ -202,7 +196,7 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     if (seconds := (samples[-1].stamp - samples[0].stamp) * 1e-9) < LEAST_TIME:
         raise DataError(f'the profiles that show the target are of {seconds:.1f} s, in which a '
                         'robot hardly turns: record a longer sweep', reason='few')
-    clocked, problem = ClockedPoses.of(samples), problem_with_clocks(samples, config)
+    clocked, problem = ClockedPoses(samples), problem_with_clocks(samples, config)
     # the clocks from some samples, and then from all
     start = _best_over_offsets(problem.subset(evenly_chosen(len(samples), SEARCH_SAMPLES)),
                                np.random.default_rng(0))

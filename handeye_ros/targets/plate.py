@@ -11,8 +11,8 @@ conditions: the normal points of the line lie in z = 0, the edge point on its ed
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 from handeye_ros import se3
 from handeye_ros.config import Config
@@ -31,8 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-@dataclass(frozen=True)
-class Edge:
+class Edge(NamedTuple):
     """
     One of the edges of a plate.
 
@@ -72,12 +71,6 @@ def _edge_points(observations: Observations, p: Array, state: Array
     outward = flat[rows] - centre[observations.station[rows]]
     outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
     return rows, flat[rows], outward
-
-
-def _gate(distance: Array) -> float:
-    """Return the largest accepted distance of an edge point, from the distances (m,) of all."""
-    typical = np.quantile(distance, SURE_SHARE, method='lower') if len(distance) else 0.0
-    return max(SMALLEST_GATE, GATE_RATIO * float(typical))
 
 
 def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> Estimate:
@@ -196,8 +189,9 @@ class Plate(ProfileTarget):
         steepness = np.array([edge.side * outward[:, edge.axis] for edge in edges.values()])
         distance[steepness < np.sin(config.sampling.min_crossing_angle)] = np.inf
         nearest, far = kinds[np.argmin(distance, axis=0)], np.min(distance, axis=0)
+        typical = np.quantile(far, SURE_SHARE, method='lower') if len(far) else 0.0
         kind = observations.kind.copy()
-        kind[rows] = np.where(far > _gate(far), UNUSED, nearest)
+        kind[rows] = np.where(far > max(SMALLEST_GATE, GATE_RATIO * typical), UNUSED, nearest)
         return replace(observations, kind=kind)
 
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
