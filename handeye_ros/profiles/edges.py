@@ -167,9 +167,9 @@ def edge_at(end: FaceEnd) -> EdgePoint:
     gap     lost columns up to the end of the view, or a nearer surface too far aside to hide more
     open    nothing at all, of a driver that leaves lost columns out
 
-    It is none before a surface of the same height, before a nearer one, or at the border. Where
-    the edge is, tell the crossing with the other face, a wall in the tail, or else the last point
-    before the drop.
+    It is none before a surface of the same height, before a nearer one, or at the border. The edge
+    is at the crossing with the other face, at a wall seen in the tail, or else beyond the last
+    point before the drop.
     """
     tail, beyond = _tail(end), end.beyond
     if beyond and _is_bevel(end, beyond[0], tail):

@@ -53,20 +53,21 @@ class ObservationRows:
 
     parts: list[tuple[NDArray[Any], ...]] = field(default_factory=list)
 
-    def add(self, station: int, points: Array, kind: int, factor: Array, error: int = 0,
-            edge: EdgePoint | None = None) -> None:
+    def add(self, station: int, points: Array, kind: int, factor: Array,
+            error_number: int = 0, edge: EdgePoint | None = None) -> None:
         """
         Append a condition for each of points (k, 2), with factors (k, 2, 2); see Observations.
 
-        error: number of the first point's error in its station, the next points have the next
-        numbers; edge: that the points are on, or None.
+        error_number: of the first point, the next points have the next numbers; edge: that the
+        points are on, or None.
         """
-        ones = np.ones(len(points), dtype=np.intp)
+        n = len(points)
         ending, outward, shape_std = (
             (1 + ENDINGS.index(edge.ending), edge.direction, edge.shape_std) if edge else
             (0, np.zeros(2), 0.0))
-        self.parts.append((station * ones, points, kind * ones, factor, error - 1 + ones.cumsum(),
-                           ending * ones, outward * ones[:, None], shape_std * ones))
+        self.parts.append((np.full(n, station), points, np.full(n, kind), factor,
+                           error_number + np.arange(n), np.full(n, ending),
+                           np.tile(outward, (n, 1)), np.full(n, shape_std)))
 
     def observations(self) -> Observations:
         """Return the observations collected."""
