@@ -153,7 +153,7 @@ def _edges(stations: ComparedStations) -> tuple[Array, Array, Array]:
     on_edges = observations.select(
         (observations.kind == plate.P) | (observations.kind == plate.Q))
     return (stations.problem.poses[on_edges.station], on_edges.points,
-            np.array(plate.KINDS)[on_edges.kind])
+            np.array(plate.PLATE.kinds)[on_edges.kind])
 
 
 def _ball(stations: ComparedStations) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Integral
-from typing import Any, ClassVar, TypeAlias, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar
 
 from handeye_ros.config import ProfileConfig
 from handeye_ros.errors import form_of, InputError, require_type
@@ -35,10 +35,19 @@ def robust_std(deviations: Array) -> float:
     return float(SIGMA_OF_MEDIAN * np.median(np.abs(deviations)))
 
 
-def without_order(steps: Array) -> bool:
-    """Return whether points with these steps (n,) from one to the next run forth and back."""
+def in_order(x: Array, is_return: NDArray[np.bool_]) -> NDArray[np.intp] | slice:
+    """
+    Return the columns of a profile in order along its line, as indices into its columns.
+
+    x: (n,) where they are on the line, NaN where unknown; is_return: (n,). They stay as they are,
+    unless the returns run forth and back: then those with a place are sorted by it.
+    """
+    steps = np.diff(x[is_return])
     forth, back = steps[steps > 0].sum(), -steps[steps < 0].sum()
-    return bool(min(forth, back) > MOST_BACK * max(forth, back))
+    if min(forth, back) <= MOST_BACK * max(forth, back):
+        return slice(None)
+    with_place = np.isfinite(x).nonzero()[0]
+    return np.asarray(with_place[np.argsort(x[with_place], kind='stable')])
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +60,7 @@ class Profile:
     axes: the signed axes of frame_id that the two columns of points run along
     out_of_plane: the third coordinate in frame_id, across the plane (metres); it is not used
     intensity: (n,) of the points, None if not requested or not published
+    held_bytes, reach: as of a RawProfile
     """
 
     stamp: int
@@ -59,6 +69,8 @@ class Profile:
     axes: tuple[str, str] = ('x', 'z')
     out_of_plane: float = 0.0
     intensity: Array | None = None
+    held_bytes: ClassVar[int] = 0
+    reach: ClassVar[tuple[int, int]] = (0, 0)
 
     def __post_init__(self) -> None:
         """Raise InputError for a stamp or points of another form."""
@@ -76,18 +88,10 @@ class Profile:
 
         Points in the origin become NaN: drivers publish the origin for missing returns.
         """
-        points, intensity = self.points, self.intensity
-        missing = (points == 0).all(axis=1)
-        if missing.any():
-            points = np.where(missing[:, None], np.nan, points)
-        placed = np.isfinite(points[:, 0]).nonzero()[0]
-        x = points[placed, 0]
-        if without_order(np.diff(x)):
-            order = placed[np.argsort(x, kind='stable')]
-            points = points[order]
-            intensity = None if intensity is None else intensity[order]
-        return self if points is self.points else replace(self, points=points,
-                                                          intensity=intensity)
+        points = np.where((self.points == 0).all(axis=1, keepdims=True), np.nan, self.points)
+        columns = in_order(points[:, 0], np.isfinite(points[:, 0]))
+        return replace(self, points=points[columns], intensity=(
+            None if self.intensity is None else self.intensity[columns]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,6 +283,14 @@ class Arc:
 Feature: TypeAlias = FaceLine | EdgePoint | Arc
 
 
+class ClockValues(NamedTuple):
+    """Offset and lag (s), and drift of the clocks of a moving robot, see sampling/sweep.py."""
+
+    offset: float = 0.0
+    lag: float = 0.0
+    drift: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Sample:
     """
@@ -290,8 +302,7 @@ class Sample:
     flipped: features of the first profile with the opposite range sign, to detect a wrong setting;
         None where they were not asked for
     trajectory: trajectory of a moving robot (sampling.trajectory)
-    clock_values: offset and lag (s), and drift of the clocks, by which a moving robot has this
-        pose at the stamp (sampling.sweep); 0 before they are known
+    clock_values: by which a moving robot has this pose at the stamp; 0 before they are known
     per_profile: samples of the single profiles of a pass, whose middle one this sample repeats
     centroid: mean of the points of the first profile used, (3,): across its plane, along the line,
         and range (metres); None where it is unknown
@@ -303,7 +314,7 @@ class Sample:
     profiles: int = 1
     flipped: tuple[Feature, ...] | None = None
     trajectory: Any = None
-    clock_values: tuple[float, ...] = (0.0, 0.0, 0.0)
+    clock_values: ClockValues = ClockValues()
     per_profile: tuple[Sample, ...] = ()
     centroid: Array | None = None
 

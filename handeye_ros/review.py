@@ -17,7 +17,7 @@ from handeye_ros.bags.bag import read
 from handeye_ros.bags.session_files import is_session, read_session
 from handeye_ros.calibration import measured_points, residuals_and_left_out, rms_by
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Calibration, Sample
+from handeye_ros.data import Array, Calibration, ClockValues, Sample
 from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.estimation.search import reassigned
 from handeye_ros.estimation.solve import Solution
@@ -145,7 +145,7 @@ def agreements(session: Session, answer: Answer, config: Config) -> dict[int, Ag
             for k, number in enumerate(sample_of) if not np.isnan(residual[k])}
 
 
-def _residuals_of_unused(samples: Sequence[Sample], clock_values: Sequence[float],
+def _residuals_of_unused(samples: Sequence[Sample], clock_values: ClockValues,
                          solution: Solution, config: Config) -> Array:
     """
     Return the RMS residual (n,) of samples that a solution does not use, NaN without points.
@@ -156,7 +156,7 @@ def _residuals_of_unused(samples: Sequence[Sample], clock_values: Sequence[float
     sample_of_station = np.repeat(np.arange(len(samples)),
                                   [len(sample.station_samples) for sample in samples])
     if any(station.moving for station in stations):
-        instants = ClockedPoses.of(stations).at(*clock_values)
+        instants = ClockedPoses(stations).at(*clock_values)
         stations = [replace(station, T_base_flange=T) for station, T, inside in zip(
             stations, instants.T_base_flange, instants.inside, strict=True) if inside]
         sample_of_station = sample_of_station[instants.inside]

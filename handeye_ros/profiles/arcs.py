@@ -23,24 +23,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgesv
 
-SMALLEST_RADIUS, LARGEST_RADIUS = 1e-4, 0.5  # of the arc of a sphere of unknown radius (m)
-SMALLEST_SHARE = 0.29  # smallest radius of an arc over that of the sphere: less is too steep
-LARGEST_SHARE = 1.05  # the largest, for short and noisy arcs
+SMALLEST_ARC_RADIUS, LARGEST_ARC_RADIUS = 1e-4, 0.5  # of the arc of a sphere of unknown radius (m)
+LEAST_RADIUS_RATIO = 0.29  # smallest radius of an arc over that of the sphere: less is too steep
+MOST_RADIUS_RATIO = 1.05  # the largest, for short and noisy arcs
 TOLERANCE_SIGMAS = 6.0
-FIT_WIDTHS, REFIT_WIDTHS = (3.0, 2.0, 1.0, 1.0), (2.0, 1.0)  # of successive fits, in tolerances
+# widths of successive fits, in tolerances: of a new circle, and of one with another noise
+ARC_FIT_WIDTHS, ARC_REFIT_WIDTHS = (3.0, 2.0, 1.0, 1.0), (2.0, 1.0)
 FEWEST_FITTED = 5  # fewest points for another fit of a circle
 # noise over assumed noise that starts a new search; searches at most
 NOISE_RATIO, MOST_SEARCHES = 2.0, 5
 RIM_INCIDENCE = 0.5  # an arc that ends at a larger angle of incidence (rad) ends at its rim
 RIM_WIDTH = 0.24  # angle of the arc before its rim that is not used (rad)
 RIM_COSINE = 0.5  # smallest cosine of the incidence of a usable point: the rim is bad
-NORMAL_POINTS, POINTS_OF_SWEEP = 12, 6  # of an arc; where hundreds of profiles show the ball
+ARC_POINTS, SWEPT_ARC_POINTS = 12, 6  # of an arc; where hundreds of profiles show the ball
 FINER_BINS = 4  # per bin of an arc: their scatter gives the variance of its normal point
 SMALLEST_DENSITY = 0.5  # smallest share of an arc's points among those between its ends
-LEAST_SAGITTA = 2.5  # smallest sagitta of an arc, in tolerances: less may be a corner
+LEAST_ARC_SAGITTA = 2.5  # smallest sagitta of an arc, in tolerances: less may be a corner
 SMALLEST_ARC_ANGLE = 0.5  # smallest angle of an arc that determines its circle (rad)
 LEAST_ROUNDNESS = 2.0  # smallest ratio of the squares of two lines to those of the circle
-LINE_POINTS = 4  # fewest points of each line
+FEWEST_LINE_POINTS = 4  # fewest points of each line
 JUDGED_POINTS = 128  # points of an arc, at most, that the corner test uses
 CONVERGED_STEP = 1e-6  # step of a converged fit, as a share of the radius
 SCATTERED = 'too few points, or only scattered ones, on an arc of the sphere in the profile'
@@ -60,8 +61,9 @@ def arc_features(points: Array, config: Config) -> tuple[Arc]:
     # speckle that is correlated over some columns does not show in the noise level
     noise = max(noise_level(valid[:, 1], config.noise.sensor), config.noise.sensor / 2)
     radius, reason = config.target.radius, ''
-    smallest, largest = ((SMALLEST_SHARE * radius, (LARGEST_SHARE + 0.1) * radius) if radius > 0
-                         else (SMALLEST_RADIUS, LARGEST_RADIUS))
+    smallest, largest = SMALLEST_ARC_RADIUS, LARGEST_ARC_RADIUS
+    if radius > 0:
+        smallest, largest = LEAST_RADIUS_RATIO * radius, (MOST_RADIUS_RATIO + 0.1) * radius
     for circle in circles_among(valid, smallest, largest, TOLERANCE_SIGMAS * noise):
         try:
             return (_arc(*_on_arc(valid, circle, noise, config), config),)
@@ -121,7 +123,7 @@ def _on_arc(points: Array, circle: Array, noise: float, config: Config) -> tuple
     happens to lie near the circle would be found. So the noise is that of all points between its
     ends, and if it is larger the search goes on with it.
     """
-    widths: Sequence[float] = FIT_WIDTHS
+    widths: Sequence[float] = ARC_FIT_WIDTHS
     columns, (x, z) = np.empty(0, dtype=np.intp), points.T.copy()
     for _ in range(MOST_SEARCHES):
         for width in widths:
@@ -146,7 +148,7 @@ def _on_arc(points: Array, circle: Array, noise: float, config: Config) -> tuple
         scatter = SIGMA_OF_MEDIAN * float(np.partition(deviations, middle)[middle])
         if not NOISE_RATIO * noise < scatter < MOST_NOISE * config.noise.sensor:
             break
-        noise, widths = scatter, REFIT_WIDTHS
+        noise, widths = scatter, ARC_REFIT_WIDTHS
     if len(columns) < config.sampling.min_points or (
             len(columns) < SMALLEST_DENSITY * (columns[-1] - columns[0] + 1)):
         raise FeatureError(SCATTERED)
@@ -174,16 +176,16 @@ def _without_rims(columns: NDArray[np.intp], near: NDArray[np.bool_], angle: Arr
 def _arc(points: Array, noise: float, config: Config) -> Arc:
     """Return the arc of points (n, 2) on a circle; raises FeatureError when it is none."""
     radius = config.target.radius
-    arc = normal_points(points, POINTS_OF_SWEEP if config.sampling.moving else NORMAL_POINTS)
-    if 0 < LARGEST_SHARE * radius < arc.radius or arc.radius < SMALLEST_SHARE * radius:
+    arc = normal_points(points, SWEPT_ARC_POINTS if config.sampling.moving else ARC_POINTS)
+    if 0 < MOST_RADIUS_RATIO * radius < arc.radius or arc.radius < LEAST_RADIUS_RATIO * radius:
         raise FeatureError(f'the arc in the profile has a radius of {arc.radius * 1e3:.1f} mm, '
                            f'which does not fit the sphere of {mm(radius)}')
     # angle and sagitta from its ends
     chord = float(np.linalg.norm(arc.points[-1] - arc.points[0]))
     angle = 2 * math.asin(min(chord / (2 * arc.radius), 1.0))
     sagitta = arc.radius * (1 - math.cos(angle / 2))
-    if arc.radius < SMALLEST_RADIUS or angle < SMALLEST_ARC_ANGLE or (
-            sagitta < LEAST_SAGITTA * TOLERANCE_SIGMAS * noise):
+    if arc.radius < SMALLEST_ARC_RADIUS or angle < SMALLEST_ARC_ANGLE or (
+            sagitta < LEAST_ARC_SAGITTA * TOLERANCE_SIGMAS * noise):
         raise FeatureError('the arc of the sphere in the profile is too short')
     if _is_corner(arc):
         raise FeatureError('no arc of the sphere in the profile, only straight pieces')
@@ -200,7 +202,7 @@ def _is_corner(arc: Arc) -> bool:
     points = arc.raw[::-(-len(arc.raw) // JUDGED_POINTS)]
     residual, (x, z) = distances_from_circle(points, arc.circle), (points - arc.centre).T
     sums = np.array([np.ones(len(x)), x, z, x * x, x * z, z * z]).cumsum(axis=1)
-    first_line = sums[:, LINE_POINTS - 1:-LINE_POINTS]  # that ends at each point
+    first_line = sums[:, FEWEST_LINE_POINTS - 1:-FEWEST_LINE_POINTS]  # that ends at each point
     squares = _squares_of_lines(first_line) + _squares_of_lines(sums[:, -1:] - first_line)
     return bool(squares.min() < LEAST_ROUNDNESS * (residual @ residual))
 
@@ -212,7 +214,7 @@ def _squares_of_lines(sums: Array) -> Array:
     return np.asarray((xx + zz) / 2 - np.hypot((xx - zz) / 2, xz))
 
 
-def normal_points(raw: Array, most: int = NORMAL_POINTS) -> Arc:
+def normal_points(raw: Array, most: int = ARC_POINTS) -> Arc:
     """
     Return the arc of (n, 2) raw points, with at most so many normal points.
 

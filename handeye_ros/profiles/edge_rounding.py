@@ -18,9 +18,8 @@ from dataclasses import dataclass
 from handeye_ros.data import Array
 import numpy as np
 
-SMALLEST_RADIUS, LARGEST_RADIUS = 5e-5, 4e-3  # radius of a rounding (m)
-# The shapes that are fitted: roundings of these radii, then bevels of these slopes.
-TRIED_RADII = np.geomspace(SMALLEST_RADIUS, LARGEST_RADIUS, 40)[:, None]
+# The shapes that are fitted: roundings of these radii (m), then bevels of these slopes.
+TRIED_RADII = np.geomspace(5e-5, 4e-3, 40)[:, None]
 TRIED_SLOPES = np.geomspace(0.6, 1.7, 8)[:, None]
 ROUNDED, BEVELLED = slice(len(TRIED_RADII)), slice(len(TRIED_RADII), None)
 # of each shape before it is seen: a rounding is as likely as a bevel

@@ -33,35 +33,18 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.edge_rounding import fitted_bend
-from handeye_ros.profiles.segment import legendre_2, returned, Segment, STEEPEST_SURFACE
+from handeye_ros.profiles.segment import (
+    legendre_2,
+    line_through,
+    returned,
+    Segment,
+    STEEPEST_SURFACE,
+)
 import numpy as np
 from numpy.typing import NDArray
 
-GAP_COLUMNS = 3  # missing returns beyond a face that make its end an edge
-VIEW_MARGIN = 1e-3  # smallest distance of an edge from the end of the view (m)
-ROOF_ANGLE = 0.15  # two pieces that meet at a smaller angle (rad) are one bent face
-ROOF_REACH = 8.0  # they meet when their ends are this many columns from the crossing
-MIN_STEP_SIGMAS = 8.0
-SHADOW_SLOPE = 2.0  # largest width hidden beyond a step, over its height
-LARGEST_BEVEL = 2.5e-3  # of a bevel between a face and its wall; a larger piece is a face (m)
-LOST_BETWEEN = 4  # largest number of columns between neighbouring points of the plate
-SLACK_SIGMAS = 6.0  # of the range difference between two neighbours on a surface
-FURTHER_COLUMNS = 80  # columns beyond a face that may still be its bent end or its wall
-WALL_SLOPE = 0.45  # largest |tangent| between a wall in the profile and the face's normal
-SMALLEST_WALL = 1.2e-3  # smallest depth of a visible wall below the face (m)
-WALL_POINTS = 4
-BENT_END_SIGMAS = 2.0  # an end that is lower than this is bent
-FLAT_SIGMAS = 3.0  # largest distance of a face point below the face line
-STEEPEST_ROUNDING = 1.5  # slope of a bent end from where it leaves the face line
-SHORTEST_ROUNDING = 20  # points before the last one of a face that may be bent
-RIM_SHARE, LONGEST_RIM = 4, 3  # last points of a bent end that are not used: 1 in so many; at most
-LOST_STD = 0.17  # 1 sigma of an edge due to lost points, in columns
-LAST_POINTS = 3  # last points that give the depth of an end
-MIXED_POINTS = 2  # most points between two levels that are only mixed at the edge
 BOW_SIGMAS = 3.0  # least bow of a face that counts
-BOW_REACH = 2.5  # spreads of its points up to which the bow of a face goes on (1.7: its ends)
-LONGEST_RAMP = 16  # points between two levels: a wider transition is a surface
-RAMP_STD = 0.1  # 1 sigma of the edge within a wide transition, over its width
+BOW_REACH = 2.5  # the bow goes on up to so many spreads of its points; the ends are at 1.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +68,11 @@ class FaceEnd:
     points: Array
     returns: NDArray[np.intp]
     near_sign: int
+
+    @property
+    def marks_lost(self) -> bool:
+        """Return whether the driver keeps columns without a return: else the view has no ends."""
+        return len(self.returns) < len(self.points)
 
     @cached_property
     def beyond(self) -> list[Segment]:
@@ -163,42 +151,53 @@ class NoEdgeError(FeatureError):
     """Why a face ends without an edge: it ends only..."""
 
 
+GAP_COLUMNS = 3  # missing returns beyond a face that make its end an edge
+VIEW_MARGIN = 1e-3  # smallest distance of an edge from the end of the view (m)
+
+
 def edge_at(end: FaceEnd) -> EdgePoint:
     """
-    Return the edge at the end of a face; raises NoEdgeError where it is none.
+    Return the edge at the end of a face; raises NoEdgeError where the face only ends.
 
-    The face ends in an edge where a wall is seen (roof), where the next surface is lower (step, or
-    shadow if its foot is hidden), or where nothing is seen beyond it (gap, or open if the driver
-    does not say).
+    An end is real if one of these is seen beyond it, and the view goes on for VIEW_MARGIN:
+
+    roof    a wall or another face that meets it and goes down
+    step    a lower surface
+    shadow  a lower surface, with lost columns before it
+    gap     lost columns up to the end of the view, or a nearer surface too far aside to hide more
+    open    nothing at all, of a driver that leaves lost columns out
+
+    It is none before a surface of the same height, before a nearer one, or at the border. The edge
+    is at the crossing with the other face, at a wall seen in the tail, or else beyond the last
+    point before the drop.
     """
-    tail, corner, columns = _tail(end), None, len(end.points)
-    beyond = end.beyond
+    tail, beyond = _tail(end), end.beyond
     if beyond and _is_bevel(end, beyond[0], tail):
         beyond = beyond[1:]  # of the same plate
     next_surface = beyond[0] if beyond else None
-    # a driver that leaves lost points out does not say where the field of view ends
-    marks_lost = len(end.returns) < columns
     if next_surface:
         tail = tail[tail < next_surface.first]
-        corner = _corner(end, next_surface, tail)
-        ending = 'roof' if corner else _ending_before(end, next_surface, tail)
-    elif not marks_lost:
-        ending = 'open'
-    elif end.missing(end.segment.last + 1, columns) >= GAP_COLUMNS:
-        ending = 'gap'
-    else:
-        raise NoEdgeError('at the border of the field of view')
-    room = min(end.segment.last, columns - 1 - end.segment.last) * end.pitch
-    if marks_lost and room < VIEW_MARGIN:
+    if next_surface and _meet_in_corner(end, next_surface, tail):
+        _require_room(end)
+        return _corner(end, next_surface)
+    ending = _ending(end, next_surface, tail)
+    _require_room(end)
+    return _wall(end, tail) or _edge_before_drop(end, tail, ending, next_surface)
+
+
+def _require_room(end: FaceEnd) -> None:
+    """Raise NoEdgeError where the end of the view may cut the face off."""
+    last = end.segment.last
+    room = min(last, len(end.points) - 1 - last) * end.pitch
+    if end.marks_lost and room < VIEW_MARGIN:
         raise NoEdgeError(
             f'{room * 1e3:.1f} mm from the end of the view, where its edge may be cut off (move '
             f'it {VIEW_MARGIN * 1e3:.0f} mm or more into the view)')
-    if corner:
-        return corner
-    if wall := _wall(end, tail):
-        return wall
-    ground = next_surface if ending in ('step', 'shadow') else None
-    return _edge_before_drop(end, tail, ending, ground)
+
+
+LOST_BETWEEN = 4  # largest number of columns between neighbouring points of the plate
+SLACK_SIGMAS = 6.0  # of the range difference between two neighbours on a surface
+FURTHER_COLUMNS = 80  # columns beyond a face that may still be its bent end or its wall
 
 
 def _tail(end: FaceEnd) -> NDArray[np.intp]:
@@ -231,6 +230,10 @@ def _goes_on(end: FaceEnd, column: int, after: int) -> bool:
             and -slack < drop < STEEPEST_SURFACE * aside + slack)
 
 
+LARGEST_BEVEL = 2.5e-3  # of a bevel between a face and its wall; a larger piece is a face (m)
+WALL_SLOPE = 0.45  # largest |tangent| between a wall in the profile and the face's normal
+
+
 def _is_bevel(end: FaceEnd, piece: Segment, tail: NDArray[np.intp]) -> bool:
     """Return whether the next piece is a bevel of the same plate, not a wall or face."""
     if piece.first not in tail:
@@ -240,27 +243,37 @@ def _is_bevel(end: FaceEnd, piece: Segment, tail: NDArray[np.intp]) -> bool:
     return size <= LARGEST_BEVEL and depth > 0 and abs(u[1] - u[0]) > WALL_SLOPE * depth
 
 
-def _corner(end: FaceEnd, other: Segment, tail: NDArray[np.intp]) -> EdgePoint | None:
-    """
-    Return the edge where the lines of a face and of the next surface cross.
+ROOF_ANGLE = 0.15  # two pieces that meet at a smaller angle (rad) are one bent face
+ROOF_REACH = 8.0  # they meet when their ends are this many columns from the crossing
 
-    None where they do not meet there. Raises NoEdgeError where the other one rises to the sensor:
-    a surface that turns away from it leaves the line over its whole length.
+
+def _meet_in_corner(end: FaceEnd, other: Segment, tail: NDArray[np.intp]) -> bool:
     """
-    face = end.segment
+    Return whether the lines of a face and of the next surface cross between them, at an angle.
+
+    Raises NoEdgeError where the other one rises to the sensor: a surface that turns away from it
+    leaves the line over its whole length.
+    """
+    face, (origin, outwards, _) = end.segment, end.frame
     if abs(math.atan(face.slope) - math.atan(other.slope)) < ROOF_ANGLE:
-        return None
-    crossing_x, (origin, outwards, _) = face.crossing(other), end.frame
+        return False
     crossing, start = ((x - origin[0]) / outwards[0]
-                       for x in (crossing_x, end.points[other.first, 0]))
+                       for x in (face.crossing(other), end.points[other.first, 0]))
     # a rounded or bevelled corner leaves room between the pieces, with points of its own
     has_tail = len(tail) > 0 and other.first - tail[-1] <= LOST_BETWEEN
     reach = max(ROOF_REACH * end.pitch, LARGEST_BEVEL if has_tail else 0.0)
     if not (min(start, 0.0) - reach <= crossing <= max(start, 0.0) + reach
             and abs(start) <= 2 * reach):
-        return None
+        return False
     if end.rise_of(other.last) > 0:
         raise NoEdgeError('at something nearer')
+    return True
+
+
+def _corner(end: FaceEnd, other: Segment) -> EdgePoint:
+    """Return the edge where the lines of a face and of another surface cross."""
+    face, (origin, outwards, _) = end.segment, end.frame
+    crossing_x = face.crossing(other)
     # offset errors of both lines, extrapolated to their crossing; a steep surface that is noisier
     # than the face has an additional error of that size
     stds = [max(other.noise ** 2 - face.noise ** 2, 0.0) ** 0.5]
@@ -269,16 +282,26 @@ def _corner(end: FaceEnd, other: Segment, tail: NDArray[np.intp]) -> EdgePoint |
         stds.append(line.noise * math.sqrt(
             (1 + ((crossing_x - x.mean()) / x.std()) ** 2) / len(x)))
     std = math.hypot(*stds) / abs(face.slope - other.slope) * math.hypot(1.0, face.slope)
-    return end.edge(crossing, std, 'roof')
+    return end.edge((crossing_x - origin[0]) / outwards[0], std, 'roof')
 
 
-def _ending_before(end: FaceEnd, next_surface: Segment, tail: NDArray[np.intp]) -> str:
+SHADOW_SLOPE = 2.0  # largest width hidden beyond a nearer surface, over its height
+MIN_STEP_SIGMAS = 8.0
+
+
+def _ending(end: FaceEnd, next_surface: Segment | None, tail: NDArray[np.intp]) -> str:
     """
-    Return how a face ends before another surface; raises NoEdgeError where it does not.
+    Return how a face ends without a corner; raises NoEdgeError where it does not.
 
     A nearer surface hides what lies beside it, but not farther aside than SHADOW_SLOPE times its
     height. Where nothing is seen even so, the face has ended before (gap).
     """
+    if next_surface is None:
+        if not end.marks_lost:
+            return 'open'
+        if end.missing(end.segment.last + 1, len(end.points)) >= GAP_COLUMNS:
+            return 'gap'
+        raise NoEdgeError('at the border of the field of view')
     start, least = next_surface.first, smallest_step(end, next_surface)
     rise = end.rise_of(start)
     if rise < -least:
@@ -296,6 +319,10 @@ def smallest_step(end: FaceEnd, other: Segment) -> float:
     return MIN_STEP_SIGMAS * max(end.segment.noise, other.noise)
 
 
+SMALLEST_WALL = 1.2e-3  # smallest depth of a visible wall below the face (m)
+WALL_POINTS = 4  # fewest points of a wall
+
+
 def _wall(end: FaceEnd, tail: NDArray[np.intp]) -> EdgePoint | None:
     """Return the edge where a wall, seen in the tail of a face, meets it; None without a wall."""
     if len(tail) < WALL_POINTS:
@@ -305,18 +332,19 @@ def _wall(end: FaceEnd, tail: NDArray[np.intp]) -> EdgePoint | None:
     on_wall = (tail_v > 0.5 * lowest) & (tail_v < 0.97 * lowest)
     if lowest < SMALLEST_WALL or np.count_nonzero(on_wall) < WALL_POINTS:
         return None
-    # the line u = foot + slope * v of the wall
-    u, v = tail_u[on_wall], tail_v[on_wall]
-    mean, spread = float(v.mean()), float(v.std())
-    covariance = float((v - mean) @ (u - u.mean())) / len(v)
-    if not abs(covariance) < WALL_SLOPE * spread ** 2:  # also of points at one depth
+    v = tail_v[on_wall]
+    line = line_through(v, tail_u[on_wall])  # u of the wall is top + slope * v
+    if line is None or abs(line[1]) >= WALL_SLOPE:
         return None
-    slope = covariance / spread ** 2
-    scatter = float((u - u.mean() - slope * (v - mean)).std()) + end.pitch / 12 ** 0.5
-    std = scatter * np.sqrt((1 + (mean / spread) ** 2) / len(v))
-    top, flat_end = float(u.mean() - slope * mean), _flat_end(end, tail_u, tail_v)
+    top, _, _, residual = line
+    scatter = float(residual.std()) + end.pitch / 12 ** 0.5
+    std = scatter * np.sqrt((1 + (v.mean() / v.std()) ** 2) / len(v))
+    flat_end = _flat_end(end, tail_u, tail_v)
     # a wall seen so steeply that it seems to stand below the face is badly measured
     return end.edge(max(top, flat_end), float(np.hypot(std, max(flat_end - top, 0.0))), 'roof')
+
+
+FLAT_SIGMAS = 3.0  # largest distance of a face point below the face line
 
 
 def _flat_end(end: FaceEnd, tail_u: Array, tail_v: Array) -> float:
@@ -325,27 +353,32 @@ def _flat_end(end: FaceEnd, tail_u: Array, tail_v: Array) -> float:
     return float(tail_u[flat - 1]) if flat else 0.0
 
 
-def _edge_before_drop(end: FaceEnd, tail: NDArray[np.intp], ending: str, ground: Segment | None
-                      ) -> EdgePoint:
+LAST_POINTS = 3  # last points that give the depth of an end
+BENT_END_SIGMAS = 2.0  # an end that is lower than this is bent
+STEEPEST_ROUNDING = 1.5  # slope of a bent end from where it leaves the face line
+SHORTEST_ROUNDING = 20  # points before the last one of a face that may be bent
+RIM_SHARE, LONGEST_RIM = 4, 3  # last points of a bent end that are not used: 1 in so many; at most
+LOST_STD = 0.17  # 1 sigma of an edge due to lost points, in columns
+
+
+def _edge_before_drop(end: FaceEnd, tail: NDArray[np.intp], ending: str,
+                      next_surface: Segment | None) -> EdgePoint:
     """
     Return the edge at the end of a plate, its tail included, before a drop.
 
-    It lies between the last point of the plate and the next one that is not mixed of both sides,
-    or, where a sensor makes a ramp of the drop, where that is half way down. ground: the surface
-    seen below, or None.
+    next_surface: the one seen below, if the face ends in a step or shadow.
     """
     plate = np.concatenate([end.segment.columns[-LAST_POINTS:], tail])
     u, v = end.in_frame(plate)
     pitch, noise = end.pitch, end.segment.noise
     flat_end = _flat_end(end, u[LAST_POINTS:], v[LAST_POINTS:])
     plate_end = max(float(u[-1]), flat_end)
-    mixed, half_way = _transition(end, int(plate[-1]), ground)
     # the points of a bent end are nearer to each other
     spacing = float(u[-1] - u[-LAST_POINTS]) / (LAST_POINTS - 1) if len(tail) else pitch
-    edge_u = plate_end + (half_way or min(max(spacing, 0.0), pitch) * (1 + mixed) / 2)
-    std = math.hypot(pitch * (1 + min(mixed, MIXED_POINTS)) / 12 ** 0.5, pitch * LOST_STD,
-                     2 * RAMP_STD * half_way)
-    edge = end.edge(edge_u, std, ending)
+    ground = next_surface if ending in ('step', 'shadow') else None
+    way, std = _way_to_edge(end, int(plate[-1]), min(max(spacing, 0.0), pitch), ground)
+    edge_u = plate_end + way
+    edge = end.edge(edge_u, math.hypot(std, pitch * LOST_STD), ending)
     if v[-LAST_POINTS:].mean() < BENT_END_SIGMAS * noise / LAST_POINTS ** 0.5:
         return edge
     # the end is bent. How far it is from the edge is determined later, from all samples (see
@@ -361,27 +394,35 @@ def _edge_before_drop(end: FaceEnd, tail: NDArray[np.intp], ending: str, ground:
                    arc_std=bend.arc_std)
 
 
-def _transition(end: FaceEnd, last: int, ground: Segment | None) -> tuple[int, float]:
-    """
-    Return the number of mixed columns between plate and ground, and how far half way down is.
+LONGEST_RAMP = 16  # points between two levels: a wider transition is a surface
+MIXED_POINTS = 2  # most points between two levels that are only mixed at the edge
+RAMP_STD = 0.2  # 1 sigma of the edge within a wide transition, over the way to its middle
 
-    A column whose spot straddles the edge returns a range between the levels; the edge is equally
-    likely on both of its sides. A sensor that smooths, or has a wide spot, makes a ramp of more
-    than MIXED_POINTS: only then the distance (m) is not 0, from the last column of the plate,
-    `last`.
+
+def _way_to_edge(end: FaceEnd, last: int, spacing: float, ground: Segment | None
+                 ) -> tuple[float, float]:
     """
-    if ground is None or not 0 < ground.first - last - 1 <= LONGEST_RAMP:
-        return 0, 0.0
-    points = end.points[last:ground.first + 1]
-    columns = returned(points)
-    x, z = points.take(columns, axis=0).T
-    depth, ground_depth = (np.abs(level - end.segment.height(x)) for level in (
-        z, ground.height(x)))
-    share = (depth - depth[0]) / (ground_depth - depth[0])  # of the way down
-    mixed = int((share[1:-1] < 0.8).sum())
-    if mixed <= MIXED_POINTS:
-        return (mixed if len(columns) == len(points) else 0), 0.0
-    after = max(int(np.argmax(share > 0.5)), 1)
-    fraction = (0.5 - share[after - 1]) / max(float(share[after] - share[after - 1]), 0.1)
-    half_way = columns[after - 1] + fraction * (columns[after] - columns[after - 1])
-    return mixed, float(half_way) * end.pitch
+    Return how far the edge lies beyond the last column of a plate, and 1 sigma (m).
+
+    A column whose spot straddles the edge returns a range between the levels: the edge is equally
+    likely anywhere between the plate and the next point that is not mixed. A sensor that smooths,
+    or has a wide spot, makes a ramp of more than MIXED_POINTS, and the edge is half way down.
+    spacing: of the points (m); ground: the surface seen below, or None.
+    """
+    mixed, uniform_std = 0, end.pitch / 12 ** 0.5
+    if ground and 0 < ground.first - last - 1 <= LONGEST_RAMP:
+        points = end.points[last:ground.first + 1]
+        columns = returned(points)
+        x, z = points.take(columns, axis=0).T
+        depth, ground_depth = (np.abs(level - end.segment.height(x)) for level in (
+            z, ground.height(x)))
+        share = (depth - depth[0]) / (ground_depth - depth[0])  # of the way down
+        between = int((share[1:-1] < 0.8).sum())
+        if between > MIXED_POINTS:
+            after = max(int(np.argmax(share > 0.5)), 1)
+            fraction = (0.5 - share[after - 1]) / max(float(share[after] - share[after - 1]), 0.1)
+            half_way = end.pitch * float(
+                columns[after - 1] + fraction * (columns[after] - columns[after - 1]))
+            return half_way, math.hypot((1 + MIXED_POINTS) * uniform_std, RAMP_STD * half_way)
+        mixed = between if len(columns) == len(points) else 0
+    return spacing * (1 + mixed) / 2, (1 + mixed) * uniform_std

@@ -32,8 +32,8 @@ BESIDE_NEARER_WEIGHT = 0.02
 WIDEST_GAP = 0.014  # largest gap (m) between adjacent surfaces, without what the nearer one hides
 HIDDEN_PER_HEIGHT = 0.4  # width that a nearer surface hides, over its height
 LARGEST_SPLINTER = 0.002  # largest piece that is no surface (m)
-MOST_SURFACES, SMALLEST_SURFACE = 3, 0.1  # surfaces that may be the plane; size over the longest
-MOST_CORNERS, SMALLEST_CORNER = 3, 0.25  # of a profile; of shorter faces, over the best
+MOST_SURFACES, SHORTEST_SURFACE = 3, 0.1  # surfaces that may be the plane; size over the longest
+MOST_CORNERS, SHORTEST_CORNER = 3, 0.25  # of a profile; of shorter faces, over the best
 SMALLEST_CORNER_ANGLE = 0.26  # between two faces (rad): less is one bent face
 FAR_END = 0.75  # distance of a face's other end, over its length: faces that cross are no edge
 # largest distance of a face's end from the crossing, over its length: a groove can hide its own
@@ -98,7 +98,7 @@ def plane_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
     segments = straight_segments(points, config.noise.sensor, config.sampling.min_points)
     longest = sorted(segments, key=lambda s: -len(s.columns))[:MOST_SURFACES]
     return tuple(face_line(segment, points, config.sampling.moving) for segment in longest
-                 if len(segment.columns) >= SMALLEST_SURFACE * len(longest[0].columns))
+                 if len(segment.columns) >= SHORTEST_SURFACE * len(longest[0].columns))
 
 
 def corner_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
@@ -119,7 +119,7 @@ def corner_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
                            f'an edge of more than {np.degrees(SMALLEST_CORNER_ANGLE):.0f} degrees')
     pairs.sort(key=_shorter, reverse=True)
     best = [pair for pair in pairs[:MOST_CORNERS]
-            if _shorter(pair) >= SMALLEST_CORNER * _shorter(pairs[0])]
+            if _shorter(pair) >= SHORTEST_CORNER * _shorter(pairs[0])]
     return tuple(line for pair in best for line in sorted(
         (face_line(segment, points, config.sampling.moving) for segment in pair),
         key=lambda line: float(line.centre[0])))

@@ -18,7 +18,7 @@ from handeye_ros.profiles.segment import legendre_2, Segment
 import numpy as np
 from numpy.typing import NDArray
 
-NORMAL_POINTS, POINTS_OF_SWEEP = 6, 4  # of a line; where hundreds of profiles show each part of it
+LINE_POINTS, SWEPT_LINE_POINTS = 6, 4  # of a line; where hundreds of profiles show each part of it
 BIN_COUNT = 24  # bins whose scatter gives the variance of the normal points
 FEWEST_POINTS = 4  # of a bin
 FEWEST_BINS = 6
@@ -31,7 +31,7 @@ def face_line(segment: Segment, points: Array, moving: bool) -> FaceLine:
 
     moving: whether the profile is one of a sweep.
     """
-    most = POINTS_OF_SWEEP if moving else NORMAL_POINTS
+    most = SWEPT_LINE_POINTS if moving else LINE_POINTS
     measured = points.take(segment.straight, axis=0)
     n, length = len(measured), math.hypot(1.0, segment.slope)
     middle, spread_x = float(measured[:, 0].mean()), float(measured[:, 0].std())
@@ -55,7 +55,7 @@ def with_line_errors(edge: EdgePoint, line: FaceLine, excess: float = 1.0) -> Ed
 
 
 def line_of_bins(centre: Array, slope: float, spread: float, bins: Array, white_var: float,
-                 most: int = NORMAL_POINTS) -> FaceLine:
+                 most: int = LINE_POINTS) -> FaceLine:
     """
     Return the face line with the normal points that follow from means of points, its bins.
 

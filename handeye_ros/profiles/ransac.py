@@ -19,12 +19,12 @@ PAIR_COUNT, PAIR_SPANS = 48, (3, 8, 20)  # per span; profile length over that of
 TRIPLE_COUNT, TRIPLE_SPANS = 72, (2.5, 4, 8, 16, 32)  # the same of triples
 VOTER_COUNT = 256  # points that vote
 DECISIVE_SHARE = 0.5  # share of a quarter of the voters that decides on a line: no other has more
-REFIT_WIDTHS = (2.0, 1.5, 1.0)  # of successive lines, in tolerances
+LINE_FIT_WIDTHS = (2.0, 1.5, 1.0)  # of successive lines, in tolerances
 MOST_CIRCLES = 8  # circles tried, in the order of their votes
 FEWEST_VOTES = 5
 LEAST_SPREAD = 1e-9  # smallest spread of points along x, relative: less is rounding
 NARROWEST_LINE = 1e-6  # smallest length of a line along x (m)
-LEAST_SAGITTA = 4.0  # smallest sagitta of points on a circle, in tolerances: less is a line
+LEAST_CIRCLE_SAGITTA = 4.0  # smallest sagitta of points on a circle, in tolerances: less is a line
 
 
 def dominant_line(x: Array, z: Array, tolerance: float, fewest: int) -> NDArray[np.bool_] | None:
@@ -36,25 +36,22 @@ def dominant_line(x: Array, z: Array, tolerance: float, fewest: int) -> NDArray[
     n = len(x)
     if n < fewest:
         return None
-    terms = np.empty((5, n))  # 1, x, z, x^2, x z: their sums over points give the line of these
-    terms[0] = 1.0
-    np.subtract(x, x.item(n // 2), out=terms[1])  # avoids loss of digits
-    np.subtract(z, z.item(n // 2), out=terms[2])
-    np.multiply(terms[1], terms[1:3], out=terms[3:])
+    x, z = x - x[n // 2], z - z[n // 2]  # avoids loss of digits
+    # the sums of these over some points give their line
+    terms = np.stack([np.ones(n), x, z, x * x, x * z])
     pairs = _subsets(n, 2, PAIR_COUNT, PAIR_SPANS)
-    (x, x_after), (z, z_after) = (v.take(pairs) for v in terms[1:3])
-    lines = np.full((len(x), 3), -1.0)  # offset, slope, -1
+    (x, x_after), (z, z_after) = x.take(pairs), z.take(pairs)
     width = x_after - x
     width[np.abs(width) < NARROWEST_LINE] = np.inf
-    lines[:, 1] = (z_after - z) / width
-    lines[:, 0] = z - lines[:, 1] * x
+    slopes = (z_after - z) / width
+    lines = np.column_stack([z - slopes * x, slopes, np.full(len(x), -1.0)])
     step = -(-n // VOTER_COUNT)
     for voters in (terms[:3, ::4 * step], terms[:3, ::step]):
         votes = _near(lines, voters, 2 * tolerance).sum(axis=1, dtype=np.int16)
         if votes.max() > DECISIVE_SHARE * voters.shape[1]:
             break
     line = lines[votes.argmax()]
-    for width in REFIT_WIDTHS:
+    for width in LINE_FIT_WIDTHS:
         count, sx, sz, sxx, sxz = (terms @ _near(line, terms[:3], width * tolerance)).tolist()
         if count < fewest:
             return None
@@ -88,7 +85,7 @@ def circles_among(points: Array, smallest: float, largest: float, tolerance: flo
         # evenly spread points of a chord have this variance: a line may fit them as well
         count = np.maximum(votes, 1.0)
         variance = (squares - (x * x + z * z) / count) / count
-        votes[12 * variance / (8 * r) < LEAST_SAGITTA * tolerance] = 0
+        votes[12 * variance / (8 * r) < LEAST_CIRCLE_SAGITTA * tolerance] = 0
         best = int(votes.argmax())
         if votes[best] < FEWEST_VOTES:
             return

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 import math
 from typing import Any
 
@@ -130,9 +129,8 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
     segments, free = list[Segment](), np.arange(len(columns))
 
     def segments_of(members: NDArray[np.intp]) -> list[Segment]:
-        pieces = [piece for piece in _pieces(members) if len(piece) >= min_points]
         fitted = [_segment(columns.take(piece), x.take(piece), z.take(piece), noise / 3)
-                  for piece in pieces]
+                  for piece in _pieces(members) if len(piece) >= min_points]
         return [segment for segment in fitted if segment and segment.noise <= MOST_NOISE * noise]
 
     for _ in range(MAX_LINES):
@@ -163,14 +161,13 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
 
 def _pieces(members: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
     """Split the points of a line where points of another surface are between them."""
-    steps = members[1:] - members[:-1]
-    cuts = (steps > FOREIGN_POINTS).nonzero()[0] + 1
-    for first, last in pairwise([0, *cuts.tolist(), len(members)]):
-        while last - first > 2 and steps[first] > STRAY_GAP:
-            first += 1
-        while last - first > 2 and steps[last - 2] > STRAY_GAP:
-            last -= 1
-        yield members[first:last]
+    cuts = np.flatnonzero(np.diff(members) > FOREIGN_POINTS) + 1
+    for piece in np.split(members, cuts):
+        while len(piece) > 2 and piece[1] - piece[0] > STRAY_GAP:
+            piece = piece[1:]
+        while len(piece) > 2 and piece[-1] - piece[-2] > STRAY_GAP:
+            piece = piece[:-1]
+        yield piece
 
 
 def _segment(columns: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> Segment | None:
@@ -183,14 +180,14 @@ def _segment(columns: NDArray[np.intp], x: Array, z: Array, least_noise: float) 
     # the ends that are seen to bend away from it
     n = len(columns)
     unused = min(max(2, n // 50), (n - 3) // 2)
-    line = _line_through(x, z, slice(unused, n - unused), least_noise)
+    line = line_through(x, z, slice(unused, n - unused), least_noise)
     if line is None:
         return None
     _, _, noise, residual = line
     bent = _bent_end(residual, noise), _bent_end(residual[::-1], noise)
     if max(bent) > unused:
         inner = slice(max(unused, bent[0]), n - max(unused, bent[1]))
-        line = _line_through(x, z, inner, least_noise)
+        line = line_through(x, z, inner, least_noise)
         if line is None:
             return None
     offset, slope, noise, _ = line
@@ -198,10 +195,14 @@ def _segment(columns: NDArray[np.intp], x: Array, z: Array, least_noise: float) 
                    straight=columns[bent[0]:n - bent[1]])
 
 
-def _line_through(x: Array, z: Array, part: slice, least_noise: float
-                  ) -> tuple[float, float, float, Array] | None:
-    """Return offset, slope and noise of the line through a part, and the residuals (n,) of all."""
-    n = part.stop - part.start
+def line_through(x: Array, z: Array, part: slice = slice(None), least_noise: float = 0.0
+                 ) -> tuple[float, float, float, Array] | None:
+    """
+    Return offset, slope and noise of the line through a part, and the residuals (n,) of all.
+
+    None if the points of the part have the same x.
+    """
+    n = len(x[part])
     middle_x, middle_z = float(x[part].sum()) / n, float(z[part].sum()) / n
     dx, dz = x - middle_x, z - middle_z
     square = float(dx[part] @ dx[part])

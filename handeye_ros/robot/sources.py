@@ -100,7 +100,8 @@ def source_of(session: Session, read: Recording, arm: Arm, config: Config,
 
 def _joints_at(samples: Sequence[Sample], read: Recording, joints: Array) -> Array:
     """Return the joint values (n, joints) at samples, from those (k, joints) of the poses read."""
-    times = np.array([sample.stamp + round(sample.clock_values[0] * 1e9) for sample in samples])
+    times = np.array([sample.stamp + round(sample.clock_values.offset * 1e9)
+                      for sample in samples])
     stamps, first = np.unique([pose.stamp for pose in read.poses], return_index=True)
     after = np.searchsorted(stamps, times)
     gaps = np.minimum(*(np.abs(stamps[np.clip(after - k, 0, len(stamps) - 1)] - times)

@@ -40,7 +40,8 @@ from numpy.typing import NDArray
 
 LARGEST_DISAGREEMENT = 5e-4  # between profiles of a robot that stands still (m)
 SMALLEST_DISAGREEMENT = 1e-4  # the same for arcs, beyond their own scatter
-LEAST_AGREEING = 0.6  # smallest share of the profiles of a stop
+LEAST_SHOWING = 0.5  # smallest share of the profiles of a stop that show the target
+LEAST_AGREEING = 0.6  # of those that show it, smallest share that agree
 ALONG_WEIGHT = 0.1  # weight of a distance along a surface against one across, to match lines
 MOST_INDEPENDENT = 4  # profiles of one stop count as at most this many for an edge
 FLIPPED_EVERY = 8  # every such profile of a pass tells whether the range counts the other way
@@ -71,12 +72,12 @@ def _pass_of(stop: Stop, config: Config) -> Sample:
     """Return the middle sample of a pass, with those of its profiles; raises FeatureError."""
     # of a stored pass some may lie beyond its poses, with another time_offset
     profiles = [p for p in stop.profiles if stop.start <= p.stamp <= stop.end]
-    for most in (MOST_OF_PASS, 2 * MOST_OF_PASS):
-        shown, reasons = _features_of_each(decoded(evenly(profiles, most), config), config)
-        if 2 * len(shown) >= MOST_OF_PASS or most >= len(profiles):
-            break
+    shown, reason = _features_of_each(decoded(evenly(profiles, MOST_OF_PASS), config), config)
+    if len(shown) < LEAST_SHOWING * MOST_OF_PASS and len(profiles) > MOST_OF_PASS:
+        shown, reason = _features_of_each(
+            decoded(evenly(profiles, 2 * MOST_OF_PASS), config), config)
     if not shown:
-        raise FeatureError(reasons[-1]) if reasons else _no_profiles(stop, config)
+        raise FeatureError(reason) if reason else _no_profiles(stop, config)
     T = interpolate(stop.poses, [profile.stamp for profile, _ in shown])
     single = tuple(
         Sample(profile.stamp, pose, features,
@@ -122,15 +123,15 @@ def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
 
 
 def _features_of_each(profiles: Sequence[Profile], config: Config
-                      ) -> tuple[list[tuple[Profile, tuple[Feature, ...]]], list[str]]:
-    """Return the profiles that show the target, with their features, and why others do not."""
-    shown, reasons = [], []
+                      ) -> tuple[list[tuple[Profile, tuple[Feature, ...]]], str]:
+    """Return the profiles that show the target, with their features, and why most others fail."""
+    shown, reasons = [], Counter[str]()
     for profile in profiles:
         try:
             shown.append((profile, features_of(profile, config)))
         except FeatureError as error:
-            reasons.append(str(error))
-    return shown, reasons
+            reasons[str(error)] += 1
+    return shown, max(reasons, key=reasons.__getitem__, default='')
 
 
 def combined_features(profiles: Sequence[Profile], config: Config
@@ -140,9 +141,9 @@ def combined_features(profiles: Sequence[Profile], config: Config
 
     Raises FeatureError when most do not show it, or do not agree.
     """
-    shown, reasons = _features_of_each(profiles, config)
-    if not shown or 2 * len(shown) < len(profiles):
-        raise FeatureError(Counter(reasons).most_common(1)[0][0])
+    shown, reason = _features_of_each(profiles, config)
+    if not shown or len(shown) < LEAST_SHOWING * len(profiles):
+        raise FeatureError(reason)
     return ([profile for profile, _ in shown],
             combine([features for _, features in shown], targets.target_for(config).face_count))
 
@@ -167,7 +168,7 @@ def combine(features_by_profile: Sequence[tuple[Feature, ...]], lines_per_group:
     combined_edges = []
     for side in (-1.0, 1.0):
         of_side = [edge for edge in edges if np.sign(edge.direction[0]) == side]
-        if 2 * len(of_side) > len(features_by_profile):
+        if len(of_side) > LEAST_SHOWING * len(features_by_profile):
             combined_edges.append(with_line_errors(_combined_edge(of_side), lines[0]))
     if edges and not combined_edges:
         points = np.array([edge.point for edge in edges])
@@ -261,7 +262,7 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
                          np.median([edge.drop for edge in edges], axis=0))
     bent = [edge for edge, agrees in zip(edges, agree, strict=True)
             if agrees and len(edge.shape_log_odds)]
-    if 2 * len(bent) <= agree.sum():
+    if len(bent) <= LEAST_SHOWING * agree.sum():
         return combined
     independent = min(len(bent), MOST_INDEPENDENT)
     log_odds = np.mean([edge.shape_log_odds for edge in bent], axis=0) * independent

@@ -26,7 +26,7 @@ from handeye_ros.data import AnyProfile, Array, NS, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import frame_notes
 from handeye_ros.sampling.features import result_of
-from handeye_ros.sampling.stops import MOST_PROFILES, Motion, ProfileBuffer, Stop, StopFinder
+from handeye_ros.sampling.stops import Motion, ProfileBuffer, PROFILES_OF_SAMPLE, Stop, StopFinder
 from handeye_ros.sampling.stream import Copyable, LAST_STAMP, REORDER_TIME, Stream
 from handeye_ros.sampling.sweep import passes_expanded
 import numpy as np
@@ -38,7 +38,7 @@ MOST_REPEATS = 20  # of one stamp in a row: its clock stands still
 FARTHEST_FLANGE = 50.0  # m: no flange is there, it is another unit
 # of a stop without any profile, before it is said that it gives no sample
 NO_PROFILE_PATIENCE = 2 * NS
-CHECK_LATER = 1.4  # factor of the time after which a stop without a sample is tried again
+LATER_LOOK = 1.4  # ratio of the times after which a stop without a sample is tried again
 
 
 def duplicate_pose(sample: Sample, others: Iterable[Stop], config: Config) -> str:
@@ -77,7 +77,7 @@ class Session(Copyable):
         self._waiting: list[Stop] = []  # for profiles
         self._profiles = ProfileBuffer()
         self._done: set[int] = set()  # stamps of stops that are not returned (again)
-        self._early_after = 0.0  # ns in the current stop, after which it may be returned early
+        self._early_looks = 0  # how often early_stop has looked at the current stop
         self._unasked_stops = 0  # stops in manual mode
         self._expired_stops = 0  # stops dropped while waiting for profiles
         self._reach = 0.0  # of the last pose (m)
@@ -102,7 +102,7 @@ class Session(Copyable):
         session = self.copied()
         session.config, session._finder = config, StopFinder(config.sampling)
         session._waiting = []
-        session._profiles.keep(LAST_STAMP, LAST_STAMP, LAST_STAMP)
+        session._profiles.clear()
         return session
 
     def add_pose(self, pose: TimedPose) -> None:
@@ -276,15 +276,11 @@ class Session(Copyable):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return one sentence for each kind of message that was dropped."""
-        profiles, too_many = self._profiles, []
-        if profiles.dropped:
-            too_many.append(f'dropped {profiles.dropped} profiles, the oldest of those that wait: '
-                            f'together these may take {profiles.most_bytes / 1e6:.0f} MB')
-        if self._expired_stops:
-            too_many.append(f'gave up {self._expired_stops} stops, the oldest that waited for '
-                            'profiles')
+        expired = [f'gave up {self._expired_stops} stops, the oldest that waited for profiles'
+                   ] if self._expired_stops else []
         out_of_plane = max((abs(float(across)) for across, *_ in self._centroids), default=0.0)
-        return (*self._pose_stream.warnings, *self._profile_stream.warnings, *too_many,
+        return (*self._pose_stream.warnings, *self._profile_stream.warnings,
+                *self._profiles.warnings, *expired,
                 *frame_notes(self._profile_stream.frame, out_of_plane, self.config))
 
     @property
@@ -300,14 +296,8 @@ class Session(Copyable):
             return InputError(f'the poses are given in "{self.base_frame}", but robot_base_frame '
                               f'is "{wanted}": set it to {self.base_frame}, or leave it out; it '
                               'is then that of the poses', reason='base_frame')
-        if limits := _limits_of_tilted_plane(self._centroids):
-            along, across = self.config.profile.axes
-            return InputError(
-                f'the profiles lie between {limits[0] * 1e3:.1f} and {limits[1] * 1e3:.1f} mm '
-                f'beside the plane of {along} and {across} in their frame, as in a light plane '
-                'that is tilted against it: let the driver publish them in a frame of the light '
-                'plane; a static transform can hold the tilt', reason='tilted_plane')
-        return self._pose_stream.conflict or self._profile_stream.conflict
+        return (_tilted_plane(self._centroids, self.config.profile.axes)
+                or self._pose_stream.conflict or self._profile_stream.conflict)
 
     @property
     def _centroids(self) -> list[Array]:
@@ -387,31 +377,29 @@ class Session(Copyable):
         return config if config.robot_base_frame else replace(
             config, robot_base_frame=self.base_frame)
 
-    def evaluate_remaining(self) -> list[Sample | Reject]:
-        """
-        Return what all remaining stops give, including the current one.
-
-        Raises InputError as remaining does.
-        """
-        return [self.add_stop(self.evaluated(stop, result_of(stop, self.config))).result
-                for stop in self.remaining()]
+    def evaluate_remaining(self) -> None:
+        """Evaluate and store all remaining stops; raises InputError as remaining does."""
+        for stop in self.remaining():
+            self.add_stop(self.evaluated(stop, result_of(stop, self.config)))
 
     def early_stop(self) -> Stop | None:
         """
         Return the current stop as soon as it has enough profiles for a sample, else None.
 
-        At first it needs MOST_PROFILES. A stop without a sample is returned a few more times,
-        later and later, as the cause may be gone. completed() returns it again when it is over.
+        It is looked at when the robot has stood for still_time and twice settle_time, and, until
+        it gives a sample, each time that this has become LATER_LOOK times longer, as the cause may
+        be gone. At first it needs PROFILES_OF_SAMPLE, later one, and none after
+        NO_PROFILE_PATIENCE. completed() returns it again when it is over.
         """
         sampling, stood = self.config.sampling, self._pose_stream.latest - self._finder.stamp
-        first_time = (sampling.still_time + 2 * sampling.settle_time) * NS
-        if stood < first_time:  # it has just begun
-            self._early_after = first_time
-        if sampling.mode != 'still' or stood < self._early_after:
+        first_look = (sampling.still_time + 2 * sampling.settle_time) * NS
+        if stood < first_look:  # it has just begun
+            self._early_looks = 0
+        if sampling.mode != 'still' or stood < first_look * LATER_LOOK ** self._early_looks:
             return None
-        fewest = (MOST_PROFILES if self._early_after == first_time else
+        fewest = (PROFILES_OF_SAMPLE if self._early_looks == 0 else
                   1 if stood < NO_PROFILE_PATIENCE else 0)
-        self._early_after *= CHECK_LATER
+        self._early_looks += 1
         stop, evaluated = self._finder.current(), self._stops.get(self._finder.stamp)
         if stop is None or self.is_done(stop) or (evaluated and evaluated.sample):
             return None
@@ -428,20 +416,19 @@ class Session(Copyable):
         return replace(stop, number=earlier.number if earlier else self.last_number + 1,
                        result=Reject(result.stamp, duplicate, final=True) if duplicate else result)
 
-    def add_stop(self, stop: Stop) -> Stop:
-        """Store and return an evaluated stop, in place of an earlier part of it."""
+    def add_stop(self, stop: Stop) -> None:
+        """Store an evaluated stop, in place of an earlier part of it."""
         self._stops[stop.stamp] = stop
         self.last_number = max(self.last_number, stop.number)
-        return stop
 
     def remove(self, stop: Stop) -> None:
         """Forget the result of a stop."""
         self._stops.pop(stop.stamp, None)
 
 
-def _limits_of_tilted_plane(centroids: Sequence[Array]) -> tuple[float, float] | None:
+def _tilted_plane(centroids: Sequence[Array], axes: Sequence[str]) -> InputError | None:
     """
-    Return between which distances (m) profiles lie beside their plane, None if it is not tilted.
+    Return the error of profiles in a plane that is tilted against their axes, None if it is not.
 
     centroids: of the samples, see Sample. Of a tilted plane the distance across it follows from
     the other coordinates; an encoder's position does not.
@@ -455,7 +442,11 @@ def _limits_of_tilted_plane(centroids: Sequence[Array]) -> tuple[float, float] |
     residual = across - plane @ np.linalg.lstsq(plane, across, rcond=None)[0]
     if not np.std(residual) < TILT_REST * np.std(across):
         return None
-    return float(across.min()), float(across.max())
+    return InputError(
+        f'the profiles lie between {across.min() * 1e3:.1f} and {across.max() * 1e3:.1f} mm '
+        f'beside the plane of {" and ".join(axes)} in their frame, as in a light plane that is '
+        'tilted against it: let the driver publish them in a frame of the light plane; a static '
+        'transform can hold the tilt', reason='tilted_plane')
 
 
 def silent_poses(seconds: float) -> DataError:

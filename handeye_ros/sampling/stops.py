@@ -18,7 +18,7 @@ from typing import NamedTuple, TypeVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config, SamplingConfig
-from handeye_ros.data import AnyProfile, Array, NS, Profile, RawProfile, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Array, NS, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.sampling.stream import around, by_stamp, Copyable, LAST_STAMP
 import numpy as np
@@ -33,7 +33,7 @@ MOST_POSES = 20_000  # of one stop: stamps need not go on as time does
 # Profiles of a sample, evenly spread. A robot at rest sees the same speckle, and 32 profiles
 # reduce the noise of single ones far below that of the poses. A stop keeps more: for other
 # settings, and for the test of the clocks (50 ms apart, see checks/clocks.py) in 3.75 s.
-MOST_PROFILES = 32
+PROFILES_OF_SAMPLE = 32
 
 Item = TypeVar('Item')
 NOT_EVALUATED = Reject(0, 'not evaluated yet')
@@ -107,9 +107,9 @@ class Stop:
                                        *_thinned(taken[end:], 8)))
 
     def settled_profiles(self, config: Config) -> list[AnyProfile]:
-        """Return MOST_PROFILES of the time without vibration at most, not yet decoded."""
+        """Return PROFILES_OF_SAMPLE of the time without vibration at most, not yet decoded."""
         first, last = self._settled_span(config)
-        return evenly([p for p in self.profiles if first <= p.stamp <= last], MOST_PROFILES)
+        return evenly([p for p in self.profiles if first <= p.stamp <= last], PROFILES_OF_SAMPLE)
 
     def trimmed(self, config: Config) -> Stop:
         """Return the stop reduced to what its sample needs, to be evaluated elsewhere."""
@@ -122,7 +122,7 @@ class Stop:
 
     def _covers(self, profile: AnyProfile) -> bool:
         """Return whether a profile was surely taken during the stop, given its duration."""
-        before, after = profile.reach if isinstance(profile, RawProfile) else (0, 0)
+        before, after = profile.reach
         return profile.stamp - before >= self.start and profile.stamp + after <= self.end
 
     def _settled_span(self, config: Config) -> tuple[int, int]:
@@ -285,10 +285,20 @@ class ProfileBuffer(Copyable):
     def add(self, profiles: Sequence[AnyProfile]) -> None:
         """Add the next profiles."""
         self.items += profiles
-        self._bytes += sum(map(_bytes_of, profiles))
+        self._bytes += sum(profile.held_bytes for profile in profiles)
         while self._bytes > self.most_bytes and len(self.items) > 1:
             self.dropped += 1
             self._forget(slice(0, 1))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Return a sentence about the dropped ones, if any."""
+        return (f'dropped {self.dropped} profiles, the oldest of those that wait: together these '
+                f'may take {self.most_bytes / 1e6:.0f} MB',) if self.dropped else ()
+
+    def clear(self) -> None:
+        """Forget all profiles; those that were dropped stay counted."""
+        self._forget(slice(None))
 
     def keep(self, first: int, last: int, now: int) -> None:
         """Forget all profiles outside two stamps but those after a third one."""
@@ -297,9 +307,5 @@ class ProfileBuffer(Copyable):
         self._forget(slice(0, bisect_left(self.items, first, key=by_stamp)))
 
     def _forget(self, part: slice) -> None:
-        self._bytes -= sum(map(_bytes_of, self.items[part]))
+        self._bytes -= sum(profile.held_bytes for profile in self.items[part])
         del self.items[part]
-
-
-def _bytes_of(profile: AnyProfile) -> int:
-    return profile.held_bytes if isinstance(profile, RawProfile) else 0

@@ -44,7 +44,15 @@ from functools import partial
 from itertools import islice
 
 from handeye_ros.config import Config
-from handeye_ros.data import Array, CLOCK_DRIFT, Reject, ROTATION_LAG, Sample, TIME_OFFSET
+from handeye_ros.data import (
+    Array,
+    CLOCK_DRIFT,
+    ClockValues,
+    Reject,
+    ROTATION_LAG,
+    Sample,
+    TIME_OFFSET,
+)
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.basis import smooth_basis_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock, smooth_errors
@@ -79,7 +87,6 @@ def passes_expanded(samples: Sequence[Sample]) -> tuple[Sample, ...]:
                  for sample in samples for station in sample.station_samples)
 
 
-@dataclass(frozen=True, eq=False)
 class ClockedPoses:
     """
     Poses of n samples as a function of the clocks; those of stops are constant.
@@ -87,18 +94,13 @@ class ClockedPoses:
     T_base_flange: (n, 4, 4) with the stamps as they are; moving: (n,) whether the robot moved.
     """
 
-    T_base_flange: Array
-    stamps: NDArray[np.int64]
-    moving: NDArray[np.bool_]
-    trajectory: Trajectory
-
-    @classmethod
-    def of(cls, samples: Sequence[Sample]) -> ClockedPoses:
-        """Return the clocked poses of samples, at least one of them of a moving robot."""
-        return cls(np.array([sample.T_base_flange for sample in samples]),
-                   np.array([sample.stamp for sample in samples]),
-                   np.array([sample.moving for sample in samples]),
-                   next(sample.trajectory for sample in samples if sample.moving))
+    def __init__(self, samples: Sequence[Sample]) -> None:
+        """Take samples, at least one of them of a moving robot."""
+        self.T_base_flange = np.array([sample.T_base_flange for sample in samples])
+        self.stamps = np.array([sample.stamp for sample in samples])
+        self.moving = np.array([sample.moving for sample in samples])
+        self.trajectory: Trajectory = next(
+            sample.trajectory for sample in samples if sample.moving)
 
     @property
     def since_middle(self) -> Array:
@@ -129,7 +131,7 @@ def _poses_and_derivatives(clocked: ClockedPoses, clock_values: Array) -> tuple[
 def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:
     """Return the problem of samples, some of a moving robot, with the clocks as unknowns."""
     problem = problem_of_known_poses(samples, config)
-    clocked = ClockedPoses.of(samples)
+    clocked = ClockedPoses(samples)
     stds = config.time_offset_std, config.rotation_lag_std, config.clock_drift_std
     model = PoseModel(
         partial(_poses_and_derivatives, clocked), CLOCK_KEYS, stds,
@@ -187,7 +189,7 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     if (seconds := (samples[-1].stamp - samples[0].stamp) * 1e-9) < LEAST_TIME:
         raise DataError(f'the profiles that show the target are of {seconds:.1f} s, in which a '
                         'robot hardly turns: record a longer sweep', reason='few')
-    clocked, problem = ClockedPoses.of(samples), problem_with_clocks(samples, config)
+    clocked, problem = ClockedPoses(samples), problem_with_clocks(samples, config)
     # the clocks from some samples, and then from all
     start = _best_over_offsets(problem.subset(evenly_chosen(len(samples), SEARCH_SAMPLES)),
                                np.random.default_rng(0))
@@ -196,7 +198,7 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     in_time = np.flatnonzero(_flange_at(start_values, clocked, problem).inside)
     fit = refined_robustly(problem.subset(in_time).with_pose_values(start_values), start.estimate)
     # each sample gets the pose of its time
-    clock_values = tuple(fit.problem.pose_values.tolist())
+    clock_values = ClockValues(*fit.problem.pose_values.tolist())
     instants = _flange_at(clock_values, clocked, problem)
     timed = [replace(sample, T_base_flange=T, clock_values=clock_values)
              for sample, T, inside in zip(

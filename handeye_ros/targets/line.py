@@ -36,7 +36,7 @@ from handeye_ros.targets.starts import (
 import numpy as np
 
 EDGE_Y, EDGE_Z = 1, 2
-CANDIDATE_COUNT = 24
+LINE_CANDIDATES = 24  # solutions of the sweep that are tried
 SAME_FACE = 0.25  # rad: largest angle between the faces of two stations about the edge
 # of ends, by Observations.ending: 0 no end, 1 corner, 2 step, 3 nothing beyond
 END_GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in ENDINGS)])
@@ -57,7 +57,7 @@ def line_starts(problem: Problem) -> list[Estimate]:
     obs = problem.observations
     each_point_once = replace(problem, observations=obs.select(obs.kind == EDGE_Y))
     return shortlisted(problem, linear_solutions(
-        each_point_once, [0, 1, 2], slice(1, 3), CANDIDATE_COUNT))
+        each_point_once, [0, 1, 2], slice(1, 3), LINE_CANDIDATES))
 
 
 def _with_face(problem: Problem, estimate: Estimate) -> Estimate:

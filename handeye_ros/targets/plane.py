@@ -3,8 +3,9 @@
 """
 A plane: one straight piece of each profile lies on it; its border is not used.
 
-If several surfaces are visible, each station uses the one that fits the plane, so that all
-stations use the same surface.
+The smallest target, and the example for a new one: what it must state is listed in
+profile_target.py. If several surfaces are visible, each station uses the one that fits the
+plane, so that all stations use the same surface.
 
 Frame of the target: any point of the plane as origin, z its normal, towards the sensor.
 """
@@ -21,15 +22,15 @@ from handeye_ros.profiles.faces import plane_features
 from handeye_ros.targets.profile_target import ProfileTarget
 from handeye_ros.targets.starts import (
     best_fitting_first,
-    DIRECTION_COUNT,
     linear_solutions,
     lines_of_pieces,
+    SWEPT_DIRECTIONS,
     with_few_stations,
     with_one_piece,
 )
 import numpy as np
 
-CANDIDATE_COUNT = 10
+PLANE_CANDIDATES = 10  # solutions of the sweep that are tried
 SAME_ANGLE = 0.05  # rad: angles to the plane that differ by less are the same
 
 
@@ -60,11 +61,11 @@ class Plane(ProfileTarget):
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts, best first; of few stations, which fit in many wrong ways, then all."""
         few = with_few_stations(replace(problem, target=PLANE), rng)
-        factors = [1] + [DIRECTION_COUNT // CANDIDATE_COUNT] * problem.needs_more_starts
+        factors = [1] + [SWEPT_DIRECTIONS // PLANE_CANDIDATES] * problem.needs_more_starts
         return best_fitting_first(few, (
             [start for choice in problems_with_one_surface(few) for start in shortlisted(
-                choice, linear_solutions(choice, [1, 2, 0], slice(2, 3), CANDIDATE_COUNT * factor),
-                factor)]
+                choice, linear_solutions(
+                    choice, [1, 2, 0], slice(2, 3), factor * PLANE_CANDIDATES), factor)]
             for factor in factors))
 
     def views_alike(self, problem: Problem, estimate: Estimate) -> str:

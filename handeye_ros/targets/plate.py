@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from handeye_ros import se3
 from handeye_ros.config import Config
@@ -30,17 +30,33 @@ from handeye_ros.targets.starts import some_stations
 import numpy as np
 from numpy.typing import NDArray
 
-P, Q, P_FAR, Q_FAR = range(1, 5)
-OUTWARD = np.array([[0, 0], [0, -1.0], [-1.0, 0], [0, 1.0], [1.0, 0]])  # by kind, in the face
-KINDS = ('face', 'p', 'q', 'p_far', 'q_far')
+
+class Edge(NamedTuple):
+    """
+    One of the edges of a plate.
+
+    axis: of the target's frame, across the edge: x (0) or y (1)
+    side: the sign of this axis out of the plate, -1 through the corner, or 1 at target.size[axis]
+    opposite: the kind of the edge that it is parallel to
+    """
+
+    name: str
+    axis: int
+    side: int
+    opposite: int
+
+
+P, Q, P_FAR, Q_FAR = range(1, 5)  # kinds of conditions, after FACE
+EDGES = {P: Edge('p', 1, -1, P_FAR), Q: Edge('q', 0, -1, Q_FAR),
+         P_FAR: Edge('p_far', 1, 1, P), Q_FAR: Edge('q_far', 0, 1, Q)}
 SIZE, ANGLE = slice(16, 18), 18  # of the target's state, after its pose
 GATE_RATIO = 10.0  # an edge point this many times further from its edge than most is not used
 SMALLEST_GATE = 1e-3
 SMALLEST_SIZE = 0.02  # of a plate: an end nearer to one of its edges is another object
 SURE_SHARE = 0.3  # of the edge points are surely on an edge of the plate
 
-DIRECTION_COUNT = 240  # tried, over a whole turn
-VOTER_COUNT = 24  # points that this search uses
+TRIED_TURNS = 240  # of the two edges in their plane, over a whole turn
+TURN_VOTERS = 24  # points that this search uses
 
 
 def _edge_points(observations: Observations, p: Array, state: Array
@@ -57,12 +73,6 @@ def _edge_points(observations: Observations, p: Array, state: Array
     return rows, flat[rows], outward
 
 
-def _gate(distance: Array) -> float:
-    """Return the largest accepted distance of an edge point, from the distances (m,) of all."""
-    typical = np.quantile(distance, SURE_SHARE, method='lower') if len(distance) else 0.0
-    return max(SMALLEST_GATE, GATE_RATIO * float(typical))
-
-
 def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> Estimate:
     """Return an estimate of the plate in an estimated plane."""
     T = plane.state.reshape(4, 4)
@@ -72,9 +82,8 @@ def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> 
     _, points, outward = _edge_points(
         problem.observations, problem.points_in_base(plane.X), T.ravel())
     corner, turn = _two_lines(points, outward, rng)
-    R = np.eye(3)
-    R[:2, :2] = _rotation(turn)
-    T_base_target = T @ se3.transform(R, np.append(corner, 0.0))
+    T_base_target = T @ se3.transform(
+        se3.exp_rotation(np.array([0.0, 0.0, turn])), np.append(corner, 0.0))
     return Estimate(plane.X, np.concatenate([
         T_base_target.ravel(), problem.config.target.size or (0.0, 0.0), [np.pi / 2]]))
 
@@ -95,10 +104,11 @@ def _two_lines(points: Array, outward: Array, rng: np.random.Generator) -> tuple
     the lines, are tried. The cost of a point is its distance to the nearer line that the face is
     inside of, limited.
     """
-    voters = some_stations(len(points), VOTER_COUNT, rng)
+    voters = some_stations(len(points), TURN_VOTERS, rng)
     limit = 0.03 * float(np.ptp(points[voters], axis=0).max() + 1e-9)
-    turns = np.linspace(0.0, 2 * np.pi, DIRECTION_COUNT, endpoint=False)
-    R = np.moveaxis(_rotation(turns), -1, 0)
+    turns = np.linspace(0.0, 2 * np.pi, TRIED_TURNS, endpoint=False)
+    cosine, sine = np.cos(turns), np.sin(turns)
+    R = np.stack([cosine, -sine, sine, cosine], axis=-1).reshape(-1, 2, 2)
     local, inside = points[voters] @ R, outward[voters] @ R < 0
     off = np.where(inside[:, None], np.abs(local[:, None] - local[:, :, None]), limit)
     off = np.minimum(off, limit).astype(np.float32)  # (direction, line through, point, axis)
@@ -109,20 +119,15 @@ def _two_lines(points: Array, outward: Array, rng: np.random.Generator) -> tuple
     return R[k] @ np.array([local[k, i, 0], local[k, j, 1]]), float(turns[k])
 
 
-def _rotation(turn: Any) -> Array:
-    """Return the (2, 2) rotation by an angle, or those of several (2, 2, k)."""
-    return np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-
-
 class Plate(ProfileTarget):
     """A plate: two straight edges with a common corner, and the face between them."""
 
     name = 'plate'
-    kinds = KINDS
+    kinds = ('face', *(edge.name for edge in EDGES.values()))
     parameter_names = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'size_p', 'size_q', 'edge_angle')
     pose_axes = range(6)
     extract = staticmethod(face_features)
-    essential = KINDS[1:]
+    essential = kinds[1:]
     free_shape = {'edge_angle_free': True}
     loose_lengths = {'size_std': 3e-3}
     edge_kinds = (P,)  # until an edge is found for it
@@ -147,11 +152,12 @@ class Plate(ProfileTarget):
     def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
                          ) -> tuple[Array, Array, Array]:
         """Return the height over the face, or the distance from the edge."""
-        size_p, size_q, angle = measures
+        *size, angle = measures
         sine, cosine = np.sin(angle), np.cos(angle)
-        normals = np.array([[0, 0, 1.0], [0, 1.0, 0], [sine, -cosine, 0], [0, 1.0, 0],
-                            [sine, -cosine, 0]])[kind]
-        length = np.array([0.0, 0.0, 0.0, size_q, size_p])[kind]
+        across = [sine, -cosine, 0.0], [0.0, 1.0, 0.0]
+        edges = EDGES.values()
+        normals = np.array([[0.0, 0.0, 1.0], *(across[edge.axis] for edge in edges)])[kind]
+        length = np.array([0.0, *(size[edge.axis] * (edge.side > 0) for edge in edges)])[kind]
         along_q = local @ [cosine, sine, 0.0]
         by_angle = np.where((kind == Q) | (kind == Q_FAR), along_q, 0.0) - length * cosine
         by_measures = [*(np.where(kind == k, -sine, 0.0) for k in (Q_FAR, P_FAR)), by_angle]
@@ -176,14 +182,16 @@ class Plate(ProfileTarget):
         enough. Points far from all edges are not used, such as ends at the limit of the range.
         """
         rows, _, outward = _edge_points(observations, p, state)
-        kinds = np.array([P, Q] + ([P_FAR, Q_FAR] if config.target.size else []))
+        edges = {k: edge for k, edge in EDGES.items() if config.target.size or edge.side < 0}
+        kinds = np.array(list(edges))
         distance = np.array([np.abs(self.conditions(
             p[rows], np.full(len(rows), k), state, config).g) for k in kinds])
-        steepness = OUTWARD[kinds] @ outward.T
+        steepness = np.array([edge.side * outward[:, edge.axis] for edge in edges.values()])
         distance[steepness < np.sin(config.sampling.min_crossing_angle)] = np.inf
         nearest, far = kinds[np.argmin(distance, axis=0)], np.min(distance, axis=0)
+        typical = np.quantile(far, SURE_SHARE, method='lower') if len(far) else 0.0
         kind = observations.kind.copy()
-        kind[rows] = np.where(far > _gate(far), UNUSED, nearest)
+        kind[rows] = np.where(far > max(SMALLEST_GATE, GATE_RATIO * typical), UNUSED, nearest)
         return replace(observations, kind=kind)
 
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
@@ -200,18 +208,21 @@ class Plate(ProfileTarget):
         """
         rows, _, outward = _edge_points(observations, p, state)
         size, texts = config.target.size, []
-        for kind, axis, opposite in ((Q_FAR, 0, Q), (P_FAR, 1, P), (Q, 0, Q_FAR), (P, 1, P_FAR)):
-            if opposite in (P_FAR, Q_FAR) and not size:
+        for edge in reversed(EDGES.values()):
+            if not size and edge.side < 0:
                 continue
-            facing = outward @ OUTWARD[kind] > np.sin(config.sampling.min_crossing_angle)
-            ends = p[rows[facing]]
-            away = np.abs(self.conditions(ends, np.full(len(ends), opposite), state, config).g)
+            steepness = edge.side * outward[:, edge.axis]
+            ends = p[rows[steepness > np.sin(config.sampling.min_crossing_angle)]]
+            opposite = np.full(len(ends), edge.opposite)
+            away = np.abs(self.conditions(ends, opposite, state, config).g)
             middle = float(np.median(away)) if len(away) else 0.0
             count = int((np.abs(away - middle) < SMALLEST_GATE).sum())
             if count > 1:
-                texts.append(f'{count} of them {middle * 1e3:.1f} mm from {KINDS[opposite]}' + (
-                    f', and not {size[axis] * 1e3:.1f} mm as target.size has it' if size else
-                    ' (with target.size they could be used)' if middle > SMALLEST_SIZE else ''))
+                hint = (f', and not {size[edge.axis] * 1e3:.1f} mm as target.size has it' if size
+                        else ' (with target.size they could be used)' if middle > SMALLEST_SIZE
+                        else '')
+                texts.append(f'{count} of them {middle * 1e3:.1f} mm from '
+                             f'{EDGES[edge.opposite].name}{hint}')
         return '; '.join(texts)
 
 

@@ -3,11 +3,18 @@
 """
 What targets share.
 
-A new target is a subclass of Target (estimation/target.py) in one file: the features of a profile
-that show it, the conditions of their points in the target's frame, which moves and measures of it
-are unknown, and a start. Here are its observations, what all targets do with their pose, and the
-systematic errors that those of faces have in common: set-back of faces, shapes of edges, flatness,
-range at grazing incidence.
+A new target is a subclass of ProfileTarget in a file of its own, listed in __init__.py; plane.py
+is the smallest. It states
+
+- name, and extract: the features of one profile, or FeatureError (profiles/)
+- kinds, and normals or local_conditions: what vanishes for the points of features in its frame
+- parameter_names, pose_axes, stated_values: what of its pose and measures is unknown, or known
+- starts: estimates to search from (starts.py), and reassign where a profile may show other things
+- describe: what was estimated, as plain values
+
+Here are its observations, what all targets do with their pose, and the systematic errors that
+those of faces have in common: set-back of faces, shapes of edges, flatness, range at grazing
+incidence.
 """
 from __future__ import annotations
 
@@ -26,7 +33,6 @@ from handeye_ros.targets.starts import of_nearest_piece
 import numpy as np
 from numpy.typing import NDArray
 
-NO_OUTWARD = np.zeros(2)  # the outward direction at points that are no edges
 FACE = 0  # the kind of a condition on a face, in every target that has them
 # share of the RMS of each degree: the first are the largest
 FLATNESS_SHARES = {2: 0.8, 3: 0.5, 4: 0.3}
@@ -53,12 +59,13 @@ class ObservationRows:
 
         edge: that the points are on, or None.
         """
-        ones = np.ones(len(points), dtype=np.intp)
+        n = len(points)
         ending, outward, shape_std = (
             (1 + ENDINGS.index(edge.ending), edge.direction, edge.shape_std) if edge else
-            (0, NO_OUTWARD, 0.0))
-        self.parts.append((station * ones, points, kind * ones, factor, feature * ones,
-                           ending * ones, outward * ones[:, None], shape_std * ones))
+            (0, np.zeros(2), 0.0))
+        self.parts.append((np.full(n, station), points, np.full(n, kind), factor,
+                           np.full(n, feature), np.full(n, ending),
+                           np.tile(outward, (n, 1)), np.full(n, shape_std)))
 
     def observations(self) -> Observations:
         """Return the observations collected."""

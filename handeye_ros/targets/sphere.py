@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 ROTATION_COUNT = 1200
-CANDIDATE_COUNT = 16
+SPHERE_CANDIDATES = 16  # solutions of the sweep that are tried
 LARGER = 1.05  # an unknown radius over that of the largest circle
 MIDDLE_WEIGHT = 1e-9  # weight of a centre at the middle of the poses (regularisation)
 
@@ -59,7 +59,7 @@ def _candidates(problem: Problem, rng: np.random.Generator) -> list[Estimate]:
     offsets = np.concatenate([y - height, y + height], axis=1)
     misfit = ((np.abs(y[:, None] - offsets[:, :, None]) - height) ** 2).mean(axis=2)
     total = misfit.min(axis=1) + ((A @ solved - b) ** 2).mean(axis=(1, 2))
-    best = np.argsort(total)[:CANDIDATE_COUNT]
+    best = np.argsort(total)[:SPHERE_CANDIDATES]
     t = np.insert(solved[best, 3:, 0], 1, offsets[best, misfit[best].argmin(axis=1)], axis=1)
     X = se3.transform(R_sensor[best], (R_sensor[best] @ t[:, :, None])[..., 0])
     T = se3.transform(np.eye(3), a.mean(axis=0) + solved[best, :3, 0]).reshape(-1, 16)

@@ -22,7 +22,7 @@ GUESS_STATIONS = 40  # more only take longer
 SAME_SURFACE = 3e-4  # m: largest distance between pieces of one surface
 FITTING_SHARE = 0.7  # of the stations that a start should fit
 SIMILAR_RATIO = 2.0  # to the best start's distance: up to it the given order decides
-DIRECTION_COUNT = 400  # that a sweep tries
+SWEPT_DIRECTIONS = 400  # that a sweep tries
 TINY = 1e-30  # m^2
 
 
@@ -119,16 +119,12 @@ def lines_of_pieces(observations: Observations, piece: NDArray[np.intp]
     return x / n, z / n, (xz - x * z / n) / np.maximum(xx - x * x / n, TINY)
 
 
-def hemisphere(count: int) -> Array:
-    """Return unit vectors (count, 3), evenly distributed over half a sphere (Fibonacci)."""
+def frames_over_directions(count: int) -> Array:
+    """Return rotations (count, 3, 3), their x axes evenly over half a sphere (Fibonacci)."""
     i = np.arange(count) + 0.5
-    z, turn = i / count, i * np.pi * (3 - 5 ** 0.5)
-    r = np.sqrt(1 - z * z)
-    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
-
-
-def frames_along(x: Array) -> Array:
-    """Return rotations (k, 3, 3) with given unit vectors (k, 3) as x axes."""
+    height, turn = i / count, i * np.pi * (3 - 5 ** 0.5)
+    r = np.sqrt(1 - height * height)
+    x = np.column_stack([r * np.cos(turn), r * np.sin(turn), height])
     helper = np.where(np.abs(x[:, :1]) < 0.6, [[1.0, 0, 0]], [[0, 1.0, 0]])
     z = np.cross(x, helper)
     z /= np.linalg.norm(z, axis=1, keepdims=True)
@@ -146,7 +142,7 @@ def linear_solutions(problem: Problem, axes: list[int], across: slice, count: in
     W' (R (x r1 + z r3 + t) + a) = c, which is linear in r1, r3, t and c. The best solutions have
     small residuals, and r1 and r3 that are nearly orthonormal.
     """
-    frames = frames_along(hemisphere(DIRECTION_COUNT))[:, :, axes]
+    frames = frames_over_directions(SWEPT_DIRECTIONS)[:, :, axes]
     T, W = problem.poses[problem.observations.station], frames[:, :, across]
     R, a, middle = T[:, :3, :3], T[:, :3, 3], problem.poses[:, :3, 3].mean(axis=0)
     x, z = problem.observations.points.T[:, :, None, None]

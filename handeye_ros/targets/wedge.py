@@ -4,9 +4,9 @@
 The edge of a block, or a groove: two faces, both visible in every profile.
 
 Frame of the target: x along the edge, the origin on it. Each face contains the edge and is turned
-about it by an angle. Unknown beside X: the edge as a line (4) and the angles of the two faces (2).
-A profile gives two face lines, each in its face, so they cross on the edge. The sides tell which
-face is which, so it need not be stated.
+about it by an angle, which the state holds. Unknown beside X: the edge as a line (4), a common
+turn of both faces about it, and the angle between them. A profile gives two face lines, each in
+its face, so they cross on the edge. The sides tell which face is which, so it need not be stated.
 """
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.problem import Estimate, Observations, Problem
 from handeye_ros.profiles.faces import corner_features
-from handeye_ros.targets import line as edge_line
+from handeye_ros.targets.line import EDGE_Y, EDGE_Z, LINE, line_starts
 from handeye_ros.targets.profile_target import ObservationRows, ProfileTarget, xyz
 from handeye_ros.targets.starts import (
     best_fitting_first,
@@ -75,10 +75,10 @@ def _starts(problem: Problem) -> list[Estimate]:
     """Return starts by the crossing of the two lines of each station: these lie on one edge."""
     rows, obs = ObservationRows(), problem.observations
     for station, corner in enumerate(corners(obs, np.zeros_like(obs.kind))[0]):
-        for kind in (edge_line.EDGE_Y, edge_line.EDGE_Z):
+        for kind in (EDGE_Y, EDGE_Z):
             rows.add(station, corner, kind, CORNER_STD * np.eye(2)[None])
-    edges = replace(problem, target=edge_line.LINE, observations=rows.observations())
-    return [_with_faces(problem, edge) for edge in edge_line.line_starts(edges)]
+    edges = replace(problem, target=LINE, observations=rows.observations())
+    return [_with_faces(problem, edge) for edge in line_starts(edges)]
 
 
 def _with_faces(problem: Problem, edge: Estimate) -> Estimate:

@@ -236,7 +236,7 @@ def _at_calibrated_time(samples: Sequence[Sample], calibration: Calibration, con
         raise InputError('the calibration has no time offset, which a sweep needs: verify with '
                          'stops, calibrate with a sweep, or state time_offset and time_offset_std '
                          f'({KNOWN_OFFSET_STD * 1e3:g} ms or less)')
-    instants = ClockedPoses.of(samples).at(offset.value - config.time_offset if offset else 0.0,
-                                           float(calibration.target.get(ROTATION_LAG, 0.0)))
+    instants = ClockedPoses(samples).at(offset.value - config.time_offset if offset else 0.0,
+                                        float(calibration.target.get(ROTATION_LAG, 0.0)))
     return [replace(sample, T_base_flange=T, trajectory=None)
             for sample, T in zip(samples, instants.T_base_flange, strict=True)]

@@ -10,7 +10,7 @@ from handeye_ros.config import Config, ProfileConfig, with_values
 from handeye_ros.data import EdgePoint, NS, Profile, RawProfile
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import MOST_PROFILES, ProfileBuffer, Stop
+from handeye_ros.sampling.stops import ProfileBuffer, PROFILES_OF_SAMPLE, Stop
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -84,7 +84,7 @@ def test_a_fast_sensor_is_thinned_out_evenly() -> None:
     settle = round(CONFIG.sampling.settle_time * NS)
     session = played(stops((0, 2)), profiles(0, 2, rate=500.0), finish=True)
     sample, = session.samples
-    assert sample.profiles == MOST_PROFILES < 900
+    assert sample.profiles == PROFILES_OF_SAMPLE < 900
     stop, = session.stops
     stamps = np.array([p.stamp for p in stop.load(CONFIG).profiles]) - START
     inside = (stamps >= settle) & (stamps <= 2 * NS - settle)

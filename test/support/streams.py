@@ -63,10 +63,10 @@ def played(poses: Sequence[TimedPose], profiles: Sequence[Profile], config: Conf
     return session
 
 
-def collect(session: Session, config: Config = CONFIG) -> list[Sample | Reject]:
-    """Return what the stops give that were completed since the last call, as the node asks."""
-    return [session.add_stop(session.evaluated(stop, result_of(stop, config))).result
-            for stop in session.completed()]
+def collect(session: Session, config: Config = CONFIG) -> None:
+    """Evaluate the stops that were completed since the last call, as the node does."""
+    for stop in session.completed():
+        session.add_stop(session.evaluated(stop, result_of(stop, config)))
 
 
 def add(session: Session, item: TimedPose | Profile) -> None:
