@@ -50,7 +50,7 @@ def solve(
     from handeye_ros.frames import T_sensor_plane
     from handeye_ros.output import folder_name
     from handeye_ros.results import exports, table
-    from handeye_ros.results.calibration_file import errors_against, true_transform
+    from handeye_ros.results.truth import errors_against, true_transform
     opened = open_input(path, config, assignments, angles, kinematics)
     settings = opened.settings
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
@@ -196,7 +196,7 @@ def compare(
     """Compare the estimators on the same samples."""
     from handeye_ros import compare as comparing
     from handeye_ros.output import write_atomically, yaml_text
-    from handeye_ros.results.calibration_file import true_transform
+    from handeye_ros.results.truth import true_transform
     opened = open_input(path, config, assignments, angles)
     T_true = true_transform(path, bool(opened.settings.kinematics))
     with progress_bar('comparing') as update:

@@ -20,7 +20,7 @@ from handeye_ros.data import (
     Term,
 )
 from handeye_ros.errors import without_numbers
-from handeye_ros.results.calibration_file import Errors
+from handeye_ros.results.truth import Errors
 import numpy as np
 from rich import box
 from rich.console import Group, RenderableType

@@ -22,7 +22,7 @@ from handeye_ros.bags import bag
 from handeye_ros.config import Config, load, with_assignments
 from handeye_ros.data import ClockEstimate
 from handeye_ros.results import calibration_file
-from handeye_ros.results.calibration_file import errors_against, true_transform
+from handeye_ros.results.truth import errors_against, true_transform
 import numpy as np
 import pytest
 import yaml
