@@ -323,9 +323,9 @@ def load_stop(file: Path, stamp: int, config: Config) -> Stop:
     reader = ProfileReader(config.profile)
     poses, profiles = [], []
     for message in _read_file(file):
-        if message.kind == POSE_TYPE:
+        if message.message_type == POSE_TYPE:
             poses.append(pose_from_cdr(message.data))
-        elif message.kind == CLOUD_TYPE:
+        elif message.message_type == CLOUD_TYPE:
             with suppress(UnusableMessageError):  # it may be invalid with other settings
                 profiles.append(replace(reader.take(message.data),
                                         stamp=message.log_time + offset))
