@@ -17,6 +17,7 @@ import argparse
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 import sys
 from threading import Lock
@@ -125,7 +126,7 @@ def main() -> int:
     parser.add_argument('--voxel', default='0', metavar='EDGE')
     parser.add_argument('--std', action='store_true')
     arguments = parser.parse_args(own_arguments())
-    return exit_code(lambda: spin(lambda: ScanNode(arguments)))
+    return exit_code(spin, partial(ScanNode, arguments))
 
 
 if __name__ == '__main__':
