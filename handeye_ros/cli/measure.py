@@ -27,6 +27,7 @@ from handeye_ros.cli.common import (
     stream_recording,
     warn,
     warn_of_frame,
+    write_yaml,
 )
 import typer
 
@@ -78,7 +79,7 @@ def verify(
     --set verify.lengths=[200mm] --set verify.tolerance=0.3mm; docs/measure.md tells which of them
     a routine needs.
     """
-    from handeye_ros.output import html_file, write_atomically, yaml_text
+    from handeye_ros.output import html_file, write_atomically
     from handeye_ros.results import verification_file
     from handeye_ros.results.calibration_file import file_of
     from handeye_ros.verification import verify as verification
@@ -97,8 +98,7 @@ def verify(
     result = verification.verify(routine, measured, opened, list(chain(*rejects)))
     content = verification.plain_values(result, bags, file_of(calibration))
     show(verification_file.table(content))
-    if out:
-        write_atomically(out, yaml_text(content))
+    write_yaml(out, content)
     if protocol:
         write_atomically(protocol, verification_file.protocol(content))
     for sentence in (*filter(None, [result.surface]), result.verdict, *result.reasons):
@@ -149,7 +149,6 @@ def check(
 
     The exit code is 0 if nothing has changed, 1 for a change, 2 and 3 if that cannot be told.
     """
-    from handeye_ros.output import write_atomically, yaml_text
     from handeye_ros.verification.check import check_recording, plain_values
     calibration, settings = open_calibration(against, config, assignments, kinematics)
     checks: list[tuple[str, Check]] = []
@@ -165,8 +164,7 @@ def check(
     changed = [name for name, result in checks if result.verdict != 'unchanged']
     if changed and len(checks) > 1:
         typer.echo(f'since {changed[0]}')
-    if out:
-        write_atomically(out, yaml_text(plain_values(checks, str(against))))
+    write_yaml(out, plain_values(checks, str(against)))
     if changed:
         raise typer.Exit(NOT_AS_WANTED)
 

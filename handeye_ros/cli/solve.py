@@ -24,6 +24,7 @@ from handeye_ros.cli.common import (
     progress_bar,
     show,
     warn,
+    write_yaml,
 )
 from handeye_ros.config import assignment, SAVE_FORMATS
 from handeye_ros.errors import InputError, NoRosError
@@ -195,7 +196,6 @@ def compare(
 ) -> None:
     """Compare the estimators on the same samples."""
     from handeye_ros import compare as comparing
-    from handeye_ros.output import write_atomically, yaml_text
     from handeye_ros.results.truth import true_transform
     opened = open_input(path, config, assignments, angles)
     T_true = true_transform(path, bool(opened.settings.kinematics))
@@ -210,5 +210,4 @@ def compare(
     show(comparing.tables(comparison))
     if comparison.refusal:
         raise comparison.refusal
-    if out:
-        write_atomically(out, yaml_text(comparing.plain_values(comparison)))
+    write_yaml(out, comparing.plain_values(comparison))

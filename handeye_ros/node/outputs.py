@@ -141,13 +141,14 @@ class Outputs:
             samples, status = json.dumps(samples_message(state)), json.dumps(status_message(state))
             guidance = state['guidance']
             transform = calibration and transform_of(calibration, stamp)
-            next_pose = guidance['translation'] and (
-                guidance['translation'], guidance['rotation'], config.base_frame)
+            place = guidance['translation'] and {
+                **{key: guidance[key] for key in ('translation', 'rotation')},
+                'frame_id': config.base_frame}
             outputs = {
                 '~/samples': (samples, lambda: String(data=samples)),
                 '~/status': (status, lambda: String(data=status)),
                 '~/guidance': (guidance['text'], lambda: String(data=guidance['text'])),
-                '~/next_pose': (next_pose, lambda: pose_stamped(*next_pose, stamp=stamp)),
+                '~/next_pose': (place, lambda: pose_stamped(**place, stamp=stamp)),
                 '~/calibration': (calibration, lambda: transform),
                 '/tf_static': (calibration, lambda: TFMessage(transforms=[transform])),
                 '~/markers': ((samples, calibration), lambda: session_markers(

@@ -99,7 +99,6 @@ def rpy_std(T: Array, covariance: Array) -> Array:
 
     covariance: (3, 3) of the rotation vector in the parent frame. Infinite where the pitch
     is so close to 90 degrees that roll and yaw turn about one axis.
-
     """
     _, pitch, yaw = se3.rpy(T)
     if abs(math.cos(pitch)) < 1e-3:
