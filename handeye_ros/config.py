@@ -480,8 +480,8 @@ def with_values(config: Config, values: Mapping[str, Any], source: str = 'values
         elif key not in known:
             raise UnknownKeyError(key, known, source)
         elif section:
-            changed = replace(getattr(config, section), **{name: value})
-            config = replace(config, **{section: changed})
+            config = replace(config, **{
+                section: replace(getattr(config, section), **{name: value})})
         else:
             config = replace(config, **{name: value})
     return config

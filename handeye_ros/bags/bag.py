@@ -139,8 +139,7 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
                          'robot_effector_frame')
     poses = _of_one_frame('pose', poses, 'parent_frame', reader)
     joints = np.array([pose.joints for pose in poses if isinstance(pose, ArmPose)])
-    if config.time_offset:
-        offset = config.offset_ns
+    if offset := config.offset_ns:
         profiles = [replace(p, stamp=p.stamp + offset) for p in profiles]
     _require_common_time(profiles, poses)
     return Recording(tuple(profiles), poses, joints if len(joints) else None, reader.warnings,

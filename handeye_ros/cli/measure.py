@@ -206,7 +206,7 @@ def scan(
         '--range', metavar='NEAR FAR', help='Keep points in this range of the sensor.')
     ] = ('-inf', 'inf'),
     incidence: Annotated[float, typer.Option(
-        min=0.0, max=90.0, callback=_finite, help='Keep points that the laser meets at no '
+        min=0.0, max=90.0, help='Keep points that the laser meets at no '
         'larger angle to the surface normal, as far as a profile shows it (degrees).')] = 90.0,
     std: Annotated[bool, typer.Option(
         '--std', help='Add the 1 sigma of each point (m): calibration, sensor, robot.')] = False,
