@@ -102,11 +102,11 @@ def calibrate(
     configuration(config, assignments)  # so that a mistake is reported at once
     if find_spec('rclpy') is None:
         raise NoRosError('calibrate', 'rclpy')
-    arguments = ['--params-file', str(config)] if config else []
+    command = [sys.executable, '-m', 'handeye_ros.node.main', '--ros-args']
+    command += ['--params-file', str(config)] if config else []
     for text in (*assignments, *(['session=last'] if resume else [])):
-        arguments += ['-p', ':='.join(assignment(text))]
-    command = [sys.executable, '-m', 'handeye_ros.node.main']
-    os.execv(sys.executable, [*command, *(['--ros-args', *arguments] if arguments else [])])
+        command += ['-p', ':='.join(assignment(text))]
+    os.execv(sys.executable, command)
 
 
 @app.command()

@@ -264,12 +264,12 @@ def session_markers(stops: Iterable[Stop], calibration: Calibration | None, conf
         StopSnapshot(stop.number, sample.stamp, mount_poses(sample.T_base_flange, config),
                      np.empty((0, 2)), sample.features)
         for stop in stops if (sample := stop.sample)]
-    flanges = [snapshot.T_mount[:3, 3] for snapshot in snapshots]
     parts: list[dict[str, Any]] = [
         {'name': 'numbers', 'color': FLANGE_COLOUR, 'width': 12.0, 'text': str(snapshot.number),
-         'points': [flange]} for snapshot, flange in zip(snapshots, flanges, strict=True)]
-    if flanges:
-        parts.append({'name': 'flanges', 'color': FLANGE_COLOUR, 'width': 6.0, 'points': flanges})
+         'points': [snapshot.T_mount[:3, 3]]} for snapshot in snapshots]
+    if snapshots:
+        parts.append({'name': 'flanges', 'color': FLANGE_COLOUR, 'width': 6.0,
+                      'points': [snapshot.T_mount[:3, 3] for snapshot in snapshots]})
     if calibration:
         parts += scene(calibration, snapshots, config)['parts']
     return _markers(parts, config)
