@@ -53,15 +53,12 @@ def _finite(value: float) -> float:
     return value
 
 
-Bags = Annotated[list[Path], typer.Argument(
-    metavar='BAG...', help='Recordings with stops, one of each face or ball, in their order.')]
-
-
 @app.command()
 def verify(
-    name: Annotated[str, typer.Argument(
+    name: Annotated[str, typer.Argument(  # of ROUTINES (test_cli.py), whose import takes long
         metavar='ROUTINE', help='line, plane, point, sphere, ball_bar, step, square or tooth.')],
-    bags: Bags,
+    bags: Annotated[list[Path], typer.Argument(metavar='BAG...', help=(
+        'Recordings with stops, one of each face or ball, in their order.'))],
     calibration: CalibrationFile,
     config: MeasureConfig = None,
     assignments: Assignments = [],

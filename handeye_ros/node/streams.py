@@ -108,7 +108,7 @@ class Streams:
         self._profile_reader = ProfileReader(config.profile)
         self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
         self._last_stamp: int | None = None  # ns, of the last message of profiles
-        self._topics = self._topics_of(config)
+        self._topics = self._configured_topics(config)
         receiver.message_counts = {topic.received.kind: topic.received for topic in self._topics}
         for topic in self._topics:
             self._subscribe(topic)
@@ -116,7 +116,7 @@ class Streams:
         self._thread = threading.Thread(target=self._read_until_end, name='drain', daemon=True)
         self._thread.start()
 
-    def _topics_of(self, config: Config) -> list[_Topic]:
+    def _configured_topics(self, config: Config) -> list[_Topic]:
         """Return the topics that settings name; raises InputError."""
         poses = MessageCount('pose')
         topics = [_Topic(MessageCount('profile'), CLOUD_TYPE, config.profile_topic,
@@ -154,7 +154,7 @@ class Streams:
         keys = ('profile_topic', 'pose_source', 'pose_topic', 'joint_topic', 'kinematics')
         current = self._receiver.config
         return any(getattr(config, key) != getattr(current, key) for key in keys) and bool(
-            self._topics_of(config))
+            self._configured_topics(config))
 
     def _full_name(self, topic: str) -> str:
         """Return the full name of a topic; raises InputError."""
