@@ -8,9 +8,8 @@ Profiles and poses as drivers publish them, and paths.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from itertools import chain
 import json
 from operator import attrgetter
 import os
@@ -54,12 +53,15 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
     if truth is not None:
         texts[TRUTH_NAME] = yaml_text(truth)
     config = config or Config()
-    items: list[AnyProfile | TimedPose] = sorted([*profiles, *poses], key=attrgetter('stamp'))
-    messages = chain(
-        (raw_of(item, config, number) for item in items),
-        (Raw(full_name(config.joint_topic), JOINTS_TYPE, stamp, joints_cdr(stamp, values))
-         for stamp, values in joints))
-    write_folder(path, texts, lambda folder: _write_bag(folder, messages), force)
+
+    def messages() -> Iterator[Raw]:
+        items: list[AnyProfile | TimedPose] = [*profiles, *poses]
+        for item in sorted(items, key=attrgetter('stamp')):
+            yield raw_of(item, config, number)
+        for stamp, values in joints:
+            yield Raw(full_name(config.joint_topic), JOINTS_TYPE, stamp, joints_cdr(stamp, values))
+
+    write_folder(path, texts, lambda folder: _write_bag(folder, messages()), force)
 
 
 def raw_of(item: AnyProfile | TimedPose, config: Config, number: str = 'f4') -> Raw:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -56,11 +57,12 @@ def pose_topics(config: Config, tracker: FlangeTracker, arm: Arm | None = None
     if config.pose_source == 'topic':
         return [PoseTopic(config.pose_topic, 'pose_topic', POSE_TYPE,
                           lambda data: [pose_from_cdr(data)])]
-    return [PoseTopic('/tf_static', '', TF_TYPE,
-                      lambda data: tracker.add(transforms_from_cdr(data), static=True),
-                      required=False),
-            PoseTopic('/tf', '', TF_TYPE,
-                      lambda data: tracker.add(transforms_from_cdr(data), static=False))]
+
+    def poses_of(data: bytes, static: bool) -> Sequence[TimedPose]:
+        return tracker.add(transforms_from_cdr(data), static)
+
+    return [PoseTopic('/tf_static', '', TF_TYPE, partial(poses_of, static=True), required=False),
+            PoseTopic('/tf', '', TF_TYPE, partial(poses_of, static=False))]
 
 
 @dataclass(frozen=True, eq=False)
