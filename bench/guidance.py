@@ -55,7 +55,7 @@ from handeye_ros.frames import mount_poses_of
 from handeye_ros.guidance.advice import advise
 from handeye_ros.guidance.view import extremes, learn_view, Move, View, view_levers
 from handeye_ros.pipeline import Answer
-from handeye_ros.results.calibration_file import errors_against, field_points
+from handeye_ros.results.truth import errors_against, field_points
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.features import combined_features
 from handeye_ros.sampling.session import duplicate_pose

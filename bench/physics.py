@@ -44,7 +44,7 @@ import time
 from handeye_ros import pipeline
 from handeye_ros.config import Config, with_values
 from handeye_ros.errors import HandeyeError
-from handeye_ros.results.calibration_file import errors_against
+from handeye_ros.results.truth import errors_against
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings, simulate, simulate_samples
 from handeye_ros.simulate.scenario import changed, Sweep
 import numpy as np

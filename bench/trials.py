@@ -13,7 +13,7 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import TypeVar
 
 from handeye_ros import se3
-from handeye_ros.results.calibration_file import field_points
+from handeye_ros.results.truth import field_points
 from handeye_ros.simulate import Scenario
 from handeye_ros.simulate.sensor import FRAMES
 import numpy as np

@@ -40,6 +40,7 @@ NOT_SET = math.nan  # default of a number that changes an answer by its full siz
 # error in data sheets.
 ROBOT_CLASSES = {'calibrated': 5e-5, 'standard': 1.5e-4, 'unknown': 3e-4}
 SIGNED_AXES = ('x', 'y', 'z', '-x', '-y', '-z')
+# FORMATS of results/exports.py says how each is written; test_exports.py compares the two.
 SAVE_FORMATS = ('yaml', 'urdf', 'launch', 'easy_handeye2', 'matrix', 'json', 'kuka',
                 'fanuc', 'abb', 'ur', 'staubli', 'yaskawa')
 # The usual names of record.* in a form for acceptance; others are allowed.
@@ -54,8 +55,8 @@ NODE_NAME = 'handeye'  # the name of the node, and of its section in parameter f
 EVERY_NODES = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
 
 
-def key(default: Any, description: str, minimum: float | None = None,
-        maximum: float | None = None, unit: str = '', **limits: Any) -> Any:
+def setting(default: Any, description: str, minimum: float | None = None,
+            maximum: float | None = None, unit: str = '', **limits: Any) -> Any:
     """Declare a key, with the range of a number; limits: choices, length and integers."""
     return field(default=default, metadata={
         'description': description + (f' In {unit}.' if unit else ''), 'minimum': minimum,
@@ -79,17 +80,17 @@ class Parameter:
     def checked(self, value: Any) -> Any:
         """Return a value in the type of the default; raises BadValueError for a wrong one."""
         if not isinstance(self.default, tuple):
-            return self._one(value, type(self.default))
+            return self._checked_item(value, type(self.default))
         items = [] if value is None else value
         if not isinstance(items, list | tuple) or self.length and len(items) not in self.length:
             lengths = ' or '.join(map(str, self.length)) or 'any number of'
             raise BadValueError(self.key, value, f'a list of {lengths} values')
         kind = int if self.integers else str if self.choices else float
-        return tuple(self._one(item, kind) for item in items)
+        return tuple(self._checked_item(item, kind) for item in items)
 
-    def _one(self, value: Any, kind: type[Any]) -> Any:
+    def _checked_item(self, value: Any, kind: type[Any]) -> Any:
         """Return one value of a type, as plain Python; raises BadValueError."""
-        plain, low, high = _plain(value, kind), self.minimum, self.maximum
+        plain, low, high = _in_type(value, kind), self.minimum, self.maximum
         accepted, expected = type(plain) is kind, f'a value of type {kind.__name__}'
         if self.choices:
             accepted &= plain in self.choices
@@ -108,7 +109,7 @@ class Parameter:
         return plain
 
 
-def _plain(value: Any, kind: type[Any]) -> Any:
+def _in_type(value: Any, kind: type[Any]) -> Any:
     """Return a value in a type that it stands for, such as the text 3e-5 (no number in YAML)."""
     if kind is str and value is None:
         return ''
@@ -149,23 +150,24 @@ def _parameters_of(section: Any) -> dict[str, Parameter]:
 class ProfileConfig(Section):
     """How to read the messages of the profiler's driver."""
 
-    unit: str = key('m', 'Unit of the coordinates in the profile messages.', choices=('m', 'mm'))
-    axes: tuple[str, ...] = key(
+    unit: str = setting(
+        'm', 'Unit of the coordinates in the profile messages.', choices=('m', 'mm'))
+    axes: tuple[str, ...] = setting(
         ('x', 'z'), 'Two signed axes of the message: along the laser line, and range.',
         choices=SIGNED_AXES, length=(2,))
-    range_sign: int = key(
+    range_sign: int = setting(
         1, '1 if the range grows away from the sensor, -1 if towards it.', -1, 1, choices=(1, -1))
-    rows: str = key(
+    rows: str = setting(
         'auto', 'What the rows of a message are: points of one profile, or profiles; auto: '
         'profiles where each runs along the whole line.',
         choices=('auto', 'points', 'profiles'))
-    period: float = key(
+    period: float = setting(
         0.0, 'Time between the profiles of one message; 0: unknown, and only those messages '
         'are used during which the robot stood still.', 0.0, 60.0, 's')
-    exposure: float = key(0.0, 'Time that a profile averages over, in motion.', 0.0, 0.1, 's')
-    stamp: str = key('first', 'Which profile of a message its stamp belongs to.',
-                     choices=('first', 'middle', 'last'))
-    invalid: tuple[float, ...] = key(
+    exposure: float = setting(0.0, 'Time that a profile averages over, in motion.', 0.0, 0.1, 's')
+    stamp: str = setting('first', 'Which profile of a message its stamp belongs to.',
+                         choices=('first', 'middle', 'last'))
+    invalid: tuple[float, ...] = setting(
         (), 'Ranges that mean no return, in the unit of the message, such as 0 or -327.68.',
         -1e9, 1e9, length=(0, 1, 2, 3, 4))
 
@@ -180,52 +182,52 @@ class ProfileConfig(Section):
 class TargetConfig(Section):
     """The target that the laser line crosses."""
 
-    type: str = key(  # noqa: A003
+    type: str = setting(  # noqa: A003
         'plate', 'plate, line, plane, sphere or wedge; from files: points, hand_eye or tracker.')
-    radius: float = key(0.0, 'Radius of the sphere; 0: unknown, estimated.', 0.0, 10.0, 'm')
-    size: tuple[float, ...] = key(
+    radius: float = setting(0.0, 'Radius of the sphere; 0: unknown, estimated.', 0.0, 10.0, 'm')
+    size: tuple[float, ...] = setting(
         (), 'Lengths of the plate along its edges p and q; empty: unknown, only the two '
         'edges that meet in the corner are used.', 0.0, 10.0, 'm', length=(0, 2))
-    radius_std: float = key(5e-5, '1 sigma of the radius of the sphere.', 0.0, 0.1, 'm')
-    size_std: float = key(1e-4, '1 sigma of each length of the plate.', 0.0, 0.1, 'm')
-    edge_angle_std: float = key(
+    radius_std: float = setting(5e-5, '1 sigma of the radius of the sphere.', 0.0, 0.1, 'm')
+    size_std: float = setting(1e-4, '1 sigma of each length of the plate.', 0.0, 0.1, 'm')
+    edge_angle_std: float = setting(
         3e-4, '1 sigma of the angle between the edges of the plate.', 0.0, 0.1, 'rad')
-    setback_std: float = key(
+    setback_std: float = setting(
         3e-5, '1 sigma of how far a face seems to end inside its sharp edge.', 0.0, 0.01, 'm')
-    edge_angle_free: bool = key(
+    edge_angle_free: bool = setting(
         False, 'Estimate the angle between the edges of the plate; otherwise a right angle.')
-    angles: str = key(
+    angles: str = setting(
         '', 'How a table of poses writes orientations: kuka-abc, fanuc-wpr, abb-quaternion, '
         'ur-rotation-vector, staubli-rxryrz, yaskawa-rxryrz; empty: quaternion x y z w, or roll '
         'pitch yaw, as its columns say.')
-    use_face: bool = key(False, 'Use the flat face beside the straight edge (line) too.')
+    use_face: bool = setting(False, 'Use the flat face beside the straight edge (line) too.')
 
 
 @dataclass(frozen=True)
 class SamplingConfig(Section):
     """When the robot counts as standing still, and which part of a stop is used."""
 
-    mode: str = key(
+    mode: str = setting(
         'still', 'When a sample is taken: automatically at every stop (still), when asked by '
         '~/take_sample or ~/take (manual), or of single profiles while the robot moves (moving).',
         choices=('still', 'manual', 'moving'))
-    still_time: float = key(
+    still_time: float = setting(
         0.5, 'The robot stands still when its pose did not change for this long.', 0.05, 60.0, 's')
-    still_translation: float = key(
+    still_translation: float = setting(
         5e-4, 'Largest change of position of a robot that stands still.', 0.0, 0.1, 'm')
-    still_rotation: float = key(
+    still_rotation: float = setting(
         2e-3, 'Largest change of orientation of a robot that stands still.', 0.0, 0.1, 'rad')
-    settle_time: float = key(
+    settle_time: float = setting(
         0.1, 'Profiles so soon after a stop begins or before it ends are unused.', 0.0, 10.0, 's')
-    max_pose_gap: float = key(
+    max_pose_gap: float = setting(
         0.5, 'Poses further apart than this around a profile are too sparse.', 1e-3, 60.0, 's')
-    min_points: int = key(20, 'Fewest points of a face or an arc in one profile.', 5, 100000)
-    min_crossing_angle: float = key(
+    min_points: int = setting(20, 'Fewest points of a face or an arc in one profile.', 5, 100000)
+    min_crossing_angle: float = setting(
         0.44, 'A laser line that crosses an edge at a smaller angle is not used.', 0.0, 1.5, 'rad')
-    new_translation: float = key(
+    new_translation: float = setting(
         8e-3, 'A stop nearer than this to an earlier one, and turned by less than '
         'new_rotation, is not used; 0: every stop is used.', 0.0, 1.0, 'm')
-    new_rotation: float = key(
+    new_rotation: float = setting(
         0.05, 'The turn that goes with new_translation; 0: every stop is used.', 0.0, 3.15, 'rad')
 
     @property
@@ -243,7 +245,7 @@ class SamplingConfig(Section):
 class SamplesConfig(Section):
     """The samples used for the answer."""
 
-    exclude: tuple[int, ...] = key(
+    exclude: tuple[int, ...] = setting(
         (), 'Numbers of the samples left out; taking a number away brings it back.', 1, 10**6,
         integers=True)
 
@@ -252,12 +254,12 @@ class SamplesConfig(Section):
 class TrackerConfig(Section):
     """Properties of the laser tracker and of the arm that it measures (target.type tracker)."""
 
-    file: str = key('tracker.csv', 'Name of the file of reflector points beside the bag.')
-    noise: float = key(2e-5, 'Noise of a reflector centre, each axis.', 1e-9, 0.01, 'm')
-    h0: float = key(NOT_SET, 'Height of the reflector above the top of P3.', -10.0, 10.0, 'm')
-    h1: float = key(NOT_SET, 'Height of the top of P3 above frame 2.', -10.0, 10.0, 'm')
-    first_reading: float = key(NOT_SET, 'Reading of P3 at the first pose.', -100.0, 100.0, 'm')
-    direction: tuple[float, ...] = key(
+    file: str = setting('tracker.csv', 'Name of the file of reflector points beside the bag.')
+    noise: float = setting(2e-5, 'Noise of a reflector centre, each axis.', 1e-9, 0.01, 'm')
+    h0: float = setting(NOT_SET, 'Height of the reflector above the top of P3.', -10.0, 10.0, 'm')
+    h1: float = setting(NOT_SET, 'Height of the top of P3 above frame 2.', -10.0, 10.0, 'm')
+    first_reading: float = setting(NOT_SET, 'Reading of P3 at the first pose.', -100.0, 100.0, 'm')
+    direction: tuple[float, ...] = setting(
         (0.0, 1.0, 0.0), 'Direction of the sweep in the sensor frame, roughly.', -1.0, 1.0,
         length=(3,))
 
@@ -266,43 +268,44 @@ class TrackerConfig(Section):
 class NoiseConfig(Section):
     """Prior noise, 1 sigma; the data correct it."""
 
-    sensor: float = key(3e-5, 'Range noise of one profile point.', 1e-9, 0.01, 'm')
-    distortion: float = key(2e-5, "Smooth error of the sensor's field.", 0.0, 0.01, 'm')
-    line_bend: float = key(1e-4, 'Bend of the laser line, at its ends.', 0.0, 0.01, 'm')
-    flatness: float = key(2e-5, 'Smooth deviation of the faces from flat.', 0.0, 0.01, 'm')
-    robot_translation: float = key(
+    sensor: float = setting(3e-5, 'Range noise of one profile point.', 1e-9, 0.01, 'm')
+    distortion: float = setting(2e-5, "Smooth error of the sensor's field.", 0.0, 0.01, 'm')
+    line_bend: float = setting(1e-4, 'Bend of the laser line, at its ends.', 0.0, 0.01, 'm')
+    flatness: float = setting(2e-5, 'Smooth deviation of the faces from flat.', 0.0, 0.01, 'm')
+    robot_translation: float = setting(
         3e-5, 'Repeatability of the flange position, each axis.', 0.0, 0.01, 'm')
-    robot_rotation: float = key(
+    robot_rotation: float = setting(
         7e-5, 'Repeatability of the flange orientation, each axis.', 0.0, 0.01, 'rad')
-    stamps: float = key(1e-4, 'Jitter of the stamps of profiles, in motion.', 0.0, 0.1, 's')
-    robot_smooth: float = key(
+    stamps: float = setting(1e-4, 'Jitter of the stamps of profiles, in motion.', 0.0, 0.1, 's')
+    robot_smooth: float = setting(
         1.5e-4, 'Smooth error of the robot over its workspace, each axis.', 0.0, 0.01, 'm')
-    robot_class: str = key(
+    robot_class: str = setting(
         '', 'Accuracy of the robot by its data sheet: calibrated (0.1 mm), standard (0.3 mm) or '
         'unknown; sets robot_smooth where that is not given too.', choices=('', *ROBOT_CLASSES))
-    robot_scale: float = key(7e-4, 'Relative error of the lengths of the robot.', 0.0, 0.1)
+    robot_scale: float = setting(7e-4, 'Relative error of the lengths of the robot.', 0.0, 0.1)
 
 
 @dataclass(frozen=True)
 class LimitsConfig(Section):
     """Largest uncertainty and inconsistency of a trusted answer."""
 
-    translation: float = key(
+    translation: float = setting(
         5e-3, 'Largest 1 sigma of the translation in its worst direction.', 0.0, 1.0, 'm')
-    rotation: float = key(2e-2, 'Largest 1 sigma of the rotation, worst axis.', 0.0, 1.0, 'rad')
-    points: float = key(
+    rotation: float = setting(
+        2e-2, 'Largest 1 sigma of the rotation, worst axis.', 0.0, 1.0, 'rad')
+    points: float = setting(
         2e-3, 'Largest 1 sigma of the points that the samples show, in the frame of the result, '
         'on average and in the worst direction.', 0.0, 1.0, 'm')
-    scatter: float = key(
+    scatter: float = setting(
         8.0, 'Largest RMS residual, as a multiple of what the configured noise makes.', 1.0, 1e6)
-    residual: float = key(1e-3, 'Largest RMS residual.', 0.0, 1.0, 'm')
+    residual: float = setting(1e-3, 'Largest RMS residual.', 0.0, 1.0, 'm')
 
 
 @dataclass(frozen=True)
 class SaveConfig(Section):
     """The files written for an answer."""
 
-    formats: tuple[str, ...] = key(
+    formats: tuple[str, ...] = setting(
         ('yaml',), 'The forms in which an answer is saved; calibration.yaml always is.',
         choices=SAVE_FORMATS, length=tuple(range(1, len(SAVE_FORMATS) + 1)))
 
@@ -311,13 +314,13 @@ class SaveConfig(Section):
 class GuidanceConfig(Section):
     """The accuracy wanted, and the limits of proposed poses against the first sample."""
 
-    accuracy: float = key(
+    accuracy: float = setting(
         3e-4, '1 sigma of mapped points in the field of view that is enough.', 1e-6, 0.1, 'm')
-    reach: float = key(
+    reach: float = setting(
         0.3, 'Largest distance of a proposed flange position to the first sample.', 0.0, 5.0, 'm')
-    tilt: float = key(
+    tilt: float = setting(
         0.44, 'Largest tilt of a proposed view from that of the first sample.', 0.05, 1.2, 'rad')
-    turn: float = key(
+    turn: float = setting(
         1.75, 'Largest turn of a proposed view about itself, from the first.', 0.0, 3.15, 'rad')
 
 
@@ -325,37 +328,38 @@ class GuidanceConfig(Section):
 class VerifyConfig(Section):
     """The artefact of a verification."""
 
-    routine: str = key(
+    routine: str = setting(
         '', 'What ~/verify_start measures: line, plane, point, sphere, ball_bar, step or '
         'square; empty: nothing.')
-    calibration: str = key(
+    calibration: str = setting(
         '', 'File of the calibration that is verified; empty: the answer of the node.')
-    lengths: tuple[float, ...] = key(
+    lengths: tuple[float, ...] = setting(
         (), 'Nominal length of the ball bar, heights of the faces over the first, or pitch and '
         'height of the teeth.', 1e-6, 10.0, 'm')
-    radius: float = key(0.0, 'Nominal radius of the balls; 0: unknown.', 0.0, 10.0, 'm')
-    reference: tuple[float, ...] = key(
+    radius: float = setting(0.0, 'Nominal radius of the balls; 0: unknown.', 0.0, 10.0, 'm')
+    reference: tuple[float, ...] = setting(
         (), 'The point as a tip of the robot touched it (base); empty: not touched.',
         -50.0, 50.0, 'm', length=(0, 3))
-    aim: float = key(0.0, 'How exactly the laser is put to the point, 1 sigma.', 0.0, 0.1, 'm')
-    flank: float = key(
+    aim: float = setting(0.0, 'How exactly the laser is put to the point, 1 sigma.', 0.0, 0.1, 'm')
+    flank: float = setting(
         0.0, "Horizontal way of a tooth's flank; 0: a quarter of the pitch.", 0.0, 1.0, 'm')
-    certificate: float = key(
+    certificate: float = setting(
         0.0, "Expanded uncertainty (k = 2) of lengths, radius and reference by the artefact's "
         'certificate.', 0.0, 0.1, 'm')
-    near: tuple[float, ...] = key(
+    near: tuple[float, ...] = setting(
         (), 'Only what comes into this ball of the base takes part: x, y, z and radius; '
         'empty: everything.', -50.0, 50.0, 'm', length=(0, 4))
-    tolerance: float = key(3e-4, 'Largest error of a length that passes.', 1e-9, 0.02, 'm')
-    angle_tolerance: float = key(1.7453e-3, 'Largest angle error that passes.', 1e-9, 0.05, 'rad')
+    tolerance: float = setting(3e-4, 'Largest error of a length that passes.', 1e-9, 0.02, 'm')
+    angle_tolerance: float = setting(
+        1.7453e-3, 'Largest angle error that passes.', 1e-9, 0.05, 'rad')
 
 
 @dataclass(frozen=True)
 class PageConfig(Section):
     """The page for a browser at the cell."""
 
-    port: int = key(0, 'Port of the page for a browser; 0: no page.', 0, 65535)
-    address: str = key(
+    port: int = setting(0, 'Port of the page for a browser; 0: no page.', 0, 65535)
+    address: str = setting(
         '127.0.0.1', 'Address of the page: 127.0.0.1 for this machine alone, 0.0.0.0 for all that '
         'can reach it; these need the token that is printed at the start.')
 
@@ -364,40 +368,41 @@ class PageConfig(Section):
 class Config(Section):
     """All settings."""
 
-    name: str = key('', 'Name of the calibration and of its folder; empty: the target type.')
-    output_dir: str = key(
+    name: str = setting('', 'Name of the calibration and of its folder; empty: the target type.')
+    output_dir: str = setting(
         '', 'Folder of the folders of results and sessions, each called by the name; empty: '
         '$ROS_HOME/handeye_ros (~/.ros/handeye_ros where ROS_HOME is not set) and the namespace '
         'of the node, out of the command line.')
-    calibration_type: str = key(
+    calibration_type: str = setting(
         'eye_in_hand', 'Where the sensor is: on the flange (eye_in_hand) or fixed beside the '
         'robot (eye_on_base).', choices=('eye_in_hand', 'eye_on_base'))
-    robot_base_frame: str = key(
+    robot_base_frame: str = setting(
         '', 'Frame id of the robot base; empty: that of the poses (of the transform tree: base).')
-    robot_effector_frame: str = key('flange', 'Frame id of the flange.')
-    sensor_frame: str = key('camera', 'Frame id of a sensor whose files name none.')
-    pose_source: str = key(
+    robot_effector_frame: str = setting('flange', 'Frame id of the flange.')
+    sensor_frame: str = setting('camera', 'Frame id of a sensor whose files name none.')
+    pose_source: str = setting(
         'topic', 'Where flange poses come from: PoseStamped messages (topic) or the transform '
         'tree (tf).', choices=('topic', 'tf'))
-    pose_topic: str = key('flange_pose', 'Topic of the flange poses.')
-    profile_topic: str = key('profile', 'Topic of the laser profiles.')
-    joint_topic: str = key('joint_states', 'Topic of the joint values (sensor_msgs/JointState).')
-    kinematics: str = key(
+    pose_topic: str = setting('flange_pose', 'Topic of the flange poses.')
+    profile_topic: str = setting('profile', 'Topic of the laser profiles.')
+    joint_topic: str = setting(
+        'joint_states', 'Topic of the joint values (sensor_msgs/JointState).')
+    kinematics: str = setting(
         '', 'A kinematics.yaml of handeye kinematics: flange poses are those of its corrected arm '
         'at the joint values of joint_topic; empty: those of the controller.')
-    time_offset: float = key(0.0, 'Added to the stamps of the profiles.', -10.0, 10.0, 's')
-    time_offset_std: float = key(
+    time_offset: float = setting(0.0, 'Added to the stamps of the profiles.', -10.0, 10.0, 's')
+    time_offset_std: float = setting(
         0.05, 'How well time_offset is known (1 sigma), in sampling.mode moving.', 1e-6, 1.0, 's')
-    rotation_lag_std: float = key(
+    rotation_lag_std: float = setting(
         1e-3, 'By how much later than its position the robot may report its rotation (1 '
         'sigma), with sampling.mode moving; 0: not at all.', 0.0, 0.1, 's')
-    clock_drift_std: float = key(
+    clock_drift_std: float = setting(
         1e-4, 'By how much the clocks of profiles and poses may differ in rate (1 sigma, seconds '
         'per second), with sampling.mode moving; 0: not at all.', 0.0, 0.01)
     profile: ProfileConfig = ProfileConfig()
     target: TargetConfig = TargetConfig()
-    method: str = key('auto', 'The estimator; auto: the one of the target.')
-    session: str = key('', 'The session to continue: its folder, or last; empty: a new one.')
+    method: str = setting('auto', 'The estimator; auto: the one of the target.')
+    session: str = setting('', 'The session to continue: its folder, or last; empty: a new one.')
     sampling: SamplingConfig = SamplingConfig()
     samples: SamplesConfig = SamplesConfig()
     tracker: TrackerConfig = TrackerConfig()
@@ -475,8 +480,8 @@ def with_values(config: Config, values: Mapping[str, Any], source: str = 'values
         elif key not in known:
             raise UnknownKeyError(key, known, source)
         elif section:
-            changed = replace(getattr(config, section), **{name: value})
-            config = replace(config, **{section: changed})
+            config = replace(config, **{
+                section: replace(getattr(config, section), **{name: value})})
         else:
             config = replace(config, **{name: value})
     return config
@@ -549,7 +554,7 @@ def load(path: Path | str, config: Config | None = None) -> Config:
     """
     path = path_of('path', path)
     sections: dict[str, dict[str, Any]] = {}  # by the full name of the node
-    for names, value in _values(read_yaml(path)):
+    for names, value in _leaves_of(read_yaml(path)):
         if 'ros__parameters' in (names if value == {} else names[:-1]):
             place = names.index('ros__parameters')
             section = sections.setdefault(
@@ -570,13 +575,13 @@ def load(path: Path | str, config: Config | None = None) -> Config:
     return with_values(config or Config(), values, str(path))
 
 
-def _values(content: Any, names: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+def _leaves_of(content: Any, names: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Yield the names that lead to each value in nested mappings, and the value."""
     if not isinstance(content, dict) or not content and names:
         yield names, content
         return
     for name, value in content.items():
-        yield from _values(value, (*names, str(name)))
+        yield from _leaves_of(value, (*names, str(name)))
 
 
 # -- lengths and angles with a unit, such as 0.3mm and 5 deg; plain numbers are SI

@@ -11,7 +11,7 @@ from command import assert_refused, handeye, ROOT
 from handeye_ros import pipeline, se3
 from handeye_ros.compare import compare, Comparison, ESTIMATORS, Row
 from handeye_ros.frames import T_sensor_plane
-from handeye_ros.results.calibration_file import errors_against
+from handeye_ros.results.truth import errors_against
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import TARGETS
 import numpy as np

@@ -27,7 +27,7 @@ from handeye_ros.errors import DataError, InputError, UnwritableError
 from handeye_ros.node.main import exit_code, ros
 from handeye_ros.output import write_atomically
 from handeye_ros.results import calibration_file, exports, report, table
-from handeye_ros.results.calibration_file import errors_against, true_transform
+from handeye_ros.results.truth import errors_against, true_transform
 from handeye_ros.review import solved_recording
 import rclpy
 from rclpy.node import Node

@@ -3,8 +3,8 @@
 """
 Reads profiles and poses from a rosbag2 recording; bag_write.py writes them.
 
-The recording may be larger than the memory: of a profile its stamp is kept, and its place in the
-file, from which it is read again when a stop uses it.
+The profiles may be larger than the memory: of each its stamp is kept, and its place in the file,
+from which it is read again when a stop uses it. Poses are kept, as is /tf while it is read.
 """
 from __future__ import annotations
 
@@ -114,25 +114,20 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     require_type('progress', progress, Callable)  # type: ignore[arg-type]
     profile_reader = ProfileReader(config.profile)
     tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
-    sources = pose_topics(config, tracker, arm)
-    read_poses = {full_name(source.name): source.read for source in sources}
-    required = sources[-1]
-    cloud_topic = _Topic(config.profile_topic, 'profile_topic', CLOUD_TYPE)
-    pose_topic = _Topic(required.name, required.key or 'pose_source', required.kind)
-    reader = Reader(path, (cloud_topic.name, *read_poses), progress)
+    sources = {full_name(source.name): source for source in pose_topics(config, tracker, arm)}
+    required, = (source for source in sources.values() if source.required)
+    cloud_topic = _Topic(config.profile_topic, 'profile_topic', CLOUD_TYPE,
+                         lambda raw: [profile_reader.take(raw.data, raw.fetch)])
+    pose_topic = _Topic(required.name, required.key or 'pose_source', required.message_type,
+                        lambda raw: sources[raw.topic].read(raw.data))
+    reader = Reader(path, (cloud_topic.name, *sources), progress)
     for raw in _moving_last(reader.messages()):
         # if two settings name one topic, that is the profiles'; its type refuses the poses
-        topic = cloud_topic if raw.topic == cloud_topic.name else pose_topic
-        try:
-            items = ([profile_reader.take(raw.data, raw.fetch)] if topic is cloud_topic
-                     else read_poses[raw.topic](raw.data))
-        except UnusableMessageError as error:
-            topic.malformed.append(str(error))
-        else:
-            topic.add(items, raw.log_time)
-    messages = _of_one_frame('profile', cloud_topic.ordered(reader), 'frame_id', reader)
-    profiles = [profile for message, previous in zip(messages, [None, *messages], strict=False)
-                for profile in split(message, previous and previous.stamp, config.profile)]
+        (cloud_topic if raw.topic == cloud_topic.name else pose_topic).add(raw)
+    profiles, previous_stamp = list[RawProfile](), None
+    for message in _of_one_frame('profile', cloud_topic.ordered(reader), 'frame_id', reader):
+        profiles += split(message, previous_stamp, config.profile)
+        previous_stamp = message.stamp
     if not profiles:
         raise InputError(f'{path}: the only message on {cloud_topic.name} holds several profiles, '
                          'and does not say when each was taken: set profile.period')
@@ -144,16 +139,20 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
                          'robot_effector_frame')
     poses = _of_one_frame('pose', poses, 'parent_frame', reader)
     joints = np.array([pose.joints for pose in poses if isinstance(pose, ArmPose)])
-    if config.time_offset:
-        offset = config.offset_ns
+    if offset := config.offset_ns:
         profiles = [replace(p, stamp=p.stamp + offset) for p in profiles]
+    _require_common_time(profiles, poses)
+    return Recording(tuple(profiles), poses, joints if len(joints) else None, reader.warnings,
+                     reader.files)
+
+
+def _require_common_time(profiles: Sequence[RawProfile], poses: Sequence[TimedPose]) -> None:
+    """Raise DataError for profiles and poses, in the order of their stamps, without an overlap."""
     gap = max(profiles[0].stamp - poses[-1].stamp, poses[0].stamp - profiles[-1].stamp)
     if gap > 0:
         raise DataError(f'profiles and poses share no time: {gap * 1e-9:.1f} s are between them; '
                         'the clocks of sensor and robot differ, or they were not recorded '
                         'together')
-    return Recording(tuple(profiles), poses, joints if len(joints) else None, reader.warnings,
-                     reader.files)
 
 
 def _moving_last(messages: Iterable[Raw]) -> Iterator[Raw]:
@@ -161,7 +160,7 @@ def _moving_last(messages: Iterable[Raw]) -> Iterator[Raw]:
     Yield messages, those of /tf after all others.
 
     Each moving transform then finds the static ones, which are recorded late where a node starts
-    late.
+    late. Until then those of /tf are in memory.
     """
     moving = []
     for raw in messages:
@@ -173,27 +172,30 @@ def _moving_last(messages: Iterable[Raw]) -> Iterator[Raw]:
 
 
 class _Topic:
-    """
-    A topic of a recording, and the profiles or poses in its messages, in recording order.
+    """A topic of a recording, and the profiles or poses in its messages, in recording order."""
 
-    malformed: why other messages cannot be used, one sentence each
-    """
-
-    def __init__(self, name: str, key: str, kind: str) -> None:
+    def __init__(self, name: str, key: str, message_type: str,
+                 items_of: Callable[[Raw], Sequence[Any]]) -> None:
         """
         Start without messages.
 
-        key: of the configuration, that names the topic; kind: type that its messages must have.
+        key: of the configuration, that names the topic; message_type: that it must have; items_of:
+        returns what a message holds, or raises UnusableMessageError.
         """
         self.name = full_name(name)
-        self._key, self._kind = key, kind
+        self._key, self._message_type, self._items_of = key, message_type, items_of
         self._items: list[Any] = []
         self._usable = self._unstamped = 0
-        self.malformed: list[str] = []
+        self._malformed: list[str] = []  # why other messages cannot be used, one sentence each
 
-    def add(self, items: Sequence[Any], log_time: int) -> None:
-        """Add what a message recorded at log_time (ns) holds; it is the stamp of what has none."""
-        time = min(log_time, LAST_STAMP)
+    def add(self, raw: Raw) -> None:
+        """Add what a message holds; its time of recording is the stamp of what has none."""
+        try:
+            items = self._items_of(raw)
+        except UnusableMessageError as error:
+            self._malformed.append(str(error))
+            return
+        time = min(raw.log_time, LAST_STAMP)
         self._items += [item if item.stamp else replace(item, stamp=time) for item in items]
         self._usable += 1
         self._unstamped += not all(item.stamp for item in items)
@@ -201,14 +203,14 @@ class _Topic:
     def _missing(self, reader: Reader) -> InputError:
         """Return the refusal of a bag without a topic of this name and type."""
         key, types = self._key, reader.types
-        listed = [f'{name} ({kind})' for name, kind in sorted(types.items())]
-        same_type = sorted(name for name, kind in types.items() if kind == self._kind)
+        listed = [f'{name} ({other_type})' for name, other_type in sorted(types.items())]
+        same_type = [name for name in sorted(types) if types[name] == self._message_type]
         advice = (f'set {key}, as in --set {key}={same_type[0]}' if same_type else
                   'take the poses from /tf, as in --set pose_source=tf'
                   if key == 'pose_topic' and types.get('/tf') == TF_TYPE else
                   f'publish and record one, or set {key}')
-        return InputError(f'{reader.path} has no topic {self.name} with {self._kind}, but '
-                          f'{", ".join(listed[:MOST_LISTED])}: {advice}')
+        return InputError(f'{reader.path} has no topic {self.name} with {self._message_type}, '
+                          f'but {", ".join(listed[:MOST_LISTED])}: {advice}')
 
     def ordered(self, reader: Reader) -> list[Any]:
         """
@@ -217,13 +219,13 @@ class _Topic:
         Left out and repaired messages are added to the warnings. Raises InputError for a missing
         topic, and if most of its messages are invalid, and DataError for stamps of two runs.
         """
-        if reader.types.get(self.name) != self._kind:
+        if reader.types.get(self.name) != self._message_type:
             raise self._missing(reader)
-        total = self._usable + len(self.malformed)
+        total = self._usable + len(self._malformed)
         if not total:
-            raise InputError(f'{reader.path}: no messages on {self.name} ({self._kind}): check '
-                             f'that it was published while recording, or set {self._key}')
-        reader.warnings += _unusable(self.malformed, total, f'messages on {self.name}')
+            raise InputError(f'{reader.path}: no messages on {self.name} ({self._message_type}): '
+                             f'check that it was published while recording, or set {self._key}')
+        reader.warnings += _unusable(self._malformed, total, f'messages on {self.name}')
         if self._unstamped:
             reader.warnings.append(f'{self._unstamped} messages on {self.name} have no stamps; '
                                    'the times at which they were recorded are used')

@@ -25,7 +25,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, NS, Profile, RawProfile, TimedPose
 from handeye_ros.errors import InputError
 from handeye_ros.output import write_atomically, write_errors_for, yaml_text
-from handeye_ros.results.calibration_file import TRUTH_NAME
+from handeye_ros.results.truth import TRUTH_NAME
 from mcap.reader import make_reader
 from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
@@ -89,8 +89,8 @@ def write_mcap(stream: BinaryIO, messages: Iterable[Raw]) -> None:
     channels: dict[str, int] = {}
     for message in messages:
         if message.topic not in channels:
-            text, _ = typestore().generate_msgdef(message.kind, ros_version=2)
-            schema = writer.register_schema(message.kind, 'ros2msg', text.encode())
+            text, _ = typestore().generate_msgdef(message.message_type, ros_version=2)
+            schema = writer.register_schema(message.message_type, 'ros2msg', text.encode())
             channels[message.topic] = writer.register_channel(
                 message.topic, 'cdr', schema, {'offered_qos_profiles': ''})
         writer.add_message(channels[message.topic], message.log_time, message.data,
@@ -123,18 +123,18 @@ def write_metadata(folder: Path, files: Sequence[Path]) -> None:
     JSON is YAML, and is written 100 times faster.
     """
     parts = [contents_of(file) for file in files]
-    kinds, counts = dict[str, str](), Counter[str]()
+    message_types, counts = dict[str, str](), Counter[str]()
     for part in parts:
         for number, channel in part.channels.items():
-            kinds[channel.topic] = part.schemas[channel.schema_id].name
+            message_types[channel.topic] = part.schemas[channel.schema_id].name
             counts[channel.topic] += part.statistics.channel_message_counts.get(number, 0)
     information = {
         'version': 9, 'storage_identifier': 'mcap', 'ros_distro': 'jazzy', **_span(parts),
         'topics_with_message_count': [
             {'message_count': counts[topic], 'topic_metadata': {
-                'name': topic, 'type': kind, 'serialization_format': 'cdr',
+                'name': topic, 'type': message_type, 'serialization_format': 'cdr',
                 'offered_qos_profiles': [], 'type_description_hash': ''}}
-            for topic, kind in kinds.items()],
+            for topic, message_type in message_types.items()],
         'compression_format': '', 'compression_mode': '',
         'relative_file_paths': [file.name for file in files],
         'files': [{'path': file.name, **_span([part])}
@@ -198,9 +198,9 @@ def cloud_cdr(profile: Profile, unit: str = 'm', number: str = 'f4') -> bytes:
         bool(np.isfinite(profile.points).all())))
 
 
-def _new(kind: str, *values: Any) -> Any:
+def _new(message_type: str, *values: Any) -> Any:
     """Return a message of a type; values: those of its fields, in their order."""
-    return typestore().types[kind](*values)
+    return typestore().types[message_type](*values)
 
 
 def _header(stamp: int, frame_id: str) -> Any:

@@ -61,12 +61,12 @@ def typestore() -> Typestore:
     return get_typestore(Stores.ROS2_DASHING)  # 35 ms; Jazzy, with five more, takes 55
 
 
-def message_of(kind: str, data: bytes) -> Any:
+def message_of(message_type: str, data: bytes) -> Any:
     """Return a serialised message of a type; raises UnusableMessageError if it is damaged."""
     try:
-        return typestore().deserialize_cdr(data, kind)
+        return typestore().deserialize_cdr(data, message_type)
     except SerdeError as error:
-        name = kind.rpartition('/')[2]
+        name = message_type.rpartition('/')[2]
         raise UnusableMessageError(f'{name} message not used: damaged message: {error}') from error
 
 

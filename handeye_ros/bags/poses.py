@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,20 +30,22 @@ class PoseTopic(NamedTuple):
     A topic with poses of the flange, and how they are read.
 
     key: of the configuration, that names it; '' for one of the transform tree
-    kind: type of its messages
+    message_type: as in reader.py
     read: returns the poses that a serialised message makes known, or raises UnusableMessageError
+    required: whether there are no poses without it, as it is of exactly one topic
     """
 
     name: str
     key: str
-    kind: str
+    message_type: str
     read: Callable[[bytes], Sequence[TimedPose]]
+    required: bool = True
 
 
 def pose_topics(config: Config, tracker: FlangeTracker, arm: Arm | None = None
                 ) -> list[PoseTopic]:
     """
-    Return the topics with the poses, of which the last one must be there.
+    Return the topics with the poses, of which one is required.
 
     tracker: follows the transforms, where they are read; arm: gives the poses from joint values,
     as with the key kinematics. Raises InputError for a file of an arm that is none.
@@ -54,10 +57,12 @@ def pose_topics(config: Config, tracker: FlangeTracker, arm: Arm | None = None
     if config.pose_source == 'topic':
         return [PoseTopic(config.pose_topic, 'pose_topic', POSE_TYPE,
                           lambda data: [pose_from_cdr(data)])]
-    return [PoseTopic('/tf_static', '', TF_TYPE,
-                      lambda data: tracker.add(transforms_from_cdr(data), static=True)),
-            PoseTopic('/tf', '', TF_TYPE,
-                      lambda data: tracker.add(transforms_from_cdr(data), static=False))]
+
+    def poses_of(data: bytes, static: bool) -> Sequence[TimedPose]:
+        return tracker.add(transforms_from_cdr(data), static)
+
+    return [PoseTopic('/tf_static', '', TF_TYPE, partial(poses_of, static=True), required=False),
+            PoseTopic('/tf', '', TF_TYPE, partial(poses_of, static=False))]
 
 
 @dataclass(frozen=True, eq=False)

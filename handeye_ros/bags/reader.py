@@ -40,12 +40,12 @@ class Raw(NamedTuple):
     """
     A message as it is recorded.
 
-    kind: its type; log_time: when it was recorded (ns); data: serialised; fetch: reads the data
-    again, so that they need not be kept; it returns b'' if the file has changed.
+    message_type: such as CLOUD_TYPE; log_time: when it was recorded (ns); data: serialised; fetch:
+    reads the data again, so that they need not be kept; it returns b'' if the file has changed.
     """
 
     topic: str
-    kind: str
+    message_type: str
     log_time: int
     data: bytes
     fetch: Callable[[], bytes] = bytes
@@ -123,9 +123,9 @@ class Reader:
                     if isinstance(record, Schema):
                         schemas[record.id] = record.name
                     elif isinstance(record, Channel):
-                        kind = schemas.get(record.schema_id, 'of unknown type')
-                        channels[record.id] = self._registered(record.topic, kind,
-                                                               record.message_encoding)
+                        channels[record.id] = self._registered(
+                            record.topic, schemas.get(record.schema_id, 'of unknown type'),
+                            record.message_encoding)
                     elif isinstance(record, Message):
                         message_count += 1
                         if topic := channels.get(record.channel_id):
@@ -143,8 +143,8 @@ class Reader:
         count = 0
         try:
             with closing(_connected(path)) as database:
-                names = {key: self._registered(topic, kind, encoding)
-                         for key, topic, kind, encoding in database.execute(
+                names = {key: self._registered(topic, message_type, encoding)
+                         for key, topic, message_type, encoding in database.execute(
                              'SELECT id, name, type, serialization_format FROM topics')}
                 for key, topic, time, data in database.execute(
                         'SELECT id, topic_id, timestamp, data FROM messages ORDER BY id'):
@@ -158,10 +158,10 @@ class Reader:
     def _warn_of_damage(self, path: Path, what: str) -> None:
         self.warnings.append(f'{path.name} is cut off or damaged: {what}')
 
-    def _registered(self, topic: str, kind: str, encoding: str) -> str:
+    def _registered(self, topic: str, message_type: str, encoding: str) -> str:
         """Take note of a topic and its type; return its name, '' if it is not requested."""
         topic = full_name(topic)
-        self.types[topic] = kind if encoding == 'cdr' else f'{kind} in {encoding}'
+        self.types[topic] = message_type + (f' in {encoding}' if encoding != 'cdr' else '')
         return topic if self._topics is None or topic in self._topics else ''
 
 

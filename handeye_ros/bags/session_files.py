@@ -57,7 +57,7 @@ LAST_SESSION = 'last'
 FORMAT = 'handeye_ros/session/'
 CONFIGURATION_TOPIC = '/handeye_ros/session/configuration'
 OUTCOME_TOPIC = '/handeye_ros/session/outcome'
-STOP, REMOVED, CONFIGURED = 'stop', 'removed', 'configured'  # kinds of events
+STOP, REMOVED, CONFIGURED = 'stop', 'removed', 'configured'  # events
 
 SUFFIX, LOCK_FILE = '.mcap', '.lock'
 FOLDER_NAME_FORMAT = '%Y-%m-%dT%H%M%S.%fZ'  # names of folders, by the time
@@ -184,12 +184,12 @@ class SessionFiles:
         return replace(stop, poses=stop.poses[-1:], profiles=(),
                        reader=partial(load_stop, file, stop.stamp))
 
-    def add_event(self, kind: str, config: Config, stop: Stop = NO_STOP,
+    def add_event(self, event: str, config: Config, stop: Stop = NO_STOP,
                   joints: Sequence[tuple[int, bytes]] = ()) -> Path:
         """
         Write an event into a file of its own, and sync it; return the file.
 
-        kind: STOP, for a stop that was evaluated, with what was seen there; REMOVED, for its
+        event: STOP, for a stop that was evaluated, with what was seen there; REMOVED, for its
         sample, with its number; CONFIGURED, for new settings. Raises UnwritableError.
         """
         if self.path is None:
@@ -204,7 +204,7 @@ class SessionFiles:
             number = 1 + max(map(_number_of, files_of(folder)), default=-1)
             file = folder / f'{folder.name}_{number}{SUFFIX}'
             with atomic_file(file) as temporary, temporary.open('wb') as stream:
-                write_mcap(stream, _messages(kind, config, stop, joints))
+                write_mcap(stream, _messages(event, config, stop, joints))
                 stream.flush()
                 os.fsync(stream.fileno())
             sync(folder)
@@ -247,7 +247,7 @@ def _locked(folder: Path, refusal: str) -> int:
     return lock
 
 
-def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int, bytes]]
+def _messages(event: str, config: Config, stop: Stop, joints: Sequence[tuple[int, bytes]]
               ) -> list[Raw]:
     """Return the messages of an event, in the order of their times."""
     # a driver may publish no stamp: the time of the record holds it
@@ -256,7 +256,7 @@ def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int,
     messages = [raw_of(item, config, 'f8') for item in (*stop.poses, *profiles)]
     messages += [Raw(full_name(config.joint_topic), JOINTS_TYPE, *joint) for joint in joints]
     settings = {'config': flatten(replace(config, session=''))}
-    outcome = {'event': kind, 'number': stop.number, 'began': stop.stamp,
+    outcome = {'event': event, 'number': stop.number, 'began': stop.stamp,
                'taken': stop.sample is not None, 'refused': stop.final_reason}
     end = stop.end if stop.poses else time.time_ns()
     for topic, content in ((CONFIGURATION_TOPIC, settings), (OUTCOME_TOPIC, outcome)):
@@ -308,11 +308,11 @@ def read_session(path: Path) -> StoredSession:
     stops: dict[int, Stop] = {}
     last_number, config = 0, Config()
     for file in files_of(path):
-        kind, config, stop = _event_of(file)
+        event, config, stop = _event_of(file)
         last_number = max(last_number, stop.number)
-        if kind == STOP:
+        if event == STOP:
             stops[stop.number] = stop
-        elif kind == REMOVED:
+        elif event == REMOVED:
             stops.pop(stop.number, None)
     return StoredSession(path, config, stops, last_number)
 
@@ -323,9 +323,9 @@ def load_stop(file: Path, stamp: int, config: Config) -> Stop:
     reader = ProfileReader(config.profile)
     poses, profiles = [], []
     for message in _read_file(file):
-        if message.kind == POSE_TYPE:
+        if message.message_type == POSE_TYPE:
             poses.append(pose_from_cdr(message.data))
-        elif message.kind == CLOUD_TYPE:
+        elif message.message_type == CLOUD_TYPE:
             with suppress(UnusableMessageError):  # it may be invalid with other settings
                 profiles.append(replace(reader.take(message.data),
                                         stamp=message.log_time + offset))
@@ -342,7 +342,7 @@ def _read_file(file: Path, topics: Collection[str] | None = None) -> list[Raw]:
 
 
 def _event_of(file: Path) -> tuple[str, Config, Stop]:
-    """Return kind, settings and stop of an event; raises InputError."""
+    """Return an event with its settings and its stop; raises InputError."""
     texts = {raw.topic: message_of(STRING_TYPE, raw.data).data
              for raw in _read_file(file, (CONFIGURATION_TOPIC, OUTCOME_TOPIC))}
     try:

@@ -210,6 +210,13 @@ def show(renderable: Any) -> None:
     console.print(renderable)
 
 
+def write_yaml(file: Path | None, values: Any) -> None:
+    """Write values as YAML, where a file is given; raises UnwritableError."""
+    from handeye_ros.output import write_atomically, yaml_text
+    if file:
+        write_atomically(file, yaml_text(values))
+
+
 class Verbs(TyperGroup):
     """The verbs, whose errors end with a sentence and an exit code instead of a traceback."""
 
@@ -225,7 +232,11 @@ class Verbs(TyperGroup):
 
 
 def one_of(*names: str) -> Callable[[str], str]:
-    """Return what typer calls with the value of an option, to refuse all but some names."""
+    """
+    Return what typer calls with the value of an option, to refuse all but some names.
+
+    Choices of click would be of another module in each version of typer.
+    """
     def checked(name: str) -> str:
         if name not in names:
             raise typer.BadParameter(f'{name!r} is not one of {", ".join(names)}')

@@ -27,6 +27,7 @@ from handeye_ros.cli.common import (
     stream_recording,
     warn,
     warn_of_frame,
+    write_yaml,
 )
 import typer
 
@@ -52,15 +53,12 @@ def _finite(value: float) -> float:
     return value
 
 
-Bags = Annotated[list[Path], typer.Argument(
-    metavar='BAG...', help='Recordings with stops, one of each face or ball, in their order.')]
-
-
 @app.command()
 def verify(
-    name: Annotated[str, typer.Argument(
+    name: Annotated[str, typer.Argument(  # of ROUTINES (test_cli.py), whose import takes long
         metavar='ROUTINE', help='line, plane, point, sphere, ball_bar, step, square or tooth.')],
-    bags: Bags,
+    bags: Annotated[list[Path], typer.Argument(metavar='BAG...', help=(
+        'Recordings with stops, one of each face or ball, in their order.'))],
     calibration: CalibrationFile,
     config: MeasureConfig = None,
     assignments: Assignments = [],
@@ -78,7 +76,7 @@ def verify(
     --set verify.lengths=[200mm] --set verify.tolerance=0.3mm; docs/measure.md tells which of them
     a routine needs.
     """
-    from handeye_ros.output import html_file, write_atomically, yaml_text
+    from handeye_ros.output import html_file, write_atomically
     from handeye_ros.results import verification_file
     from handeye_ros.results.calibration_file import file_of
     from handeye_ros.verification import verify as verification
@@ -97,8 +95,7 @@ def verify(
     result = verification.verify(routine, measured, opened, list(chain(*rejects)))
     content = verification.plain_values(result, bags, file_of(calibration))
     show(verification_file.table(content))
-    if out:
-        write_atomically(out, yaml_text(content))
+    write_yaml(out, content)
     if protocol:
         write_atomically(protocol, verification_file.protocol(content))
     for sentence in (*filter(None, [result.surface]), result.verdict, *result.reasons):
@@ -149,7 +146,6 @@ def check(
 
     The exit code is 0 if nothing has changed, 1 for a change, 2 and 3 if that cannot be told.
     """
-    from handeye_ros.output import write_atomically, yaml_text
     from handeye_ros.verification.check import check_recording, plain_values
     calibration, settings = open_calibration(against, config, assignments, kinematics)
     checks: list[tuple[str, Check]] = []
@@ -165,8 +161,7 @@ def check(
     changed = [name for name, result in checks if result.verdict != 'unchanged']
     if changed and len(checks) > 1:
         typer.echo(f'since {changed[0]}')
-    if out:
-        write_atomically(out, yaml_text(plain_values(checks, str(against))))
+    write_yaml(out, plain_values(checks, str(against)))
     if changed:
         raise typer.Exit(NOT_AS_WANTED)
 
@@ -208,7 +203,7 @@ def scan(
         '--range', metavar='NEAR FAR', help='Keep points in this range of the sensor.')
     ] = ('-inf', 'inf'),
     incidence: Annotated[float, typer.Option(
-        min=0.0, max=90.0, callback=_finite, help='Keep points that the laser meets at no '
+        min=0.0, max=90.0, help='Keep points that the laser meets at no '
         'larger angle to the surface normal, as far as a profile shows it (degrees).')] = 90.0,
     std: Annotated[bool, typer.Option(
         '--std', help='Add the 1 sigma of each point (m): calibration, sensor, robot.')] = False,

@@ -24,6 +24,7 @@ from handeye_ros.cli.common import (
     progress_bar,
     show,
     warn,
+    write_yaml,
 )
 from handeye_ros.config import assignment, SAVE_FORMATS
 from handeye_ros.errors import InputError, NoRosError
@@ -50,7 +51,7 @@ def solve(
     from handeye_ros.frames import T_sensor_plane
     from handeye_ros.output import folder_name
     from handeye_ros.results import exports, table
-    from handeye_ros.results.calibration_file import errors_against, true_transform
+    from handeye_ros.results.truth import errors_against, true_transform
     opened = open_input(path, config, assignments, angles, kinematics)
     settings = opened.settings
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
@@ -101,11 +102,11 @@ def calibrate(
     configuration(config, assignments)  # so that a mistake is reported at once
     if find_spec('rclpy') is None:
         raise NoRosError('calibrate', 'rclpy')
-    arguments = ['--params-file', str(config)] if config else []
+    command = [sys.executable, '-m', 'handeye_ros.node.main', '--ros-args']
+    command += ['--params-file', str(config)] if config else []
     for text in (*assignments, *(['session=last'] if resume else [])):
-        arguments += ['-p', ':='.join(assignment(text))]
-    command = [sys.executable, '-m', 'handeye_ros.node.main']
-    os.execv(sys.executable, [*command, *(['--ros-args', *arguments] if arguments else [])])
+        command += ['-p', ':='.join(assignment(text))]
+    os.execv(sys.executable, command)
 
 
 @app.command()
@@ -195,8 +196,7 @@ def compare(
 ) -> None:
     """Compare the estimators on the same samples."""
     from handeye_ros import compare as comparing
-    from handeye_ros.output import write_atomically, yaml_text
-    from handeye_ros.results.calibration_file import true_transform
+    from handeye_ros.results.truth import true_transform
     opened = open_input(path, config, assignments, angles)
     T_true = true_transform(path, bool(opened.settings.kinematics))
     with progress_bar('comparing') as update:
@@ -210,5 +210,4 @@ def compare(
     show(comparing.tables(comparison))
     if comparison.refusal:
         raise comparison.refusal
-    if out:
-        write_atomically(out, yaml_text(comparing.plain_values(comparison)))
+    write_yaml(out, comparing.plain_values(comparison))

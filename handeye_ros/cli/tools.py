@@ -188,7 +188,7 @@ def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> 
     """
     from handeye_ros.bags import bag_write
     from handeye_ros.output import yaml_text
-    from handeye_ros.results.calibration_file import TRUTH_NAME
+    from handeye_ros.results.truth import TRUTH_NAME
     from handeye_ros.scanning.cloud import write_cloud
     from handeye_ros.simulate import FAULTS, FILE_SCENES, measuring, SCENARIOS, simulate
     import numpy as np

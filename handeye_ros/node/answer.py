@@ -52,6 +52,13 @@ class Inputs(NamedTuple):
     samples: Sequence[tuple[int, Sample | None]]
 
 
+class _Request(NamedTuple):
+    """An answer that was asked for: what it is made from, and the future of its message."""
+
+    inputs: Inputs
+    message: Future[str]
+
+
 @dataclass(frozen=True, eq=False)
 class Review:
     """
@@ -109,10 +116,8 @@ class LiveAnswer:
         self.review = review_of(Session(config), config, self.view, with_cause=False)
         self.calibration: Calibration | None = None
         self.why_missing, self.saved, self.is_wanted = why, '', False
-        # of the last review that was begun, and of the last one that was requested as an answer
-        self._last: Inputs | None = None
-        self._requested: Inputs | None = None
-        self._message = Future[str]()  # about the answer requested last
+        self._reviewed: Inputs | None = None  # by the last review that was begun
+        self._request: _Request | None = None  # the last one
 
     def changes_since(self, session: Session) -> str:
         """Return in words how the samples of a session differ from those of the answer, or ''."""
@@ -152,17 +157,18 @@ class LiveAnswer:
         except HandeyeError as error:
             self._refuse(error)
             raise
-        message = self._message
-        if self._last is self._requested and self._last == self._inputs():
+        request = self._request
+        if request and request.inputs == self._inputs():
+            message = request.message
             if not message.done() or (self.calibration and not message.exception()):
                 return message
         return self._begin_review(is_requested=True)
 
     def review_if_changed(self) -> None:
         """Begin the review, if samples or settings have changed."""
-        inputs, last = self._inputs(), self._last
-        if not self._live.running_jobs and inputs != last:
-            other_settings = not last or inputs.answer_settings != last.answer_settings
+        inputs, before = self._inputs(), self._reviewed
+        if not self._live.running_jobs and inputs != before:
+            other_settings = not before or inputs.answer_settings != before.answer_settings
             self._begin_review(is_requested=self.is_wanted and other_settings)
 
     def _inputs(self) -> Inputs:
@@ -179,13 +185,13 @@ class LiveAnswer:
         if snapshot := live.current_snapshot():
             self.view = extremes(np.concatenate([self.view, snapshot.points]))
         session = live.session_copy().without_messages(config)
-        self._last = inputs
+        self._reviewed = inputs
         message = live.run_job(
             COMPUTING if is_requested else '',
             partial(self._accept, inputs, session, is_requested),
             review_of, session, config, self.view, is_requested or self.calibration is not None)
         if is_requested:
-            self._requested, self._message = inputs, message
+            self._request = _Request(inputs, message)
         return message
 
     def _accept(self, inputs: Inputs, session: Session, is_requested: bool, review: Review) -> str:
@@ -195,14 +201,14 @@ class LiveAnswer:
         Raises DataError for a refusal.
         """
         live, answer = self._live, review.answer
-        if inputs is self._last:  # others may be ready later
+        if inputs is self._reviewed:  # others may be ready later
             self.review = review
         if not is_requested:
             return ''
         if inputs.session is not live.session:
             raise DataError('the samples were cleared while the calibration was computed, so '
                             'there is no answer: take new samples')
-        is_newest = inputs is self._requested
+        is_newest = self._request is not None and inputs is self._request.inputs
         if answer.refusal and is_newest:
             self._refuse(answer.refusal)
         calibration = answer.require_calibration()

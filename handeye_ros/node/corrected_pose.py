@@ -13,6 +13,7 @@ separate frame, besides that of the controller.
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 import sys
 
@@ -68,7 +69,7 @@ def main() -> int:
                           ('pose-topic', 'corrected_pose'), ('frame', 'corrected_flange')):
         parser.add_argument(f'--{name}', default=default)
     options = parser.parse_args(own_arguments())
-    return exit_code(lambda: spin(lambda: CorrectedPose(options)))
+    return exit_code(spin, partial(CorrectedPose, options))
 
 
 if __name__ == '__main__':

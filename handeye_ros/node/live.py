@@ -67,8 +67,8 @@ from handeye_ros.sampling.stream import interpolate
 MOST_STOPS = 32  # waiting for evaluation: at most 7 MB each with 1280 points a profile
 KEPT_JOINTS = 20_000  # messages with joint values: more than those of the longest stop
 KEPT_LATEST = 100  # messages of a kind: one of the two streams may be late
-# s without a pose after which the robot may be anywhere, if profiles come: in the last s
-LONGEST_POSE_SILENCE, LONGEST_PROFILE_SILENCE = 2.0, 1.0
+LONGEST_POSE_SILENCE = 2.0  # s without a pose, while profiles come: the robot may be anywhere
+LONGEST_PROFILE_SILENCE = 1.0  # s without a profile until none come
 EVALUATING = 'a stop is evaluated'
 
 Result = TypeVar('Result')
@@ -77,6 +77,9 @@ Result = TypeVar('Result')
 class LiveSession:
     """
     Samples of a running node, and what follows from them; the module says which thread does what.
+
+    The thread of the messages calls add_profile, add_poses and add_joints. Whoever wants a change
+    passes a method to call_on_worker. What the worker computes for long it passes to run_job.
 
     config: the current settings, those of the session
     files, folders: where the session is stored, and where results are
@@ -126,7 +129,7 @@ class LiveSession:
             self.message_counts['profile'].add(profile.stamp)
             self._profiles.append(profile)
             self.session.add_profile(profile)
-            self._queue(self.session.completed())
+            self._queue_stops(self.session.completed())
 
     def add_poses(self, poses: Sequence[TimedPose]) -> None:
         """Add poses."""
@@ -136,14 +139,14 @@ class LiveSession:
                 self._poses.append(pose)
                 self.session.add_pose(pose)
             early_stop = self.session.early_stop()
-            self._queue([*self.session.completed(), *([early_stop] if early_stop else [])])
+            self._queue_stops([*self.session.completed(), *([early_stop] if early_stop else [])])
 
     def add_joints(self, stamp: int, data: bytes) -> None:
         """Keep a serialised JointState, to be stored with the stop of its time."""
         with self.lock:
             self.joints.append((stamp, data))
 
-    def _queue(self, stops: Iterable[Stop]) -> None:
+    def _queue_stops(self, stops: Iterable[Stop]) -> None:
         """Queue stops, each in place of an earlier part; drop the oldest if too many wait."""
         self.session.keep_waiting(MOST_STOPS)
         for stop in stops:
@@ -154,7 +157,7 @@ class LiveSession:
             del self.to_evaluate[stamp]
             self._dropped_stops += 1
         if self.to_evaluate or self._frame_change:
-            self.schedule_due_work()
+            self._schedule_due_work()
 
     # the worker, and what others ask of it
 
@@ -162,32 +165,29 @@ class LiveSession:
         """Start the worker and the processes."""
         self.pool.start()
         self._is_scheduled = False
-        self.schedule_due_work()
+        self._schedule_due_work()
 
     def call_on_worker(self, function: Callable[[], Result]) -> Result:
         """Return what a function returns that the worker calls, or raise its exception."""
         try:
             return self._worker.submit(function).result()
         finally:
-            self.schedule_due_work()
+            self._schedule_due_work()
 
-    def schedule_due_work(self) -> None:
-        """Have the worker look for what is due; of threads that meet here each may have it."""
+    def _schedule_due_work(self) -> None:
+        """Have the worker look for what is due; racing threads may do so twice: no harm."""
         if not self._is_scheduled:
             self._is_scheduled = True
-            self._schedule(self._do_due_work)
+            self._worker.submit(self._call_and_publish, self._do_due_work)
 
-    def _schedule(self, function: Callable[..., object], *args: Any) -> None:
-        """Have the worker call a function; a failure is a trouble until another call succeeds."""
-        def call_and_publish() -> None:
-            try:
-                function(*args)
-                self._publish_changes()
-                self.troubles.pop('work', None)
-            except Exception as error:  # noqa: BLE001 - the thread must go on
-                self.troubles['work'] = sentence_and_log('the work on the samples', error)
-
-        self._worker.submit(call_and_publish)
+    def _call_and_publish(self, function: Callable[..., object], *args: Any) -> None:
+        """Call a function, on the worker; a failure is a trouble until another call succeeds."""
+        try:
+            function(*args)
+            self._publish_changes()
+            self.troubles.pop('work', None)
+        except Exception as error:  # noqa: BLE001 - the thread must go on
+            self.troubles['work'] = sentence_and_log('the work on the samples', error)
 
     def _do_due_work(self) -> None:
         """Do what is due, stop by stop: whoever calls meanwhile waits for one stop only."""
@@ -198,7 +198,7 @@ class LiveSession:
             self.clear_samples()
             self.attempt = Attempt(frame_change)
         elif self.evaluate_next():
-            self.schedule_due_work()
+            self._schedule_due_work()
         else:
             self.answer.review_if_changed()
         trim_memory()
@@ -222,10 +222,11 @@ class LiveSession:
                 accepted.set_exception(error)
                 if not (name and isinstance(error, DataError | InputError)):
                     raise
-            self.schedule_due_work()  # samples or settings may have changed meanwhile
+            self._schedule_due_work()  # samples or settings may have changed meanwhile
 
         self.running_jobs.append(name)
-        self.pool.submit(function, *args).add_done_callback(partial(self._schedule, finish))
+        self.pool.submit(function, *args).add_done_callback(
+            partial(self._worker.submit, self._call_and_publish, finish))
         return accepted
 
     # what is shown of it, from any thread
@@ -316,7 +317,7 @@ class LiveSession:
         """
         self.evaluate_waiting()
         with self.lock:
-            self._queue(self.end_stops())
+            self._queue_stops(self.end_stops())
         self.evaluate_waiting()
 
     def end_stops(self) -> list[Stop]:
@@ -344,22 +345,18 @@ class LiveSession:
         if is_requested and stop.sample is None:
             remedy = ': move on, and turn the tool' if stop.final_reason else ''
             raise DataError(f'{sample_summary(stop.result)}{remedy}')
-        with self.lock:
-            joints = [*self.joints]
-        try:
-            stop = self._store(self.files.add_stop, stop, self.config, joints) if is_new else stop
-        except InputError as error:
-            if is_requested:
-                raise
-            # an earlier part of the stop has fewer profiles, but is on the disk
-            stop = earlier if earlier and earlier.reader else replace(
-                stop, result=Reject(stop.result.stamp, str(error), final=True))
+        if is_new:
+            try:
+                stop = self._stored(stop)
+            except InputError as error:
+                if is_requested:
+                    raise
+                # an earlier part of the stop has fewer profiles, but is on the disk
+                stop = earlier if earlier and earlier.reader else replace(
+                    stop, result=Reject(stop.result.stamp, str(error), final=True))
         with self.lock:
             self.session.add_stop(stop)
-        again = ' again, as the robot has not moved since' if had_sample else ''
-        outcome = (f'sample {stop.number} taken{again}' if stop.sample else
-                   f'stop {stop.number} gave no sample')
-        text = f'{outcome}: {sample_summary(stop.result)}'
+        text = _outcome_text(stop, had_sample)
         if is_new and (is_requested or earlier is None or had_sample != bool(stop.sample)):
             # the same result with more profiles is not reported again
             self.attempt = Attempt(text, stop)
@@ -378,7 +375,7 @@ class LiveSession:
     def _evaluate_again(self, stops: Iterable[Stop]) -> None:
         """Queue stops of the session, but those of which a later part waits."""
         with self.lock:
-            self._queue(stop for stop in stops if stop.stamp not in self.to_evaluate)
+            self._queue_stops(stop for stop in stops if stop.stamp not in self.to_evaluate)
 
     def _close(self, stop: Stop) -> None:
         """Take nothing more of a stop, which may go on."""
@@ -387,6 +384,12 @@ class LiveSession:
             self.to_evaluate.pop(stop.stamp, None)
 
     # the disk
+
+    def _stored(self, stop: Stop) -> Stop:
+        """Write a stop with the joint values of its time; return it as stored. InputError."""
+        with self.lock:
+            joints = [*self.joints]
+        return self._store(self.files.add_stop, stop, self.config, joints)
 
     def _store(self, write: Callable[..., Result], *args: Any) -> Result:
         """
@@ -536,3 +539,11 @@ class LiveSession:
             self.message_counts['profile'].forget_malformed()
         if settings_of(config, SAMPLE_KEYS) != settings_of(old, SAMPLE_KEYS):
             self._evaluate_again(self.session.stops)
+
+
+def _outcome_text(stop: Stop, had_sample: bool) -> str:
+    """Return what a stop gave, in words; had_sample: an earlier part of it gave one."""
+    again = ' again, as the robot has not moved since' if had_sample else ''
+    outcome = (f'sample {stop.number} taken{again}' if stop.sample else
+               f'stop {stop.number} gave no sample')
+    return f'{outcome}: {sample_summary(stop.result)}'

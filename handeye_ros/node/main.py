@@ -49,8 +49,7 @@ def main() -> int:
     sys.setswitchinterval(SWITCH_INTERVAL)
     from handeye_ros.node.node import HandeyeNode
     # it publishes nothing more while it ends, and what computes ends with it
-    code = exit_code(lambda: spin(HandeyeNode, EXECUTOR_THREADS,
-                                  lambda node: node.outputs.close()))
+    code = exit_code(spin, HandeyeNode, EXECUTOR_THREADS, lambda node: node.outputs.close())
     sys.stderr.flush()
     # Python waits for all threads, of which one may wait for a solve; what was acknowledged is on
     # the disk
@@ -95,10 +94,10 @@ def spin(make: Callable[[], Any], threads: int = 1,
             node.destroy_node()
 
 
-def exit_code(run: Callable[[], None]) -> int:
-    """Run to the end, or to Ctrl-C or SIGTERM; print the sentence of a HandeyeError."""
+def exit_code(run: Callable[..., None], *args: Any) -> int:
+    """Call a function until it ends, or Ctrl-C or SIGTERM; print the sentence of an error."""
     try:
-        run()
+        run(*args)
     except HandeyeError as error:
         print(error, file=sys.stderr)
         return error.exit_code

@@ -69,17 +69,16 @@ METRES_PER_WIDTH = 1e-3  # m for each unit of width of the scene, of a text of i
 class _LatchedTopic:
     """A topic that keeps its last message for late subscribers, until it is withdrawn."""
 
-    def __init__(self, node: Node, name: str, message_type: Any, to_message: Callable[[Any], Any]
-                 ) -> None:
-        """Advertise the topic; to_message: returns the message of a content."""
-        self._node, self._to_message, self._content = node, to_message, None
+    def __init__(self, node: Node, name: str, message_type: Any) -> None:
+        """Advertise the topic."""
+        self._node, self._content = node, None
         self._advertise = partial(node.create_publisher, message_type, name, LATCHED_QOS,
                                   event_callbacks=NO_CALLBACKS)
         self._publisher = self._advertise()
 
-    def publish_if_changed(self, content: Any) -> None:
+    def publish_if_changed(self, content: Any, message_of: Callable[[], Any]) -> None:
         """
-        Publish a content that is not the last one.
+        Publish the message of a content that is not the last one.
 
         None withdraws the last message: a new publisher gives a late subscriber none.
         """
@@ -89,7 +88,7 @@ class _LatchedTopic:
                 self._node.destroy_publisher(self._publisher)
                 self._publisher = self._advertise()
             else:
-                self._publisher.publish(self._to_message(content))
+                self._publisher.publish(message_of())
 
 
 class Outputs:
@@ -100,25 +99,17 @@ class Outputs:
         self._node, self._live = node, live
         self._lock, self._closed = threading.Lock(), False
         self._logged_attempt: Attempt | None = None
-
-        def transform(calibration: Calibration) -> TransformStamped:
-            return transform_of(calibration, self._now())
-
-        text = String, lambda content: String(data=content)
-        topics: dict[str, tuple[Any, Callable[[Any], Any]]] = {
-            '~/samples': text, '~/status': text, '~/guidance': text,
-            '~/next_pose': (PoseStamped, lambda pose: pose_stamped(**pose, stamp=self._now())),
-            '~/calibration': (TransformStamped, transform),
-            '~/markers': (MarkerArray, lambda _: session_markers(
-                live.session_copy().stops, live.answer.calibration, self._config))}
+        message_types = {
+            '~/samples': String, '~/status': String, '~/guidance': String,
+            '~/next_pose': PoseStamped, '~/calibration': TransformStamped,
+            '~/markers': MarkerArray}
         if TFMessage:
-            topics['/tf_static'] = TFMessage, lambda calibration: TFMessage(
-                transforms=[transform(calibration)])
+            message_types['/tf_static'] = TFMessage
         else:
             node.get_logger().warning('tf2_msgs is not installed: the transform is published on '
                                       f'~/calibration only, not on /tf_static; {INSTALL_TF2}')
-        self._latched_topics = {name: _LatchedTopic(node, name, message_type, to_message)
-                                for name, (message_type, to_message) in topics.items()}
+        self._latched_topics = {name: _LatchedTopic(node, name, message_type)
+                                for name, message_type in message_types.items()}
         self._current = node.create_publisher(MarkerArray, '~/current', 1)
         self._features = node.create_publisher(PointCloud2, '~/features', 10)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
@@ -144,19 +135,26 @@ class Outputs:
         with self._lock:
             if self._closed:
                 return
-            state, calibration = state_of(self._live), self._live.answer.calibration
-            self._log_attempt(self._live.attempt)
-            samples, guidance = json.dumps(samples_message(state)), state['guidance']
-            contents = {
-                '~/samples': samples, '~/status': json.dumps(status_message(state)),
-                '~/calibration': calibration, '/tf_static': calibration,
-                '~/markers': (samples, calibration),
-                '~/guidance': guidance['text'],
-                '~/next_pose': guidance['translation'] and {
-                    'translation': guidance['translation'], 'rotation': guidance['rotation'],
-                    'frame_id': self._config.base_frame}}
+            live, config, stamp = self._live, self._config, self._now()
+            state, calibration = state_of(live), live.answer.calibration
+            self._log_attempt(live.attempt)
+            samples, status = json.dumps(samples_message(state)), json.dumps(status_message(state))
+            guidance = state['guidance']
+            transform = calibration and transform_of(calibration, stamp)
+            place = guidance['translation'] and {
+                **{key: guidance[key] for key in ('translation', 'rotation')},
+                'frame_id': config.base_frame}
+            outputs = {
+                '~/samples': (samples, lambda: String(data=samples)),
+                '~/status': (status, lambda: String(data=status)),
+                '~/guidance': (guidance['text'], lambda: String(data=guidance['text'])),
+                '~/next_pose': (place, lambda: pose_stamped(**place, stamp=stamp)),
+                '~/calibration': (calibration, lambda: transform),
+                '/tf_static': (calibration, lambda: TFMessage(transforms=[transform])),
+                '~/markers': ((samples, calibration), lambda: session_markers(
+                    live.session_copy().stops, calibration, config))}
             for name, topic in self._latched_topics.items():
-                topic.publish_if_changed(contents[name])
+                topic.publish_if_changed(*outputs[name])
 
     def _log_attempt(self, attempt: Attempt | None) -> None:
         """Log an attempt once, and publish the features of its sample in the sensor frame."""
@@ -266,12 +264,12 @@ def session_markers(stops: Iterable[Stop], calibration: Calibration | None, conf
         StopSnapshot(stop.number, sample.stamp, mount_poses(sample.T_base_flange, config),
                      np.empty((0, 2)), sample.features)
         for stop in stops if (sample := stop.sample)]
-    flanges = [snapshot.T_mount[:3, 3] for snapshot in snapshots]
     parts: list[dict[str, Any]] = [
         {'name': 'numbers', 'color': FLANGE_COLOUR, 'width': 12.0, 'text': str(snapshot.number),
-         'points': [flange]} for snapshot, flange in zip(snapshots, flanges, strict=True)]
-    if flanges:
-        parts.append({'name': 'flanges', 'color': FLANGE_COLOUR, 'width': 6.0, 'points': flanges})
+         'points': [snapshot.T_mount[:3, 3]]} for snapshot in snapshots]
+    if snapshots:
+        parts.append({'name': 'flanges', 'color': FLANGE_COLOUR, 'width': 6.0,
+                      'points': [snapshot.T_mount[:3, 3] for snapshot in snapshots]})
     if calibration:
         parts += scene(calibration, snapshots, config)['parts']
     return _markers(parts, config)

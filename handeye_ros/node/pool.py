@@ -37,19 +37,23 @@ class PoolEndedError(HandeyeError):
 
 
 class Pool:
-    """Runs functions of modules in other processes; one that is killed disturbs no other."""
+    """
+    Runs functions of modules in other processes; one that is killed disturbs no other.
+
+    Each thread has an executor with one process, as the end of a process breaks its executor.
+    """
 
     def __init__(self) -> None:
         """Start no process yet."""
         # a node that ends at once leaves the semaphores of its processes to Python's tracker: it
         # removes them, and nobody needs to hear of it
         sys.warnoptions.append('ignore::UserWarning:multiprocessing.resource_tracker')
-        self._of_thread = threading.local()
+        self._own = threading.local()  # each thread sees its own `executor`
         self._threads = ThreadPoolExecutor(PROCESS_COUNT, 'pool', self._use_new_process)
 
     def _use_new_process(self) -> None:
         """Give this thread a process of its own."""
-        self._of_thread.process = ProcessPoolExecutor(
+        self._own.executor = ProcessPoolExecutor(
             1, multiprocessing.get_context('spawn'), _initialise_process)
 
     def start(self) -> None:
@@ -68,7 +72,7 @@ class Pool:
     def _call(self, function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
         for _ in range(2):
             try:
-                return self._of_thread.process.submit(call_and_trim, function, args).result()
+                return self._own.executor.submit(call_and_trim, function, args).result()
             except BrokenProcessPool:
                 self._use_new_process()
         raise PoolEndedError

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 import sys
 
@@ -50,7 +51,7 @@ def main() -> int:
     parser.add_argument('files', nargs='+', type=Path, metavar='FILE',
                         help='a calibration.yaml, or the folder that holds it')
     options = parser.parse_args(own_arguments())
-    return exit_code(lambda: spin(lambda: publisher(options.files)))
+    return exit_code(spin, partial(publisher, options.files))
 
 
 if __name__ == '__main__':

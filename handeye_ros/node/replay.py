@@ -103,7 +103,7 @@ def main() -> int:
     parser.add_argument('--timeout', type=float, default=5.0,
                         help='start after so many seconds in any case (default: 5)')
     options = parser.parse_args(own_arguments())
-    return exit_code(lambda: replay(options.bag, options.rate, options.timeout))
+    return exit_code(replay, options.bag, options.rate, options.timeout)
 
 
 if __name__ == '__main__':

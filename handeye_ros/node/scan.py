@@ -17,6 +17,7 @@ import argparse
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 import sys
 from threading import Lock
@@ -62,7 +63,6 @@ class ScanNode(Node):
         self._lock = Lock()  # of the two streams
         self._profiles: deque[Profile] = deque(maxlen=KEPT_PROFILES)
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_POSES)
-        self._reported_dropped = 0
         self._points = self.create_publisher(PointCloud2, '~/points', 10)
         self.create_timer(CLOUD_PERIOD, self._publish_ready)
         Streams(self, self)
@@ -104,10 +104,10 @@ class ScanNode(Node):
             span = latest - ready[0].stamp - self._offset + POSES_AROUND
             poses = [pose for pose in self._poses if abs(latest - pose.stamp) <= span]
         trajectory = trajectory_of(poses, self.config.sampling.max_pose_gap)
+        dropped_before = self._scanner.count.without_pose
         points = self._scanner.points(ready, trajectory)
         dropped = self._scanner.count.without_pose
-        if dropped > self._reported_dropped:
-            self._reported_dropped = dropped
+        if dropped > dropped_before:
             self.get_logger().warning(
                 f'{dropped} profiles without a pose before and after them were dropped so far',
                 throttle_duration_sec=WARNING_PERIOD)
@@ -125,7 +125,7 @@ def main() -> int:
     parser.add_argument('--voxel', default='0', metavar='EDGE')
     parser.add_argument('--std', action='store_true')
     arguments = parser.parse_args(own_arguments())
-    return exit_code(lambda: spin(lambda: ScanNode(arguments)))
+    return exit_code(spin, partial(ScanNode, arguments))
 
 
 if __name__ == '__main__':

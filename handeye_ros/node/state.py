@@ -35,8 +35,8 @@ SAMPLES_FORMAT = 'handeye_ros/samples/1'
 STATUS_FORMAT = 'handeye_ros/status/1'
 NONE, CURRENT, OUTDATED, WITHDRAWN = 'none', 'current', 'outdated', 'withdrawn'
 NO_ANSWER = {
-    **dict.fromkeys(('parent', 'child', 'saved'), ''), 'used': 0, 'rejected': 0,
-    **dict.fromkeys(('translation', 'rotation', 'rpy', 'std', 'residual_rms', 'holdout_rms'))}
+    'parent': '', 'child': '', 'translation': None, 'rotation': None, 'rpy': None, 'std': None,
+    'residual_rms': None, 'holdout_rms': None, 'used': 0, 'rejected': 0, 'saved': ''}
 SILENCE_TIME = 2.0  # s without a message until it is reported
 BAD_IN_A_ROW = 3  # consecutive invalid messages until they are reported,
 BAD_SHARE = 0.01  # or such a share of the last RECENT, or of the messages lost in transit

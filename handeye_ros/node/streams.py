@@ -76,7 +76,7 @@ class _Topic:
     """
 
     received: MessageCount
-    type: str
+    message_type: str
     name: str
     receive: Callable[[bytes], None]
     qos: QoSProfile
@@ -108,7 +108,7 @@ class Streams:
         self._profile_reader = ProfileReader(config.profile)
         self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
         self._last_stamp: int | None = None  # ns, of the last message of profiles
-        self._topics = self._topics_of(config)
+        self._topics = self._configured_topics(config)
         receiver.message_counts = {topic.received.kind: topic.received for topic in self._topics}
         for topic in self._topics:
             self._subscribe(topic)
@@ -116,7 +116,7 @@ class Streams:
         self._thread = threading.Thread(target=self._read_until_end, name='drain', daemon=True)
         self._thread.start()
 
-    def _topics_of(self, config: Config) -> list[_Topic]:
+    def _configured_topics(self, config: Config) -> list[_Topic]:
         """Return the topics that settings name; raises InputError."""
         poses = MessageCount('pose')
         topics = [_Topic(MessageCount('profile'), CLOUD_TYPE, config.profile_topic,
@@ -124,13 +124,14 @@ class Streams:
         if self._add_joints and not config.kinematics:
             topics.append(_Topic(MessageCount('joint state'), JOINTS_TYPE, config.joint_topic,
                                  partial(_on_joints, self._add_joints), BEST_EFFORT_QOS))
-        for name, key, message_type, read_poses in pose_topics(config, self._tracker):
-            if message_type == TF_TYPE and not TFMessage:
+        for source in pose_topics(config, self._tracker):
+            if source.message_type == TF_TYPE and not TFMessage:
                 raise InputError('pose_source is tf, but tf2_msgs is not installed: '
                                  f'{INSTALL_TF2}; or publish the poses on pose_topic')
-            qos = {'/tf': BEST_EFFORT_QOS, '/tf_static': LATCHED_TREE}.get(name, RELIABLE_QOS)
-            topics.append(_Topic(poses, message_type, name, partial(self._on_poses, read_poses),
-                                 qos, key))
+            qos = {'/tf': BEST_EFFORT_QOS, '/tf_static': LATCHED_TREE}.get(source.name,
+                                                                           RELIABLE_QOS)
+            topics.append(_Topic(poses, source.message_type, source.name,
+                                 partial(self._on_poses, source.read), qos, source.key))
         if len({self._full_name(topic.name) for topic in topics}) < len(topics):
             raise InputError('two of profile_topic, pose_topic and joint_topic are the same: each '
                              'needs its own')
@@ -138,8 +139,8 @@ class Streams:
 
     def _subscribe(self, topic: _Topic) -> None:
         topic.subscription = self._node.create_subscription(
-            MESSAGES[topic.type], topic.name, topic.receive, topic.qos, callback_group=self._group,
-            raw=True, event_callbacks=NO_CALLBACKS)
+            MESSAGES[topic.message_type], topic.name, topic.receive, topic.qos, raw=True,
+            callback_group=self._group, event_callbacks=NO_CALLBACKS)
 
     def stop(self) -> None:
         """Read no more messages."""
@@ -153,7 +154,7 @@ class Streams:
         keys = ('profile_topic', 'pose_source', 'pose_topic', 'joint_topic', 'kinematics')
         current = self._receiver.config
         return any(getattr(config, key) != getattr(current, key) for key in keys) and bool(
-            self._topics_of(config))
+            self._configured_topics(config))
 
     def _full_name(self, topic: str) -> str:
         """Return the full name of a topic; raises InputError."""
@@ -203,7 +204,7 @@ class Streams:
 
     def _read_messages(self, topic: _Topic) -> int:
         """Read at most MOST_AT_ONCE messages of a topic; return how many."""
-        handle, message_type = topic.subscription.handle, MESSAGES[topic.type]
+        handle, message_type = topic.subscription.handle, MESSAGES[topic.message_type]
         with handle:
             for count in range(MOST_AT_ONCE):
                 taken = handle.take_message(message_type, True)
@@ -255,23 +256,13 @@ class Streams:
         """
         troubles, sentences, node = {'pose': self._tracker.missing()}, [], self._node
         for topic in [topic for topic in self._topics if topic.key]:
-            kind, name = topic.received.kind, self._full_name(topic.name)
-            types = {info.topic_type for info in topic.publishers}
-            troubles[kind] = '' if topic.received.count or topic.qos is RELIABLE_QOS else (
-                'its driver publishes with best effort: large messages may all get lost; '
-                'publish reliably')
-            if topic.type not in types:
-                others = ', '.join([other for other in self.topics_of(topic.type)
-                                    if other != name][:MOST_LISTED])  # its own has just begun
-                troubles[kind] = (
-                    f'it carries {", ".join(sorted(types))}, expected {topic.type}' if types else
-                    f'{name} has no publisher') + (
-                    f'; {topic.type} is on {others}: set {topic.key}' if others else '')
+            kind = topic.received.kind
+            troubles[kind] = self._trouble_of(topic)
             nodes = sorted(f'{info.node_namespace.rstrip("/")}/{info.node_name}'
                            for info in topic.publishers)
             if len(nodes) > 1:
                 sentences.append(
-                    f'{len(nodes)} publishers send {kind}s on {name} '
+                    f'{len(nodes)} publishers send {kind}s on {self._full_name(topic.name)} '
                     f'({", ".join(nodes[:MOST_LISTED])}): let only one publish')
         this_node = (node.get_name(), node.get_namespace())
         if node.get_node_names_and_namespaces().count(this_node) > 1:
@@ -280,6 +271,20 @@ class Streams:
                 'either may answer; end one, or rename it (-r __node:=other)')
         note = ['one that was killed is listed for 20 s more'] if sentences else []
         return {**troubles, 'session': '; '.join(sentences + note)}
+
+    def _trouble_of(self, topic: _Topic) -> str:
+        """Return why no messages may arrive on a topic, '' if nothing is known against it."""
+        name, expected = self._full_name(topic.name), topic.message_type
+        offered = {info.topic_type for info in topic.publishers}
+        if expected in offered:
+            return '' if topic.received.count or topic.qos is RELIABLE_QOS else (
+                'its driver publishes with best effort: large messages may all get lost; publish '
+                'reliably')
+        others = ', '.join([other for other in self.topics_of(expected)
+                            if other != name][:MOST_LISTED])  # its own has just begun
+        problem = (f'it carries {", ".join(sorted(offered))}, expected {expected}' if offered else
+                   f'{name} has no publisher')
+        return problem + (f'; {expected} is on {others}: set {topic.key}' if others else '')
 
     def topics_of(self, message_type: str) -> list[str]:
         """Return the topics with publishers of a message type, without those of this node."""

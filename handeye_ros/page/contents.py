@@ -79,8 +79,8 @@ def page_source(node: HandeyeNode) -> PageSource:
     return PageSource(lambda: contents(node.state, node.live), actions, queries)
 
 
-def _call_service(node: HandeyeNode, name: str, values: Mapping[str, Any]) -> tuple[bool, str]:
-    """Call a service; it takes no values."""
+def _call_service(node: HandeyeNode, name: str, _: Mapping[str, Any]) -> tuple[bool, str]:
+    """Call a service, which takes no values; return its success and message."""
     return node.call_service(name)
 
 
@@ -222,7 +222,7 @@ def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
                      for stop in live.session_copy().stops if stop.sample],
         'next': as_rows(next_pose),
         'aim': None if pose is None or next_pose is None else _motion_to(pose, next_pose),
-        'move': advice.move and _move(advice.move),
+        'move': advice.move and _advised_move(advice.move),
         **(_target(solution, config) if solution else {'edges': [], 'outline': []})}
 
 
@@ -234,7 +234,7 @@ def _motion_to(T_base_flange: Array, T_base_next: Array) -> dict[str, Any]:
             'distance': float(np.linalg.norm(shift)), 'angle': float(np.linalg.norm(turn))}
 
 
-def _move(move: Move) -> dict[str, Any]:
+def _advised_move(move: Move) -> dict[str, Any]:
     """Return a move relative to the first pose; R: (3, 3) of the sensor after the move."""
     R = se3.exp_rotation(np.array([0.0, 0.0, move.turn])) @ se3.exp_rotation(
         np.append(move.tilt, 0.0))

@@ -176,9 +176,9 @@ def save_all(calibration: Calibration, folder: Path, formats: Sequence[str] = (Y
     """
     calibration = calibration_file.dated(calibration)
     chosen = [format_of(name) for name in dict.fromkeys((YAML, *formats))]
-    result = {form.file_name(calibration) for form in FORMATS.values()} | {REPORT_FILE}
+    names_of_result = {REPORT_FILE, *(form.file_name(calibration) for form in FORMATS.values())}
     return write({form.file_name(calibration): form.text(calibration) for form in chosen},
-                 folder.expanduser().absolute(), result)
+                 folder.expanduser().absolute(), names_of_result)
 
 
 def export(calibration: Calibration, name: str, file: Path) -> Saved:
@@ -191,18 +191,18 @@ def export(calibration: Calibration, name: str, file: Path) -> Saved:
     return write({file.name: text}, file.parent, {file.name})
 
 
-def write(texts: Mapping[str, str], folder: Path, result: set[str]) -> Saved:
+def write(texts: Mapping[str, str], folder: Path, names_of_result: set[str]) -> Saved:
     """
     Write files by name into a folder, unless it has just these already.
 
-    result: names of all files that belong to a result; those of the previous one, also its report,
-    are kept in the history of the folder, named after the time when they were replaced. A reader
-    finds at each moment a whole file of each name. Raises UnwritableError.
+    names_of_result: of all files that belong to a result; those of the previous one, also its
+    report, are kept in the history of the folder, named after the time when they were replaced. A
+    reader finds at each moment a whole file of each name. Raises UnwritableError.
     """
     files = tuple(folder / name for name in texts)
     history = folder / HISTORY_FOLDER / datetime.now(UTC).strftime('%Y-%m-%dT%H%M%S.%fZ')
     with write_errors_for(folder):
-        existing = {name: (folder / name).read_bytes() for name in result
+        existing = {name: (folder / name).read_bytes() for name in names_of_result
                     if (folder / name).is_file()}
         if {name: content for name, content in existing.items() if name != REPORT_FILE} == {
                 name: text.encode() for name, text in texts.items()}:

@@ -18,7 +18,7 @@ from handeye_ros.errors import mm
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.output import rendered
 from handeye_ros.results import exports, table
-from handeye_ros.results.calibration_file import config_of, field_points, FIELD_TEXT
+from handeye_ros.results.calibration_file import config_of
 from handeye_ros.results.scene import (
     in_plane,
     in_sensor,
@@ -26,6 +26,7 @@ from handeye_ros.results.scene import (
     scene,
     StopSnapshot,
 )
+from handeye_ros.results.truth import field_points, FIELD_TEXT
 import numpy as np
 
 MUCH_WORSE = 4.0  # ratio of the cross-validation error to the residual

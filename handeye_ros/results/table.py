@@ -7,7 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 import math
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 from handeye_ros import se3
 from handeye_ros.config import RECORD_PREFIX
@@ -20,31 +20,40 @@ from handeye_ros.data import (
     Term,
 )
 from handeye_ros.errors import without_numbers
-from handeye_ros.results.calibration_file import Errors
+from handeye_ros.results.truth import Errors
 import numpy as np
 from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-# Other estimates by their key: its pattern, a label ('' is that of the key), the words around the
-# value, factor to their unit, digits.
-FOUND_TEXT = '{} (1 sigma, found and allowed for)'
-ESTIMATES = (
+
+class Estimate(NamedTuple):
+    """How the table shows the estimates whose keys match a pattern."""
+
+    keys: str
+    label: str  # '' is that of the key
+    words: str  # around the value
+    factor: float  # to the unit in the words
+    digits: int
+
+
+FOUND_MM = '{} mm (1 sigma, found and allowed for)'
+FOUND_DEGREES = '{} degrees (1 sigma, found and allowed for)'
+ESTIMATES = tuple(Estimate(*columns) for columns in (
     ('(centre|point|radius|distance|size|setback).*', '', '{} mm', 1e3, 3),
     ('.*angle', '', '{} degrees', math.degrees(1), 4),
     ('normal.*|direction', '', '{}', 1.0, 6),
     ('rotation_lag', 'robot, rotation', '{} ms later than the position', 1e3, 3),
     ('clock_drift', 'clocks', '{} ms a minute apart', 60e3, 2),
     ('scale', 'lengths', 'of the robot {} times those of the sensor', 1.0, 5),
-    ('robot_position_error', 'robot, smooth error', FOUND_TEXT.format('{} mm'), 1e3, 4),
-    ('tracking_position_error', 'robot, error in motion', FOUND_TEXT.format('{} mm'), 1e3, 4),
-    ('tracking_rotation_error', 'robot, turn in motion', FOUND_TEXT.format('{} degrees'),
-     math.degrees(1), 4),
-    ('distortion_error', 'sensor, bent field', FOUND_TEXT.format('{} mm'), 1e3, 4),
-    ('line_bend', 'sensor, bent laser line', FOUND_TEXT.format('{} mm'), 1e3, 4),
-    ('flatness_error', 'target, flatness', FOUND_TEXT.format('{} mm'), 1e3, 4),
-)
+    ('robot_position_error', 'robot, smooth error', FOUND_MM, 1e3, 4),
+    ('tracking_position_error', 'robot, error in motion', FOUND_MM, 1e3, 4),
+    ('tracking_rotation_error', 'robot, turn in motion', FOUND_DEGREES, math.degrees(1), 4),
+    ('distortion_error', 'sensor, bent field', FOUND_MM, 1e3, 4),
+    ('line_bend', 'sensor, bent laser line', FOUND_MM, 1e3, 4),
+    ('flatness_error', 'target, flatness', FOUND_MM, 1e3, 4),
+))
 
 
 def table(calibration: Calibration) -> RenderableType:
@@ -99,7 +108,6 @@ def rpy_std(T: Array, covariance: Array) -> Array:
 
     covariance: (3, 3) of the rotation vector in the parent frame. Infinite where the pitch
     is so close to 90 degrees that roll and yaw turn about one axis.
-
     """
     _, pitch, yaw = se3.rpy(T)
     if abs(math.cos(pitch)) < 1e-3:
@@ -150,7 +158,7 @@ def weakest(quality: Quality) -> str:
 def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the other estimates, of target, sensor and robot, in mm and degrees."""
     for key, value in target.items():
-        row = next((row for row in ESTIMATES if re.fullmatch(row[0], key)), None)
+        shown = next((shown for shown in ESTIMATES if re.fullmatch(shown.keys, key)), None)
         name = f'target {key.replace("_", " ")}'
         if key == 'pose':
             T = se3.from_values(value)
@@ -160,14 +168,13 @@ def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield f'{name}, rpy', f'{roll:.4f} {pitch:.4f} {yaw:.4f} degrees'
         elif key.endswith('_std') or key == 'joint':
             continue
-        elif row:
-            _, label, words, factor, digits = row
+        elif shown:
+            factor, digits, std = shown.factor, shown.digits, target.get(f'{key}_std')
             numbers = value.values() if isinstance(value, Mapping) else np.atleast_1d(value)
-            text = words.format(' '.join(f'{v * factor:.{digits}f}' for v in numbers))
-            std = target.get(f'{key}_std')
+            text = shown.words.format(' '.join(f'{v * factor:.{digits}f}' for v in numbers))
             sigma = '' if std is None else (
                 f', 1 sigma {std * factor:.{digits}f}' if std else ', given')
-            yield label or name, text + sigma
+            yield shown.label or name, text + sigma
         else:
             yield name, str(value)
 

@@ -13,7 +13,7 @@ from handeye_ros.bags import bag, bag_write
 from handeye_ros.bags.reader import Raw, TF_TYPE
 from handeye_ros.config import Config, ProfileConfig
 from handeye_ros.errors import DataError, InputError, UnwritableError
-from handeye_ros.results.calibration_file import true_transform
+from handeye_ros.results.truth import true_transform
 from handeye_ros.simulate import FILE_SCENES, SCENARIOS, simulate
 from hypothesis import example, given, settings
 from hypothesis import strategies as st

@@ -22,7 +22,8 @@ from handeye_ros.bags import bag
 from handeye_ros.config import Config, load, with_assignments
 from handeye_ros.data import ClockEstimate
 from handeye_ros.results import calibration_file
-from handeye_ros.results.calibration_file import errors_against, true_transform
+from handeye_ros.results.truth import errors_against, true_transform
+from handeye_ros.verification.routines import ROUTINES
 import numpy as np
 import pytest
 import yaml
@@ -105,6 +106,8 @@ def test_version_and_help_do_not_wait_for_numpy(tmp_path):
     assert run.returncode == 0
     assert all(verb in run.stdout for verb in ('solve', 'replay', 'simulate'))
     assert run.stdout.splitlines()[-1] == 'False'  # help does not wait for it
+    run = handeye('verify', '--help', cwd=tmp_path)
+    assert all(routine in run.stdout for routine in ROUTINES)
 
 
 @pytest.mark.parametrize('arguments', [

@@ -12,7 +12,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE
 from handeye_ros.estimation.search import with_systematic_errors
 from handeye_ros.estimation.solve import solution_at
-from handeye_ros.results.calibration_file import errors_against
+from handeye_ros.results.truth import errors_against
 from handeye_ros.simulate import FAULTS, SCENARIOS, simulate, simulate_samples
 import numpy as np
 import pytest

@@ -12,7 +12,8 @@ from handeye_ros.bags.bag import read
 from handeye_ros.config import load
 from handeye_ros.errors import InputError
 from handeye_ros.pipeline import calibrate
-from handeye_ros.results.calibration_file import read_calibration, true_transform
+from handeye_ros.results.calibration_file import read_calibration
+from handeye_ros.results.truth import true_transform
 import numpy as np
 import pytest
 

@@ -12,12 +12,9 @@ from typing import Any
 from calibrations import calibration_at
 from command import chromium, complaints, free_port, PATIENCE
 from handeye_ros.results import report, table
-from handeye_ros.results.calibration_file import (
-    read_calibration,
-    true_transform,
-    write_calibration,
-)
+from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.results.report import SolvedRecording
+from handeye_ros.results.truth import true_transform
 import numpy as np
 import pytest
 

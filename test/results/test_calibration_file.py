@@ -13,7 +13,7 @@ from command import assert_refused, handeye
 from handeye_ros import se3
 from handeye_ros.data import Calibration, ClockEstimate, Quality, SampleReport
 from handeye_ros.errors import InputError, UnwritableError
-from handeye_ros.results import calibration_file, table
+from handeye_ros.results import calibration_file, table, truth
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -173,14 +173,14 @@ def test_samples_not_used_for_one_reason_are_one_line_whatever_its_numbers():
 
 def test_errors_against_the_truth_are_those_of_known_differences():
     T = CALIBRATION.T_flange_sensor
-    assert calibration_file.errors_against(T, T) == calibration_file.Errors(0.0, 0.0, 0.0)
+    assert truth.errors_against(T, T) == truth.Errors(0.0, 0.0, 0.0)
     shifted = se3.perturb(T, np.array([3e-3, 0, 4e-3, 0, 0, 0]))
-    errors = calibration_file.errors_against(shifted, T)
+    errors = truth.errors_against(shifted, T)
     assert errors.translation == pytest.approx(5e-3)
     assert errors.rotation == pytest.approx(0.0, abs=1e-12)
     assert errors.mapped_points == pytest.approx(5e-3)
     turned = T @ se3.transform(se3.exp_rotation(np.array([0.0, 0.01, 0.0])), np.zeros(3))
-    errors = calibration_file.errors_against(turned, T)
+    errors = truth.errors_against(turned, T)
     assert errors.rotation == pytest.approx(0.01)
     # turned about y, a point moves by its distance times the angle
     assert errors.mapped_points == pytest.approx(0.01 * math.sqrt(0.175 ** 2 + (

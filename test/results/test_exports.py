@@ -148,6 +148,7 @@ def test_no_name_of_a_frame_breaks_a_file(tmp_path: Path) -> None:
 
 
 def test_all_is_saved_and_said_with_its_place(tmp_path: Path) -> None:
+    assert {*config.SAVE_FORMATS} == {*exports.FORMATS}
     saved = exports.save_all(CALIBRATION, tmp_path / 'a' / 'b', config.SAVE_FORMATS)
     assert sorted(saved.files) == sorted((tmp_path / 'a' / 'b').iterdir())
     assert len(saved.files) == len(config.SAVE_FORMATS) and saved.previous is None

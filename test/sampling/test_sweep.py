@@ -16,7 +16,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Estimate
-from handeye_ros.results.calibration_file import errors_against
+from handeye_ros.results.truth import errors_against
 from handeye_ros.sampling.stops import StopFinder
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.sampling.sweep import with_estimated_clocks

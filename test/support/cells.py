@@ -24,7 +24,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.results.calibration_file import errors_against
+from handeye_ros.results.truth import errors_against
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
 from handeye_ros.simulate.sensor import FRAMES
 import numpy as np

@@ -142,7 +142,7 @@ def with_layout(folder, tmp_path, layout):
     codes = {name: code for code, name in DATATYPES.items()}
 
     def change(raw):
-        if raw.kind != CLOUD_TYPE:
+        if raw.message_type != CLOUD_TYPE:
             return raw
         cloud = TYPES.deserialize_cdr(raw.data, CLOUD_TYPE)
         points = np.zeros(cloud.width, layout)

@@ -21,7 +21,7 @@ from handeye_ros.config import load, with_values
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.results import calibration_file
-from handeye_ros.results.calibration_file import errors_against, true_transform
+from handeye_ros.results.truth import errors_against, true_transform
 from handeye_ros.simulate import FILE_SCENES, measured
 from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.tables import Table

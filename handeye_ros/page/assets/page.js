@@ -54,7 +54,7 @@ function show(state) {
   const troubles = [state.profiles.trouble, state.poses.trouble, state.session.trouble]
     .filter(Boolean);
   $('problem').hidden = !troubles.length;
-  $('choose').hidden = flows(state.profiles) && flows(state.poses) || state.samples.some(s => s.taken);
+  $('choose').hidden = flows(state.profiles) && flows(state.poses) || taken(state).length > 0;
   text('trouble', troubles.join('; '));
   text('review', [state.review, ...state.session.notes].filter(Boolean).join('; '));
   text('link', state.session.working || state.verification.running || { still: 'a sample is taken at every stop',
@@ -65,6 +65,8 @@ function show(state) {
 }
 
 const flows = stream => stream.count > 0 && stream.age < SILENT;
+const taken = state => state.samples.filter(s => s.taken);
+const lastTaken = state => Math.max(0, ...taken(state).map(s => s.number));
 
 // Return what a refusal may depend on: it leaves the page when this has changed.
 function situation(state) {
@@ -115,9 +117,8 @@ function showAim({ scene, poses }) {
 
 function showGuidance(guidance) {
   const list = $('advice');
-  const last = Math.max(0, ...(latest ? latest.samples : []).filter(s => s.taken).map(s => s.number));
-  const sentences = guidance ? guidance.sentences : [];
-  if (guidance && guidance.sample < last) {
+  const sentences = guidance ? [...guidance.sentences] : [];
+  if (guidance && guidance.sample < lastTaken(latest)) {
     sentences.push(`this knows of sample ${guidance.sample}; the next is being worked in`);
   }
   list.replaceChildren(...sentences.map(s => element('li', s)));
@@ -182,13 +183,12 @@ function rate(stream) {
 // The step of now is the first that is not done; its button is the main one.
 function showSteps(state) {
   const c = state.calibration, { running, verdict } = state.verification;
-  const taken = state.samples.filter(s => s.taken).length;
   const missing = [state.profiles, state.poses].filter(stream => !flows(stream))
     .map(stream => (stream === state.poses ? 'No poses' : 'No profiles'));
   const passed = verdict.includes(': PASS'), failed = verdict.includes(': FAIL');
   const done = {
     connect: [!missing.length, missing.join(', ') || [state.profiles, state.poses].map(rate).join(', ')],
-    samples: [Boolean(state.guidance && state.guidance.enough), String(taken)],
+    samples: [Boolean(state.guidance && state.guidance.enough), String(taken(state).length)],
     answer: [c.state === 'current', STATES[c.state].split(':')[0]],
     verify: [passed, running || verdict.replace(/,.*/, '') || 'if you like'],
     save: [Boolean(c.saved), c.saved ? 'saved' : 'not yet'],
@@ -225,8 +225,7 @@ function ring(state) {
 $('sound').addEventListener('change', () => { audio = audio || new AudioContext(); });
 
 function showSamples(state) {
-  const taken = state.samples.filter(s => s.taken).length;
-  text('count', '(' + taken + ')');
+  text('count', '(' + taken(state).length + ')');
   const place = new Map(state.worst.map((number, i) => [number, i]));
   const last = state.worst.length;
   const order = [...state.samples].sort((a, b) =>
@@ -353,7 +352,7 @@ function sure(question) {
 }
 
 async function clearAll() {
-  const count = latest ? latest.samples.filter(s => s.taken).length : 0;
+  const count = latest ? taken(latest).length : 0;
   if (await sure(`Clear all ${count} samples, and begin a new session?`) &&
       await sure(`Really? ${count} samples and the answer will be gone.`)) {
     await ask('clear_samples', {}, $('clear'));
@@ -362,7 +361,7 @@ async function clearAll() {
 }
 
 async function undo() {
-  const last = Math.max(0, ...(latest ? latest.samples : []).filter(s => s.taken).map(s => s.number));
+  const last = latest ? lastTaken(latest) : 0;
   if (!last || mine.has(last) ||
       await sure(`Sample ${last} was not taken with this browser. Remove it?`)) {
     await ask('remove_last_sample', last ? { number: last } : {}, $('undo'));

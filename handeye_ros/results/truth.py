@@ -1,0 +1,70 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The truth of a simulated recording (truth.yaml), and the errors of an answer against it."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from handeye_ros import se3
+from handeye_ros.config import read_yaml
+from handeye_ros.data import Array, rms
+from handeye_ros.results.calibration_file import transform_from, value_of
+import numpy as np
+
+TRUTH_NAME = 'truth.yaml'
+SIDE_POINTS = 13  # points along each side of the field of view: fewer would be mostly its corners
+FIELD_TEXT = 'x within +-20 mm, range 160-190 mm'
+
+
+def true_transform(bag: Path, corrected: bool = False) -> Array | None:
+    """
+    Return the true T_flange_sensor (4, 4) of a bag, None if it is unknown.
+
+    bag: a rosbag2 folder, or a file in one; corrected: whether the flange is that of the corrected
+    arm. Raises InputError for a damaged truth.yaml.
+    """
+    path = (bag if bag.is_dir() else bag.parent) / TRUTH_NAME
+    if not path.is_file():
+        return None
+    content = value_of(path, 'its content', read_yaml(path), dict)
+    key = 'T_corrected_sensor' if corrected else 'T_flange_sensor'
+    if corrected and key not in content:
+        return None
+    return transform_from(path, key, content.get(key))
+
+
+@dataclass(frozen=True)
+class Errors:
+    """
+    The difference between two transforms.
+
+    translation: metres
+    rotation: radians
+    mapped_points: RMS over the field of view, metres
+    """
+
+    translation: float
+    rotation: float
+    mapped_points: float
+
+
+def errors_against(T_est: Array, T_true: Array, field: Array | None = None) -> Errors:
+    """
+    Return the errors of a transform (4, 4) from the sensor plane against the true one.
+
+    field: points (k, 3) in that plane that are mapped (m), field_points when not given. The RMS
+    of |(T_est - T_true) p| is the error in use; that of the translation alone is dominated by the
+    lever arm of the rotation.
+    """
+    delta, points = se3.difference(T_est, T_true), field_points() if field is None else field
+    distances = np.linalg.norm(se3.apply(T_est, points) - se3.apply(T_true, points), axis=1)
+    return Errors(float(np.linalg.norm(delta[:3])), float(np.linalg.norm(delta[3:])),
+                  rms(distances))
+
+
+def field_points(x: tuple[float, float] = (-0.02, 0.02), z: tuple[float, float] = (0.16, 0.19)
+                 ) -> Array:
+    """Return a grid of points (k, 3) in the sensor plane (m): x along the line, z the range."""
+    along, across = np.meshgrid(np.linspace(*x, SIDE_POINTS), np.linspace(*z, SIDE_POINTS))
+    return np.column_stack([along.ravel(), np.zeros(along.size), across.ravel()])
