@@ -144,8 +144,8 @@ def report(
     from handeye_ros.results import exports
     from handeye_ros.results.calibration_file import file_of, read_calibration
     from handeye_ros.results.report import contradiction, html
-    from handeye_ros.results.verification_file import protocol_of
     from handeye_ros.review import solved_recording
+    from handeye_ros.verification.result_file import protocol_of
     if out:
         html_file(out)
     text = protocol_of(path) if path.is_file() else None
