@@ -4,7 +4,9 @@
 The corrected arm from its data: recordings and sessions, or a table.
 
 They give samples with the joint values of their time; a table has a row for each configuration,
-with the point that the sensor measured there.
+with the point that the sensor measured there. Both are read (source_of, read_table), give the
+hand-eye transform alone (fit_of_sources, fit_of_rows), then the best model of the arm
+(selected_model), and the answer with its calibration (solve_sources, solve_table).
 """
 from __future__ import annotations
 
@@ -39,7 +41,7 @@ from handeye_ros.robot.selection import (
     ArmOutcome,
     joint_notes,
     require_enough,
-    solve,
+    selected_model,
     UNSOLVED,
 )
 from handeye_ros.sampling.edge_shapes import with_common_shape
@@ -114,13 +116,6 @@ def _joints_at(samples: Sequence[Sample], read: Recording, joints: Array) -> Arr
     return np.asarray(spline((np.clip(times, stamps[0], stamps[-1]) - stamps[0]) * 1e-9))
 
 
-def outcome_of(sources: Sequence[Source], arm: Arm) -> ArmOutcome:
-    """Return the corrected arm; raises DataError."""
-    return solve(fit_of_sources(sources, arm), np.concatenate([source.q for source in sources]),
-                 sources[0].problem.config.limits.residual,
-                 lambda joints: max(_median_residual(source, arm, joints) for source in sources))
-
-
 def fit_of_sources(sources: Sequence[Source], arm: Arm) -> ArmFit:
     """Return the hand-eye transform alone, of the stops that agree; raises DataError."""
     measured, estimates = list[ArmProfiles](), list[Estimate]()
@@ -161,8 +156,12 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
     sources: of one sensor on one robot, each with another target or another position of it.
     inputs: further files.
     """
+    config = sources[0].problem.config
     try:
-        outcome = outcome_of(sources, arm)
+        outcome = selected_model(
+            fit_of_sources(sources, arm), np.concatenate([source.q for source in sources]),
+            config.limits.residual,
+            lambda joints: max(_median_residual(source, arm, joints) for source in sources))
     except DataError as error:
         for source in sources if error.reason == UNSOLVED else ():
             require_same_clock(source.session, source.problem.config)
@@ -173,7 +172,7 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
         calibration = replace(first, covariance=cover(first.covariance, covariance))
     else:
         calibration = _combined(calibrations, outcome.chosen.fit.X @ se3.inverse(
-            T_sensor_plane(sources[0].problem.config)), covariance)
+            T_sensor_plane(config)), covariance)
     files = [*(file for source in sources for file in source.inputs), *inputs]
     warnings = dict.fromkeys(words for source in sources for words in source.warnings)
     return ArmAnswer(outcome, replace(calibration, provenance={
@@ -250,7 +249,7 @@ def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, list[str
 def solve_rows(rows: PointRows, arm: Arm, limit: float) -> ArmOutcome:
     """Return the corrected arm; limit: the largest valid residual (m); raises DataError."""
     require_enough(len(rows.q))
-    return solve(fit_of_rows(rows, arm), rows.q, limit, lambda joints: fit_of_rows(
+    return selected_model(fit_of_rows(rows, arm), rows.q, limit, lambda joints: fit_of_rows(
         replace(rows, q=rows.q @ joints.T), arm).residual_rms)
 
 
