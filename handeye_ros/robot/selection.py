@@ -123,8 +123,7 @@ def selected_model(fit: ArmFit, q: Array, limit: float, residual_with: Callable[
               for kinds in ((), (OFFSET,), GEOMETRY)]
     chosen = models[0]
     for richer in models[1:]:
-        if _predicts_better(richer, chosen):
-            chosen = richer
+        chosen = richer if _predicts_better(richer, chosen) else chosen
     _require_same_robot(chosen.fit.arm)
     covariance, smooth = arm_covariance(richest, chosen.fit)
     covariance *= models[-1].variance_ratio

@@ -95,9 +95,8 @@ def source_of(session: Session, read: Recording, arm: Arm, config: Config,
     samples = with_estimated_clocks(samples, config).samples
     problem = problem_of_known_poses(samples, config)
     q = _joints_at(samples, read, read.joints)
-    warnings = (*read.warnings, *session.warnings, *joint_notes(arm, read.joints))
     return Source(session, samples, replace(problem, poses=mount_poses(arm.forward(q), config)), q,
-                  inputs, warnings)
+                  inputs, (*read.warnings, *session.warnings, *joint_notes(arm, read.joints)))
 
 
 def _joints_at(samples: Sequence[Sample], read: Recording, joints: Array) -> Array:
@@ -256,8 +255,7 @@ def solve_rows(rows: PointRows, arm: Arm, limit: float) -> ArmOutcome:
 def fit_of_rows(rows: PointRows, arm: Arm) -> ArmFit:
     """Return the hand-eye transform alone, with the arm as stated, whatever its residuals."""
     parts = [rows.target == k for k in range(len(rows.names))]
-    T = arm.forward(rows.q)
-    T = T if rows.in_hand else se3.inverse(T)
+    T = arm.forward(rows.q) if rows.in_hand else se3.inverse(arm.forward(rows.q))
     largest = max(parts, key=np.count_nonzero)
     X, _ = jing2020.fixed_point_linear(T[largest], rows.points[largest])
     places = se3.apply(T @ X, rows.points[:, None])[:, 0]

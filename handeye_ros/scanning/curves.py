@@ -20,7 +20,6 @@ from scipy.interpolate import BSpline, make_lsq_spline
 
 KNOT_SPACING = 0.03  # m between the knots of a spline
 PIECES_TRIED = 1, 2, 4  # number of pieces between these knots
-ROUND_COUNT = 4  # of leaving out points
 STIFF_ONLY = PIECES_TRIED[:1]
 CUBIC_ENOUGH = 4e-5  # m RMS between cubic and spline, up to which the cubic is used
 OUTLIER_SIGMAS = 3.5  # sigmas of points that are left out
@@ -98,10 +97,9 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> C
     with each coefficient counted 1.5 times (Kim and Gu 2004: 1.4, else too many).
     """
     inliers = np.ones(len(t), dtype=bool)
-    for number in range(1, ROUND_COUNT + 1):
-        # the first round has a stiff one alone, which does not follow outliers
-        tried = pieces[:number]
-        fits = (_spline_through(t[inliers], points[inliers], n) for n in tried)
+    # first a stiff one alone, which does not follow outliers
+    for tried in (pieces[:1], pieces[:2], pieces, pieces):
+        fits = (_spline_through(t[inliers], points[inliers], count) for count in tried)
         curve = min(fits, key=itemgetter(0))[1]
         distance = np.linalg.norm(curve.position(t) - points, axis=1)
         # a flexible one would follow some wrong points in a row, which widen the mean square

@@ -10,6 +10,7 @@ import math
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError, UnknownNameError
+from handeye_ros.published.jing2020 import fit_round
 from handeye_ros.verification.fit import Quantity, Shape, StationSet
 from handeye_ros.verification.tooth_gauge import teeth
 import numpy as np
@@ -98,7 +99,7 @@ def spheres(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     """Return one sphere of each recording; measured: radii, and distances of the centres."""
     p, count = stations.problem.points_in_base(X), len(stations.counts)
     recording = stations.recording_of_point
-    start = np.concatenate([_sphere_through(p[recording == k]) for k in range(count)])
+    start = np.concatenate([fit_round(p[recording == k]) for k in range(count)])
 
     def distance(p: Array, q: Array) -> Array:
         balls = q.reshape(count, 4)[recording]
@@ -114,15 +115,6 @@ def spheres(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     distances = [Quantity(f'distance of balls {k} and {k + 1}', nominal=length,
                           characteristic='SD') for k, length in enumerate(nominal.lengths, 1)]
     return Shape(stations, start, distance, values, (*radii, *distances))
-
-
-def _sphere_through(p: Array) -> Array:
-    """Return centre and radius (4,) of the algebraic sphere fit to points (n, 3)."""
-    middle = p.mean(axis=0)
-    centred = p - middle
-    A = np.column_stack([2 * centred, np.ones(len(p))])
-    x = np.linalg.lstsq(A, (centred ** 2).sum(axis=1), rcond=None)[0]
-    return np.append(x[:3] + middle, np.sqrt(max(x[3] + x[:3] @ x[:3], 1e-12)))
 
 
 @dataclass(frozen=True)
