@@ -261,12 +261,10 @@ def _figures_in(folder: Path) -> JobRow:
         content = read_yaml(file)
         transform = content.get('transform', {})
         config = content.get('provenance', {}).get('config', {})
-        values |= _figures({**content, 'target': config.get('target.type')})
-        values |= _figures(content.get('quality', {}))
-        values |= _figures(transform.get('translation', {}))
+        for part in ({**content, 'target': config.get('target.type')}, content.get('quality', {}),
+                     transform.get('translation', {}), *content.get('checks', ())):
+            values |= _figures(part)
         values |= _figures(transform.get('rotation', {}), 'q')
-        for check in content.get('checks', ()):
-            values |= _figures(check)
         for item in (*content.get('estimators', ()), *content.get('quantities', ())):
             values |= _figures(item, f'{item["name"]} ')
         if 'covariance' in content:

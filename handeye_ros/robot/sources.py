@@ -155,11 +155,10 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
     sources: of one sensor on one robot, each with another target or another position of it.
     inputs: further files.
     """
-    config = sources[0].problem.config
     try:
         outcome = selected_model(
             fit_of_sources(sources, arm), np.concatenate([source.q for source in sources]),
-            config.limits.residual,
+            sources[0].problem.config.limits.residual,
             lambda joints: max(_median_residual(source, arm, joints) for source in sources))
     except DataError as error:
         for source in sources if error.reason == UNSOLVED else ():
@@ -171,7 +170,7 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
         calibration = replace(first, covariance=cover(first.covariance, covariance))
     else:
         calibration = _combined(calibrations, outcome.chosen.fit.X @ se3.inverse(
-            T_sensor_plane(config)), covariance)
+            T_sensor_plane(sources[0].problem.config)), covariance)
     files = [*(file for source in sources for file in source.inputs), *inputs]
     warnings = dict.fromkeys(words for source in sources for words in source.warnings)
     return ArmAnswer(outcome, replace(calibration, provenance={

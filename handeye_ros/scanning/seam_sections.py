@@ -123,12 +123,9 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
     first, last = rough.t[0] - COURSE_OVERHANG, rough.t[-1] + COURSE_OVERHANG
     count = int((last - first) / step)  # the same sections from the other end
     places = 0.5 * (first + last) + step * (np.arange(count) - 0.5 * (count - 1))
-    sections = dict[float, tuple[_SheetEnd, _SheetEnd]]()
-    for t in places.tolist():
-        first_sheet, second_sheet = (
-            _sheet_end(sheets, rough, curve, side, t, step) for side in (0, 1))
-        if first_sheet and second_sheet:
-            sections[t] = first_sheet, second_sheet
+    both_ends = {t: [_sheet_end(sheets, rough, curve, side, t, step) for side in (0, 1)]
+                 for t in places.tolist()}
+    sections = {t: ends for t, ends in both_ends.items() if all(ends)}
     lengths = np.array([*sections] or [first, last])
     missing = np.append(np.diff(lengths) - step, 0.0)
     worst = int(np.argmax(missing))
@@ -139,10 +136,10 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
 
     def of_sheets(name: str) -> Array:
         """Return a value of both sheets in all sections (k, 2, ...)."""
-        return np.array([[getattr(sheet, name) for sheet in both] for both in sections.values()])
+        return np.array([[getattr(sheet, name) for sheet in ends] for ends in sections.values()])
 
     extent = of_sheets('extent')
-    ends = (lengths[0] + extent[0, :, 0].max(), lengths[-1] + extent[-1, :, 1].min())
+    seam_ends = (lengths[0] + extent[0, :, 0].max(), lengths[-1] + extent[-1, :, 1].min())
     # the ends of the sheets in a section of few points are not known well
     filled = np.ptp(extent, axis=2).min(axis=1) > 0.5 * step - sheets.spacing
     end, outwards, normals, noise, resolution_of_ends = (
@@ -159,7 +156,7 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
         [moved[name] - line for moved in moved_lines], axis=(0, 2))))
         for name, line in lines.items()}
     return Edges(lengths[filled], lines, resolution, unit(normals.sum(axis=1)),
-                 float(np.median(noise)), ends)
+                 float(np.median(noise)), seam_ends)
 
 
 def _sheet_end(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step: float
@@ -220,7 +217,7 @@ def _points_of_sheet(sheets: Sheets, this_edge: NDArray[np.intp], other_edge: ND
     if np.isin(labels, sheets.label[other_edge]).any():  # one sheet on both sides
         apart = (sheets.points[this_edge] - sheets.points[other_edge]) @ axes[1]
         beyond = min(0.5 * abs(float(np.median(apart))), beyond)
-    return points[(points[:, 1] <= width) & (points[:, 1] >= -beyond)]
+    return np.asarray(points[(points[:, 1] <= width) & (points[:, 1] >= -beyond)])
 
 
 def _axes(sheets: Sheets, this_edge: NDArray[np.intp], other_edge: NDArray[np.intp],

@@ -183,10 +183,11 @@ class TrackerSession(TableProblem):
             noise = math.hypot(0.0 if is_swept else self.config.tracker.noise,
                                0.0 if part in ('arc', 'line') else self.config.noise.sensor)
             part_is_off = rms(distances[part]) > LARGEST_PART_RMS * noise
-            source = 'profile' if is_swept else 'row'  # one profile matters little
+            # one profile matters little
             row_is_off = not is_swept and residual > LARGEST_ROW_RMS * noise
             if part_is_off or row_is_off:
-                contradicting.append((residual, f'{part} of {source} {sample}'))
+                contradicting.append(
+                    (residual, f'{part} of {"profile" if is_swept else "row"} {sample}'))
         if contradicting:
             distance, worst = max(contradicting)
             raise DataError(

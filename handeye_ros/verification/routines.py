@@ -80,9 +80,8 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     def values(q: Array) -> Array:
         normals, heights = normals_and_heights(q)
         if count == blocks == 2:
-            first, second = normals
-            return np.array([np.arctan2(
-                np.linalg.norm(np.cross(first, second)), -(first @ second))])
+            across, along = np.linalg.norm(np.cross(*normals)), -(normals[0] @ normals[1])
+            return np.array([np.arctan2(across, along)])
         in_base = (middles * normals).sum(axis=1) + heights
         return np.asarray((in_base - in_base[np.searchsorted(block, block)])[face > 0])
 

@@ -111,36 +111,33 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
     two recordings are one.
     """
     stations.require_enough(others)
-    config = stations.problem.config
+    config, limits = stations.problem.config, stations.problem.config.verify
     stops = np.column_stack([stations.stamps, stations.problem.poses.reshape(-1, 16)])
     if len(np.unique(stops, axis=0)) < len(stops):
         raise InputError('two recordings hold the same stops: give one recording of each face, '
                          'ball or pass')
     X = calibration.T_flange_sensor @ T_sensor_plane(config)
     smooth_std = float(calibration.target.get('robot_position_error', 0.0))
-
     (shape, fit), p, dropped = fit_without_outliers(
         np.unique(stations.group_of_point), lambda groups: fit_shape(
-            routine.shape(stations.of_groups(groups), X, config.verify), X,
+            routine.shape(stations.of_groups(groups), X, limits), X,
             calibration.covariance, smooth_std))
     if max(fit.scatter.p, fit.error.p_explained) < UNEXPLAINED_P and not routine.in_passes:
         freed = refit_shape(shape, X, calibration.covariance, smooth_std)
-        farthest = freed.scatter.maximum
-        if freed.error.p_explained < UNEXPLAINED_P and farthest > config.verify.tolerance:
+        if freed.error.p_explained < UNEXPLAINED_P and freed.scatter.maximum > limits.tolerance:
             raise DataError(
                 f'this is not what "{routine.name}" measures: no error of the calibration brings '
-                f'all points closer than {mm(farthest)} to its shape. Check which '
+                f'all points closer than {mm(freed.scatter.maximum)} to its shape. Check which '
                 'object was under the sensor, that it did not move, that nothing else was in view '
                 '(verify.near), and, of a sweep, that the clocks are as they were (handeye check)')
     quantities = (*fit.quantities, *routine.scatter(shape.stations, fit.distances))
     per_station = _station_results(stations, shape.stations, fit, p, dropped)
-    verdict, reasons = _decide(fit, quantities, per_station, config.verify, smooth_std)
+    verdict, reasons = _decide(fit, quantities, per_station, limits, smooth_std)
     return Verification(
-        routine.name, calibration.name, verdict, reasons, config.verify.tolerance,
-        config.verify.angle_tolerance, len(np.unique(shape.stations.observations.station)),
-        quantities, fit, per_station, stations.surface, says=routine.says,
-        recorded=output.time_of(int(stations.stamps.min())), certificate=config.verify.certificate,
-        record=dict(config.record))
+        routine.name, calibration.name, verdict, reasons, limits.tolerance, limits.angle_tolerance,
+        len(np.unique(shape.stations.observations.station)), quantities, fit, per_station,
+        stations.surface, routine.says, output.time_of(int(stations.stamps.min())),
+        limits.certificate, dict(config.record))
 
 
 def _station_results(stations: StationSet, used: StationSet, fit: ShapeFit,
