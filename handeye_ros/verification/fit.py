@@ -336,9 +336,9 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0
     r, J = white(linear.residuals), white(linear.jacobian[:, 6:])
     E = np.hstack([white(linear.jacobian[:, :6]), white(by_robot)])
     claim = scipy.linalg.block_diag(root_of(C), np.eye(by_robot.shape[1]))
-    quantities, deviation, deviation_wrt_errors, region = _values(shape, q, J, E, claim)
-    # what the shape does not take up
     gain = np.asarray(np.linalg.pinv(J), dtype=float)
+    quantities, deviation, deviation_wrt_errors, region = _values(shape, q, J, gain, E, claim)
+    # what the shape does not take up
     r_left, E_left, freedom = r - J @ (gain @ r), E - J @ (gain @ E), max(len(r) - len(gain), 1)
     fit = ShapeFit(
         quantities, _scatter(linear.residuals, likeliest(E_left @ claim, r_left)[2], freedom),
@@ -348,7 +348,7 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0
         error=_calibration_error(
             np.vstack([E_left, -deviation_wrt_errors]), np.append(r_left, deviation),
             freedom + len(deviation), linear))
-    # shape and calibration may be anything
+    # the test for outliers leaves shape and calibration free
     unknowns = np.hstack([J, E[:, :6]])
     unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
     return GroupFit((shape, fit), r, np.hstack([unknowns, E[:, 6:]]), stations.group_of_point)
@@ -383,7 +383,11 @@ def _calibration_error(A: Array, b: Array, conditions: int, linear: Linear) -> C
 
 
 def _distance_stds(linear: Linear, groups: Sequence[StationGroup], by_robot: Array) -> Array:
-    """Return 1 sigma (m,) of distances by the sensor, and by the robot: smoothly (m, s) too."""
+    """
+    Return 1 sigma (m,) of the distances due to sensor and robot.
+
+    by_robot: (m, s) derivatives by the smooth errors of the robot, which are of unit variance.
+    """
     variances = np.square(by_robot).sum(axis=1)
     for group in groups:
         variances[group.rows] += np.einsum('nii->ni', _covariance(linear, group))
@@ -412,18 +416,18 @@ def likeliest(A: Array, b: Array, information: Array | float = 1.0
     return x, covariance, float(b @ b - explained @ x)
 
 
-def _values(shape: Shape, q: Array, J: Array, E: Array, claim: Array
+def _values(shape: Shape, q: Array, J: Array, gain: Array, E: Array, claim: Array
             ) -> tuple[tuple[Quantity, ...], Array, Array, float]:
     """
     Return the measured quantities of a shape q (k,), and how the v with a nominal value deviate.
 
     That is the white deviations (v,), their derivatives (v, 6 + s) by the errors, and the region
-    of a ShapeFit. J, E: derivatives of the white distances by shape and errors; claim: root of the
-    covariance of the errors.
+    of a ShapeFit. J, E: derivatives of the white distances by shape and errors; gain: pinv(J);
+    claim: root of the covariance of the errors.
     """
     certificate = shape.stations.problem.config.verify.certificate  # U of nominal lengths
     values, wrt_shape = shape.values(q), derivatives(shape.values, q)
-    wrt_distances = wrt_shape @ np.asarray(np.linalg.pinv(J), dtype=float)
+    wrt_distances = wrt_shape @ gain
     wrt_errors = wrt_distances @ E
     by_claim, by_smooth = np.split(wrt_errors @ claim, [6], axis=1)
     covariance, claimed = wrt_distances @ wrt_distances.T, by_claim @ by_claim.T

@@ -36,6 +36,7 @@ ONE_SIDED_95 = 1.64
 SIGNIFICANCE = 0.01  # level of the tests of a calibration error
 INCONSISTENT_P = 1e-3  # level of the test that the points agree
 UNEXPLAINED_P = 1e-6  # below this p no error of the calibration explains the points
+# decisions of ISO 14253-1
 CONFORMS, VIOLATES, UNDECIDED = 'conforms', 'does not conform', 'not decided'
 
 
