@@ -69,7 +69,7 @@ def two_frames(seed: int) -> dict[str, np.ndarray]:
     base = rng.uniform(-0.15, 0.15, (10, 3))
     exact = se3.apply(se3.inverse(T), base)
     camera = exact + 3e-5 * rng.normal(size=(10, 3))
-    found = {'points': PointPairs(Config(), camera, base).solve().X,
+    found = {'points': PointPairs(Config(), camera, base).estimate().X,
              'Wu 2017, best of 210': wu2017.solve(camera, base).T_base_camera}
     return {name: trials.errors(X, T, exact) for name, X in found.items()}
 
@@ -115,7 +115,7 @@ class Poses:
         config = with_values(Config(), {
             'calibration_type': 'eye_on_base' if self.on_base else 'eye_in_hand'}, 'cell')
         poses = PosePairs(config, views, T)
-        yield 'A X = X B', poses.solve().X
+        yield 'A X = X B', poses.estimate().X
         (camera, camera_turn), (robot, robot_turn) = np.square([self.camera, self.robot])
         known, _ = poses.fit_with_variances(poses.state_of(poses.closed_form()), np.array(
             [camera + robot, camera_turn, robot_turn]))

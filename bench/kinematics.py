@@ -26,7 +26,7 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mount_poses
 from handeye_ros.robot.estimate import ArmFit, ArmPoints, with_estimated_weights
-from handeye_ros.robot.selection import ArmOutcome, solve
+from handeye_ros.robot.selection import ArmOutcome, selected_model
 from handeye_ros.robot.sources import fit_of_sources, PointRows, solve_rows, Source
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import recording as cells
@@ -239,7 +239,7 @@ def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
     start = fit_of_sources(sources, arm_of(robot.URDF))
     used = np.concatenate([np.arange(len(one.q)) < 0.75 * len(one.q) for one in start.measured])
     fit = with_estimated_weights(replace(start, used=used))
-    outcome = solve(fit, start.q[used], LIMIT, lambda joints: fit.residual_rms)
+    outcome = selected_model(fit, start.q[used], LIMIT, lambda joints: fit.residual_rms)
     before, after = (float(np.sqrt((m.fit.distances[~used] ** 2).mean())) * 1e3
                      for m in (outcome.models[0], outcome.chosen))
     away = se3.difference(outcome.chosen.fit.X, cell.arm.flange @ cell.T_mount_sensor)

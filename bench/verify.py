@@ -306,9 +306,9 @@ def runs(routine: Routine, made: Artefact, found: tuple[Calibration, ...], aim: 
 
 
 def within(found: Verification) -> bool:
-    if not found.freedom:
-        return found.scatter.p > 0.05
-    return bool(found.region <= chi2.ppf(0.95, found.freedom))
+    if not found.fit.freedom:
+        return found.fit.scatter.p > 0.05
+    return bool(found.fit.region <= chi2.ppf(0.95, found.fit.freedom))
 
 
 def trial(name: str, seed: int, scenes: dict = SCENES) -> tuple[Verification, Verification]:
@@ -418,7 +418,7 @@ def main() -> None:
         trials = [trial(name, seed, RENDERED if given.rendered else SCENES) for seed in seeds]
         inside = np.mean([within(right) for right, _ in trials])
         failed = np.mean([wrong.verdict == 'fail' for _, wrong in trials])
-        smallest_error = np.median([right.smallest_error for right, _ in trials])
+        smallest_error = np.median([right.fit.error.detectable for right, _ in trials])
         verdicts = Counter(right.verdict for right, _ in trials)
         result = ', '.join(f'{count} {verdict}' for verdict, count in verdicts.most_common())
         print(f'{name:9} {inside:6.1%} {failed:11.1%} {1e3 * smallest_error:13.3f}  {result}',

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,7 +25,7 @@ from handeye_ros.output import csv_text, rendered, write_atomically
 from handeye_ros.tables import Table
 from handeye_ros.trend import AXES
 
-Row: TypeAlias = dict[str, Any]
+JobRow: TypeAlias = dict[str, Any]
 Verb: TypeAlias = Callable[[list[str]], int]
 
 LIST_COLUMNS = {'bag', 'label', 'config', 'settings', 'args'}  # of a list
@@ -183,7 +183,7 @@ def client_of(scheduler: str) -> Iterator[Any]:
 
 
 def results_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'local'
-               ) -> Iterator[Row]:
+               ) -> Iterator[JobRow]:
     """
     Yield the row of each job: of the unchanged at once, of the others when they are done.
 
@@ -216,7 +216,7 @@ def results_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'loc
                 'cause': f'{type(error).__name__}: {error}', 'computed': True}
 
 
-def unchanged(job: Job, out: Path) -> Row | None:
+def unchanged(job: Job, out: Path) -> JobRow | None:
     """Return the row of a job from its folder below out if it would be computed from the same."""
     try:
         previous = json.loads((out / job.label / JOB_FILE).read_text(encoding='utf-8'))
@@ -227,7 +227,7 @@ def unchanged(job: Job, out: Path) -> Row | None:
     return {**previous['row'], 'computed': False} if same else None
 
 
-def run(job: Job, out: Path, verb: Verb) -> Row:
+def run(job: Job, out: Path, verb: Verb) -> JobRow:
     """Return the row of a job after running it; its folder below out appears whole or not."""
     folder = out / job.label
     unfinished = folder.with_name(f'.{folder.name}.handeye-batch')
@@ -254,36 +254,39 @@ def run(job: Job, out: Path, verb: Verb) -> Row:
     return {**row, 'computed': True}
 
 
-def _figures_in(folder: Path) -> Row:
+def _figures_in(folder: Path) -> JobRow:
     """Return the numbers and WORD_KEYS of the result in a folder, by column."""
-    values: Row = {}
+    values: JobRow = {}
     for file in sorted(folder.glob('*.yaml')):
         content = read_yaml(file)
         transform = content.get('transform', {})
         config = content.get('provenance', {}).get('config', {})
-        groups = [('', {**content, 'target': config.get('target.type')}),
-                  ('', content.get('quality', {})), ('', transform.get('translation', {})),
-                  ('q', transform.get('rotation', {})),
-                  *(('', check) for check in content.get('checks', ())),
-                  *((f'{item["name"]} ', item)
-                    for kind in ('estimators', 'quantities') for item in content.get(kind, ()))]
-        values |= {f'{prefix}{name}': value for prefix, group in groups
-                   for name, value in group.items()
-                   if isinstance(value, (int, float)) or name in WORD_KEYS and value}
+        for part in ({**content, 'target': config.get('target.type')}, content.get('quality', {}),
+                     transform.get('translation', {}), *content.get('checks', ())):
+            values |= _figures(part)
+        values |= _figures(transform.get('rotation', {}), 'q')
+        for item in (*content.get('estimators', ()), *content.get('quantities', ())):
+            values |= _figures(item, f'{item["name"]} ')
         if 'covariance' in content:
             values |= {f'std_{axis}': content['covariance'][7 * k] ** 0.5
                        for k, axis in enumerate(AXES)}
     return values
 
 
-def outcome_of(row: Row) -> str:
+def _figures(content: Mapping[str, Any], prefix: str = '') -> JobRow:
+    """Return the numbers and WORD_KEYS directly in a mapping, by their names after a prefix."""
+    return {f'{prefix}{name}': value for name, value in content.items()
+            if isinstance(value, (int, float)) or name in WORD_KEYS and value}
+
+
+def outcome_of(row: JobRow) -> str:
     """Return the result of a job in one word."""
     if row['exit_code'] == 0:
         return 'warning' if row.get('warnings') else 'pass'
     return {1: 'failed or changed', 2: 'unreadable', 3: 'refused'}.get(row['exit_code'], 'crashed')
 
 
-def write_table(rows: Sequence[Row], out: Path) -> None:
+def write_table(rows: Sequence[JobRow], out: Path) -> None:
     """Write results.csv and report.html; raises UnwritableError."""
     rows = sorted(rows, key=lambda row: row['label'])
     names = list(dict.fromkeys(name for row in rows for name in row))
@@ -291,7 +294,7 @@ def write_table(rows: Sequence[Row], out: Path) -> None:
                      csv_text(names, ([row.get(name) for name in names] for row in rows)))
     worst_first = sorted(rows, key=lambda row: (
         -row['exit_code'], -(row.get('residual_rms') or row.get('rms') or 0.0)))
-    causes: dict[str, list[Row]] = {}
+    causes: dict[str, list[JobRow]] = {}
     for row in worst_first:
         if row.get('cause'):
             causes.setdefault(without_numbers(row['cause']), []).append(row)

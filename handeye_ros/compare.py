@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 import math
 import time
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.calibration import measured_points
@@ -30,7 +30,7 @@ from handeye_ros.results.table import figures_table
 from handeye_ros.results.truth import errors_against, field_points, FIELD_TEXT
 from handeye_ros.sampling.session import Session
 from handeye_ros.tabulated.pairs import PairedRows, PosePairs
-from handeye_ros.tabulated.values import solve, TableProblem
+from handeye_ros.tabulated.values import answer_table, TableProblem
 from handeye_ros.targets import line, plate, TARGETS
 import numpy as np
 from numpy.typing import NDArray
@@ -68,15 +68,15 @@ class ComparedStations:
     estimate: Estimate
     noise: Noise
 
-    field_text = FIELD_TEXT
+    field_text: ClassVar[str] = FIELD_TEXT
 
     def __len__(self) -> int:
         """Return the number of stations."""
         return len(self.samples)
 
     @property
-    def T_sensor_plane(self) -> Array:
-        """Return T_sensor_plane (4, 4), of the sensor plane in which X and field are."""
+    def T_sensor_values(self) -> Array:
+        """Return the sensor plane (4, 4), in which X and field are, in the sensor."""
         return T_sensor_plane(self.config)
 
     def field(self) -> Array:
@@ -184,7 +184,7 @@ def _zheng(stations: ComparedStations) -> Array:
 
 
 def _from_files(pairs: PairedRows) -> Array:
-    answer = solve(pairs)
+    answer = answer_table(pairs)
     answer.require_trusted(pairs)
     return answer.X
 
@@ -290,8 +290,8 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
         stations = ComparedStations(used, config, solution.problem, solution.estimate,
                                     solution.noise)
         return OwnAnswer(stations, solution.estimate.X, answer.refusal)
-    return _compared(config.target.type, solve_own, len(samples) + len(rejects), T_true, folds,
-                     progress)
+    return _comparison(config.target.type, solve_own, len(samples) + len(rejects), T_true, folds,
+                       progress)
 
 
 def compare_files(given: TableProblem, T_true: Array | None = None, folds: int = FOLD_COUNT,
@@ -302,17 +302,17 @@ def compare_files(given: TableProblem, T_true: Array | None = None, folds: int =
                          '"handeye solve"')
 
     def solve_own() -> OwnAnswer:
-        answer, refusal = solve(given), None
+        answer, refusal = answer_table(given), None
         try:
             answer.require_trusted(given)
         except DataError as error:
             refusal = error
         return OwnAnswer(given.subset(np.flatnonzero(answer.used)), answer.X, refusal)
-    return _compared(given.name, solve_own, len(given), T_true, folds, progress)
+    return _comparison(given.name, solve_own, len(given), T_true, folds, progress)
 
 
-def _compared(target: str, solve_own: Callable[[], OwnAnswer], count: int, T_true: Array | None,
-              folds: int, progress: Progress) -> Comparison:
+def _comparison(target: str, solve_own: Callable[[], OwnAnswer], count: int,
+                T_true: Array | None, folds: int, progress: Progress) -> Comparison:
     """Return the rows of the target's own method, and of the others; count: of all samples."""
     own_method, *others = ESTIMATORS[target]
     progress(target)
@@ -323,10 +323,10 @@ def _compared(target: str, solve_own: Callable[[], OwnAnswer], count: int, T_tru
         every, errors, left_out = np.arange(len(data)), {}, None
         if T_true is not None:
             errors = {f'error_{name}': value for name, value in asdict(
-                errors_against(X, T_true @ data.T_sensor_plane, data.field())).items()}
+                errors_against(X, T_true @ data.T_sensor_values, data.field())).items()}
         if folds and estimator.refit:
             left_out = _left_out(data, estimator, min(folds, len(data)), progress)
-        return Row(estimator.name, seconds, X @ se3.inverse(data.T_sensor_plane), '',
+        return Row(estimator.name, seconds, X @ se3.inverse(data.T_sensor_values), '',
                    rms(data.residuals(X, every, every)), left_out, **errors)
 
     seconds = time.perf_counter() - start

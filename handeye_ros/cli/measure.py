@@ -77,11 +77,11 @@ def verify(
     a routine needs.
     """
     from handeye_ros.output import html_file, write_atomically
-    from handeye_ros.results import verification_file
     from handeye_ros.results.calibration_file import file_of
-    from handeye_ros.verification import verify as verification
+    from handeye_ros.verification import result_file
     from handeye_ros.verification.routines import routine_of, settings_for
     from handeye_ros.verification.stations import stations_of, stations_of_passes
+    from handeye_ros.verification.verify import verify as verified
     if protocol:
         html_file(protocol)
     routine = routine_of(name)
@@ -92,12 +92,12 @@ def verify(
     else:
         samples, rejects = zip(*(_stops(bag, opened, settings) for bag in bags), strict=True)
         measured = stations_of(routine, samples, opened, settings)
-    result = verification.verify(routine, measured, opened, list(chain(*rejects)))
-    content = verification.plain_values(result, bags, file_of(calibration))
-    show(verification_file.table(content))
+    result = verified(routine, measured, opened, list(chain(*rejects)))
+    content = result_file.plain_values(result, bags, file_of(calibration))
+    show(result_file.table(content))
     write_yaml(out, content)
     if protocol:
-        write_atomically(protocol, verification_file.protocol(content))
+        write_atomically(protocol, result_file.protocol(content))
     for sentence in (*filter(None, [result.surface]), result.verdict, *result.reasons):
         typer.echo(sentence)
     if result.verdict != 'pass':

@@ -57,7 +57,7 @@ def solve(
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
     T_true, causes = true_transform(path, bool(settings.kinematics)), None
     if opened.table:
-        from handeye_ros.tabulated.values import calibrate as calibrate_table
+        from handeye_ros.tabulated.values import calibrate_table
         if budget:
             raise InputError('--budget is of the profiles of a recording; the answer from a table '
                              'states its covariance only')
@@ -83,7 +83,7 @@ def solve(
     if causes:
         show(causes)
     if T_true is not None:
-        T_plane = opened.table.T_sensor_plane if opened.table else T_sensor_plane(settings)
+        T_plane = opened.table.T_sensor_values if opened.table else T_sensor_plane(settings)
         errors = errors_against(calibration.T_flange_sensor @ T_plane, T_true @ T_plane,
                                 opened.table.field() if opened.table else None)
         region = opened.table.field_text if opened.table else 'the field of view'
@@ -145,8 +145,8 @@ def report(
     from handeye_ros.results import exports
     from handeye_ros.results.calibration_file import file_of, read_calibration
     from handeye_ros.results.report import contradiction, html
-    from handeye_ros.results.verification_file import protocol_of
     from handeye_ros.review import solved_recording
+    from handeye_ros.verification.result_file import protocol_of
     if out:
         html_file(out)
     text = protocol_of(path) if path.is_file() else None

@@ -27,7 +27,7 @@ from handeye_ros.errors import NoRosError, UnknownNameError
 import typer
 
 if TYPE_CHECKING:
-    from handeye_ros.batch import Row
+    from handeye_ros.batch import JobRow
 
 PREFORM_FILE = 'preform.ply'
 BATCH_VERBS = ('solve', 'verify', 'check', 'compare')  # that batch runs
@@ -112,7 +112,7 @@ def batch(
     if all(job.words == words for job in jobs):
         configuration(config, assignments)  # an error in it concerns all jobs
     out = out.absolute()
-    rows: list[Row] = []
+    rows: list[JobRow] = []
     with write_errors_for(out):
         out.mkdir(parents=True, exist_ok=True)
     try:
@@ -190,7 +190,14 @@ def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> 
     from handeye_ros.output import yaml_text
     from handeye_ros.results.truth import TRUTH_NAME
     from handeye_ros.scanning.cloud import write_cloud
-    from handeye_ros.simulate import FAULTS, FILE_SCENES, measuring, SCENARIOS, simulate
+    from handeye_ros.simulate import (
+        FAULTS,
+        FILE_SCENES,
+        measuring,
+        SCENARIOS,
+        simulate,
+        Simulated,
+    )
     import numpy as np
     from numpy.lib.recfunctions import unstructured_to_structured
     rng = np.random.default_rng(seed)
@@ -220,6 +227,7 @@ def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> 
                                force=force)
         return ', '.join(simulated.tables)
     bag_write.write(folder, simulated.profiles, simulated.poses, truth=truth,
-                    tables=simulated.tables, force=force, joints=simulated.joints)
+                    tables=simulated.tables, force=force,
+                    joints=simulated.joints if isinstance(simulated, Simulated) else ())
     return ', '.join([f'{len(simulated.profiles)} profiles', f'{len(simulated.poses)} poses',
                       *simulated.tables])

@@ -18,11 +18,11 @@ from handeye_ros.output import yaml_text
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.table import sample_summary
-from handeye_ros.results.verification_file import sentence
 from handeye_ros.sampling.stops import Stop
+from handeye_ros.verification.result_file import plain_values, sentence
 from handeye_ros.verification.routines import Routine, routine_of, settings_for
 from handeye_ros.verification.stations import stations_of
-from handeye_ros.verification.verify import plain_values, Verification, verify
+from handeye_ros.verification.verify import Verification, verify
 
 if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession

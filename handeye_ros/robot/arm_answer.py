@@ -54,7 +54,7 @@ class ArmAnswer:
         """Return of each joint what the URDF states, and value, std and known by kind of error."""
         arm, entries = self.outcome.arm, []
         columns = {'value': arm.values, 'std': np.sqrt(np.diag(arm.covariance)),
-                   'known': self.outcome.known}
+                   'known': self.outcome.posterior_share}
         joint_of, column_of = np.nonzero(arm.free)
         for j, joint in enumerate(arm.joints):
             rows_of = {kind: (joint_of == j) & (ERROR_KINDS[column_of] == kind)

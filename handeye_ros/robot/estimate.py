@@ -302,7 +302,7 @@ def with_estimated_weights(fit: ArmFit, conservative: bool = False, rounds: int 
     return fit
 
 
-def without_outliers(fit: ArmFit) -> ArmFit:
+def without_bad_stops(fit: ArmFit) -> ArmFit:
     """Return a fit without the stops that the others do not predict."""
     stops = np.arange(len(fit.q))
 
@@ -323,7 +323,7 @@ def with_arm(fit: ArmFit, arm: Arm) -> ArmFit:
     return replace(fit, variances=np.ones(len(set(fit.kind_numbers)))).solved()
 
 
-def reported_covariance(fit: ArmFit, chosen: ArmFit) -> tuple[Array, float]:
+def arm_covariance(fit: ArmFit, chosen: ArmFit) -> tuple[Array, float]:
     """
     Return the covariance (6 + k, 6 + k) of X and the errors of the arm in a chosen fit.
 

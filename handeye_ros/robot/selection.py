@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import reduce
 import math
 
 from handeye_ros.arm import (
@@ -29,12 +28,12 @@ from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.robot.estimate import (
+    arm_covariance,
     ArmFit,
     MINIMUM,
-    reported_covariance,
     with_arm,
     with_estimated_weights,
-    without_outliers,
+    without_bad_stops,
 )
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +79,7 @@ class ArmOutcome:
 
     arm: with its k errors, their covariance, and where they were found
     covariance: (6, 6) of X
-    known: (k,) posterior over prior sigma of each error
+    posterior_share: (k,) posterior over prior sigma of each error
     smooth: RMS of the smooth remaining error of the robot, per axis (m)
     notes: sentences
     """
@@ -89,7 +88,7 @@ class ArmOutcome:
     chosen: Model
     arm: Arm
     covariance: Array
-    known: Array
+    posterior_share: Array
     smooth: float
     notes: tuple[str, ...]
 
@@ -103,10 +102,10 @@ def require_enough(usable: int) -> None:
 
 
 @single_threaded
-def solve(fit: ArmFit, q: Array, limit: float, residual_with: Callable[[Array], float]
-          ) -> ArmOutcome:
+def selected_model(fit: ArmFit, q: Array, limit: float, residual_with: Callable[[Array], float]
+                   ) -> ArmOutcome:
     """
-    Return the corrected arm and its hand-eye transform; raises DataError.
+    Return the corrected arm and its hand-eye transform by the best model; raises DataError.
 
     fit: the hand-eye transform alone with the arm as stated, of stops that agree; q: (n, joints)
     of all stops; limit: the largest valid residual (m); residual_with(joints): the residual (m)
@@ -116,19 +115,21 @@ def solve(fit: ArmFit, q: Array, limit: float, residual_with: Callable[[Array], 
     if fit.used.sum() < max(MINIMUM, LEAST_AGREEING * len(q)) or (
             fit.residual_rms > HOPELESS_FACTOR * limit):
         raise _contradiction(stated, q, limit, residual_with)
-    richest = without_outliers(with_arm(fit, stated.freed(GEOMETRY)))
+    richest = without_bad_stops(with_arm(fit, stated.freed(GEOMETRY)))
     if richest.residual_rms > limit or richest.used.mean() < LEAST_AGREEING:
         raise _contradiction(stated, q, limit, residual_with)
     agreed, fold = replace(fit, used=richest.used), _regions(fit.q)
     models = [_validated(with_estimated_weights(with_arm(agreed, stated.freed(kinds))), fold)
               for kinds in ((), (OFFSET,), GEOMETRY)]
-    chosen = reduce(_better, models)
+    chosen = models[0]
+    for richer in models[1:]:
+        chosen = richer if _predicts_better(richer, chosen) else chosen
     _require_same_robot(chosen.fit.arm)
-    covariance, smooth = reported_covariance(richest, chosen.fit)
+    covariance, smooth = arm_covariance(richest, chosen.fit)
     covariance *= models[-1].variance_ratio
     arm = replace(chosen.fit.arm, covariance=covariance[6:, 6:], configurations=fit.q)
-    return ArmOutcome(tuple(models), chosen, arm, covariance[:6, :6], _known(chosen.fit), smooth,
-                      tuple(_notes(models, chosen)))
+    return ArmOutcome(tuple(models), chosen, arm, covariance[:6, :6],
+                      _posterior_share(chosen.fit), smooth, tuple(_notes(models, chosen)))
 
 
 def _regions(q: Array, most: int = REGION_COUNT) -> NDArray[np.intp]:
@@ -157,14 +158,14 @@ def _validated(fit: ArmFit, fold: NDArray[np.intp]) -> Model:
     return Model(fit, errors, variance_ratio)
 
 
-def _better(simpler: Model, model: Model) -> Model:
-    """Return the model if it predicts left-out stops better by more than one standard error."""
-    used = model.fit.used
-    gain = simpler.left_out[used] ** 2 - model.left_out[used] ** 2
-    return model if gain.mean() > gain.std() / len(gain) ** 0.5 else simpler
+def _predicts_better(richer: Model, simpler: Model) -> bool:
+    """Return whether a model predicts left-out stops better by more than one standard error."""
+    used = richer.fit.used
+    gain = simpler.left_out[used] ** 2 - richer.left_out[used] ** 2
+    return bool(gain.mean() > gain.std() / len(gain) ** 0.5)
 
 
-def _known(fit: ArmFit) -> Array:
+def _posterior_share(fit: ArmFit) -> Array:
     """Return the posterior over the prior sigma (k,) of the errors, with the priors as stated."""
     stated = replace(fit, variances=np.ones_like(fit.variances))
     return np.sqrt(np.diag(stated.covariance)[6:6 + len(stated.stds)]) / stated.stds
@@ -217,7 +218,7 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
 
 def _contradiction(arm: Arm, q: Array, limit: float, residual_with: Callable[[Array], float]
                    ) -> DataError:
-    """Return the refusal of stops that no arm explains, with the likely cause; see solve."""
+    """Return the refusal of stops that no arm explains, as selected_model, with its cause."""
     stated = residual_with(np.eye(len(arm.joints)))
     cause = ('check that the URDF is of this robot, --base and --flange, the sign of each '
              'joint, all units, calibration_type, and that the target is the stated one and fixed')
@@ -233,7 +234,7 @@ def _contradiction(arm: Arm, q: Array, limit: float, residual_with: Callable[[Ar
 
 
 def _changes(arm: Arm, q: Array) -> Iterator[tuple[str, Array]]:
-    """Yield possible errors of joint values q in words, and what undoes them; see solve."""
+    """Yield possible errors of joint values q in words, and the matrix that undoes each."""
     joints, identity = arm.joints, np.eye(len(arm.joints))
     revolute = np.array([joint.kind == REVOLUTE for joint in joints])
     words, unit = (('degrees stated as radians', math.radians(1))

@@ -4,7 +4,9 @@
 The corrected arm from its data: recordings and sessions, or a table.
 
 They give samples with the joint values of their time; a table has a row for each configuration,
-with the point that the sensor measured there.
+with the point that the sensor measured there. Both are read (source_of, read_table), give the
+hand-eye transform alone (fit_of_sources, fit_of_rows), then the best model of the arm
+(selected_model), and the answer with its calibration (solve_sources, solve_table).
 """
 from __future__ import annotations
 
@@ -39,7 +41,7 @@ from handeye_ros.robot.selection import (
     ArmOutcome,
     joint_notes,
     require_enough,
-    solve,
+    selected_model,
     UNSOLVED,
 )
 from handeye_ros.sampling.edge_shapes import with_common_shape
@@ -93,9 +95,8 @@ def source_of(session: Session, read: Recording, arm: Arm, config: Config,
     samples = with_estimated_clocks(samples, config).samples
     problem = problem_of_known_poses(samples, config)
     q = _joints_at(samples, read, read.joints)
-    warnings = (*read.warnings, *session.warnings, *joint_notes(arm, read.joints))
     return Source(session, samples, replace(problem, poses=mount_poses(arm.forward(q), config)), q,
-                  inputs, warnings)
+                  inputs, (*read.warnings, *session.warnings, *joint_notes(arm, read.joints)))
 
 
 def _joints_at(samples: Sequence[Sample], read: Recording, joints: Array) -> Array:
@@ -113,13 +114,6 @@ def _joints_at(samples: Sequence[Sample], read: Recording, joints: Array) -> Arr
             'and profiles must be recorded together, with clocks that agree')
     spline = PchipInterpolator((stamps - stamps[0]) * 1e-9, joints[first])
     return np.asarray(spline((np.clip(times, stamps[0], stamps[-1]) - stamps[0]) * 1e-9))
-
-
-def outcome_of(sources: Sequence[Source], arm: Arm) -> ArmOutcome:
-    """Return the corrected arm; raises DataError."""
-    return solve(fit_of_sources(sources, arm), np.concatenate([source.q for source in sources]),
-                 sources[0].problem.config.limits.residual,
-                 lambda joints: max(_median_residual(source, arm, joints) for source in sources))
 
 
 def fit_of_sources(sources: Sequence[Source], arm: Arm) -> ArmFit:
@@ -163,7 +157,10 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
     inputs: further files.
     """
     try:
-        outcome = outcome_of(sources, arm)
+        outcome = selected_model(
+            fit_of_sources(sources, arm), np.concatenate([source.q for source in sources]),
+            sources[0].problem.config.limits.residual,
+            lambda joints: max(_median_residual(source, arm, joints) for source in sources))
     except DataError as error:
         for source in sources if error.reason == UNSOLVED else ():
             require_same_clock(source.session, source.problem.config)
@@ -251,15 +248,14 @@ def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, list[str
 def solve_rows(rows: PointRows, arm: Arm, limit: float) -> ArmOutcome:
     """Return the corrected arm; limit: the largest valid residual (m); raises DataError."""
     require_enough(len(rows.q))
-    return solve(fit_of_rows(rows, arm), rows.q, limit, lambda joints: fit_of_rows(
+    return selected_model(fit_of_rows(rows, arm), rows.q, limit, lambda joints: fit_of_rows(
         replace(rows, q=rows.q @ joints.T), arm).residual_rms)
 
 
 def fit_of_rows(rows: PointRows, arm: Arm) -> ArmFit:
     """Return the hand-eye transform alone, with the arm as stated, whatever its residuals."""
     parts = [rows.target == k for k in range(len(rows.names))]
-    T = arm.forward(rows.q)
-    T = T if rows.in_hand else se3.inverse(T)
+    T = arm.forward(rows.q) if rows.in_hand else se3.inverse(arm.forward(rows.q))
     largest = max(parts, key=np.count_nonzero)
     X, _ = jing2020.fixed_point_linear(T[largest], rows.points[largest])
     places = se3.apply(T @ X, rows.points[:, None])[:, 0]

@@ -97,8 +97,9 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> C
     with each coefficient counted 1.5 times (Kim and Gu 2004: 1.4, else too many).
     """
     inliers = np.ones(len(t), dtype=bool)
-    for choices in range(1, 5):  # first a stiff one alone, which does not follow outliers
-        fits = (_spline_through(t[inliers], points[inliers], n) for n in pieces[:choices])
+    # first a stiff one alone, which does not follow outliers
+    for tried in (pieces[:1], pieces[:2], pieces, pieces):
+        fits = (_spline_through(t[inliers], points[inliers], count) for count in tried)
         curve = min(fits, key=itemgetter(0))[1]
         distance = np.linalg.norm(curve.position(t) - points, axis=1)
         # a flexible one would follow some wrong points in a row, which widen the mean square

@@ -224,15 +224,15 @@ def course(sheets: Sheets, widest: float, up: Array) -> Course:
     widest: largest distance between its edges (m); up: (3,) towards the tool. Raises DataError.
     """
     pairs, spacing = _facing_pairs(sheets, widest), sheets.spacing
-    parts_by_kind = defaultdict[str, list[Pairs]](list)
+    parts_by_kind = defaultdict[str | None, list[Pairs]](list)
     labels = np.sort(sheets.label[pairs], axis=1)
     for two_sheets in np.unique(labels, axis=0):
         for part, _ in _chains(sheets, pairs[(labels == two_sheets).all(axis=1)]):
             parts_by_kind[_kind(sheets, part, up)].append(part)
     seams = {kind: _chains(sheets, np.concatenate([pairs[:0], *parts_by_kind[kind]]))
              for kind in SEAM_KINDS}
-    kind = next((kind for kind in SEAM_KINDS if seams[kind]), '')
-    if not kind:
+    kind = next((kind for kind in SEAM_KINDS if seams[kind]), None)
+    if kind is None:
         raise DataError(
             f'no seam: nowhere do two edges face each other within {mm(widest)} (--widest). The '
             f'points are {mm(spacing)} apart, so a gap or step must be larger than '
@@ -306,9 +306,9 @@ def _chains(sheets: Sheets, pairs: Pairs) -> list[tuple[Pairs, Array]]:
     return chains
 
 
-def _kind(sheets: Sheets, pairs: Pairs, up: Array) -> str:
+def _kind(sheets: Sheets, pairs: Pairs, up: Array) -> str | None:
     """
-    Return the kind of the seam of pairs between two sheets, 'none' for no seam.
+    Return the kind of the seam of pairs between two sheets, None for no seam.
 
     That is a ridge, a step without its wall, or a rib. up: (3,) towards the tool.
     """
@@ -320,18 +320,18 @@ def _kind(sheets: Sheets, pairs: Pairs, up: Array) -> str:
         distance = float(np.median(np.linalg.norm(offset, axis=1)))
         lateral = math.sqrt(max(distance ** 2 - height ** 2, 0.0))
         if height > 0.5 * lateral:
-            return 'lap' if height <= HIGHEST_LAP else 'none'
+            return 'lap' if height <= HIGHEST_LAP else None
         if lateral <= NARROWEST_GAP * sheets.spacing:
-            return 'none'
+            return None
         middle, normal = sheets.points[pairs].mean(axis=1), unit(normals[pairs].sum(axis=(0, 1)))
         project = np.eye(3) - np.outer(normal, normal)
         between = sheets.points[cKDTree(sheets.points @ project).query(middle @ project)[1]]
         is_higher = (between - middle) @ normal > NARROWEST_GAP * sheets.spacing
-        return 'none' if is_higher.mean() > 0.5 else 'butt'  # what is higher is a rib
+        return None if is_higher.mean() > 0.5 else 'butt'  # what is higher is a rib
     inward = np.where(normals[i] @ up > normals[j] @ up,  # of an upright wall the normal may be -n
                       (normals[i] * outward[j]).sum(axis=1), (normals[j] * outward[i]).sum(axis=1))
     if np.median(inward) > -INWARD_COSINE:
-        return 'none'
+        return None
     return 'v' if _is_v(sheets, pairs) else 'fillet'
 
 

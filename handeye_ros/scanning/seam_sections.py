@@ -64,9 +64,9 @@ class Edges:
     ends: tuple[float, float]
 
 
-class _Sides(NamedTuple):
+class _SheetEnd(NamedTuple):
     """
-    One sheet in a section across the seam; or both in k sections, arrays (k, 2, ...).
+    One sheet in a section across the seam.
 
     end: (3,) where it ends at the seam
     outwards: (3,) direction out of the sheet there
@@ -79,9 +79,9 @@ class _Sides(NamedTuple):
     end: Array
     outwards: Array
     normal: Array
-    noise: Array
+    noise: float
     extent: Array
-    resolution: Array
+    resolution: float
 
 
 def edges_of_seam(sheets: Sheets, rough: Course) -> Edges:
@@ -123,8 +123,9 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
     first, last = rough.t[0] - COURSE_OVERHANG, rough.t[-1] + COURSE_OVERHANG
     count = int((last - first) / step)  # the same sections from the other end
     places = 0.5 * (first + last) + step * (np.arange(count) - 0.5 * (count - 1))
-    sections = {t: zip(*both_sides, strict=True) for t in places.tolist() if None not in (
-        both_sides := [_side(sheets, rough, curve, side, t, step) for side in (0, 1)])}
+    both_ends = {t: [_sheet_end(sheets, rough, curve, side, t, step) for side in (0, 1)]
+                 for t in places.tolist()}
+    sections = {t: ends for t, ends in both_ends.items() if all(ends)}
     lengths = np.array([*sections] or [first, last])
     missing = np.append(np.diff(lengths) - step, 0.0)
     worst = int(np.argmax(missing))
@@ -132,34 +133,39 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
         place = position_text(curve.beyond(lengths[worst:worst + 2].mean())[0])
         raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
                         'there again, or cut one part out with --box')
-    sides = _Sides(*map(np.array, zip(*sections.values(), strict=True)))
-    ends = (lengths[0] + sides.extent[0, :, 0].max(), lengths[-1] + sides.extent[-1, :, 1].min())
+
+    def of_sheets(name: str) -> Array:
+        """Return a value of both sheets in all sections (k, 2, ...)."""
+        return np.array([[getattr(sheet, name) for sheet in ends] for ends in sections.values()])
+
+    extent = of_sheets('extent')
+    seam_ends = (lengths[0] + extent[0, :, 0].max(), lengths[-1] + extent[-1, :, 1].min())
     # the ends of the sheets in a section of few points are not known well
-    filled = np.ptp(sides.extent, axis=2).min(axis=1) > 0.5 * step - sheets.spacing
-    sides = _Sides(*(values[filled] for values in sides))
-    gap = np.median(_dot(np.diff(sides.end, axis=1), unit(np.diff(-sides.outwards, axis=1))))
+    filled = np.ptp(extent, axis=2).min(axis=1) > 0.5 * step - sheets.spacing
+    end, outwards, normals, noise, resolution_of_ends = (
+        of_sheets(name)[filled] for name in ('end', 'outwards', 'normal', 'noise', 'resolution'))
+    gap = np.median(_dot(np.diff(end, axis=1), unit(np.diff(-outwards, axis=1))))
     meeting_of_v = NARROWEST_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)
     meeting = {'lap': np.inf, 'fillet': np.inf, 'v': meeting_of_v, 'butt': 0.0}[rough.kind]
     # by how much the lines move with the ends of one side, and then of the other, 1 sigma further
-    shift = sides.outwards * sides.resolution[..., None]
+    shift = outwards * resolution_of_ends[..., None]
     lines, *moved_lines = (
-        _lines(rough.kind, meeting, sides._replace(end=sides.end + shift * by_side))
+        _lines(rough.kind, meeting, end + shift * by_side, outwards, normals)
         for by_side in (0.0, [[1.0], [0.0]], [[0.0], [1.0]]))
     resolution = {name: float(np.median(np.linalg.norm(
         [moved[name] - line for moved in moved_lines], axis=(0, 2))))
         for name, line in lines.items()}
-    return Edges(lengths[filled], lines, resolution, unit(sides.normal.sum(axis=1)),
-                 float(np.median(sides.noise)), ends)
+    return Edges(lengths[filled], lines, resolution, unit(normals.sum(axis=1)),
+                 float(np.median(noise)), seam_ends)
 
 
-def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step: float
-          ) -> _Sides | None:
+def _sheet_end(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step: float
+               ) -> _SheetEnd | None:
     """
     Return one sheet in the section at t along a curve, None where it does not end there.
 
     side: 0 or 1, of the pairs of the rough course; step: width of the section along the seam (m).
     """
-    points, spacing, margin = sheets.points, sheets.spacing, END_MARGIN * sheets.spacing
     window = np.abs(rough.t - np.clip(t, rough.t[0], rough.t[-1])) <= ROUGH_EDGE_WINDOW
     this_edge, other_edge = rough.pairs[window, side], rough.pairs[window, 1 - side]
     if not len(this_edge):
@@ -167,22 +173,13 @@ def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step
     position, tangent = curve.beyond(t)
     into_sheet, upright = _axes(sheets, this_edge, other_edge, tangent)
     on_curve = curve.position(np.clip(rough.t[window], curve.first, curve.last))
-    offset = np.median(points[this_edge] - on_curve, axis=0)
+    offset = np.median(sheets.points[this_edge] - on_curve, axis=0)
     # the points of a pair may be displaced along the seam
     origin = position + offset - (offset @ tangent) * tangent
-    width = max(SECTION_WIDTH * spacing, LEAST_SECTION_WIDTH)
-    rows = np.array(sheets.tree.query_ball_point(origin + 0.5 * width * into_sheet, 0.8 * width),
-                    dtype=int)
-    labels, counts = np.unique(sheets.label[this_edge], return_counts=True)
-    rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(this_edge)])]
-    along, inward, height = np.stack([tangent, into_sheet, upright]) @ (points[rows] - origin).T
-    limit = LARGEST_END_OFFSET
-    if np.isin(labels, sheets.label[other_edge]).any():  # one sheet on both sides
-        separation = np.median((points[this_edge] - points[other_edge]) @ into_sheet)
-        limit = min(0.5 * abs(float(separation)), LARGEST_END_OFFSET)
-    resolution = _column_resolution(inward, spacing)
-    slab = (np.abs(along) <= step / 2) & (inward <= width) & (inward >= -limit)
-    along, inward, height = along[slab], inward[slab], height[slab]
+    points = _points_of_sheet(sheets, this_edge, other_edge, origin,
+                              np.stack([tangent, into_sheet, upright]))
+    along, inward, height = points[np.abs(points[:, 0]) <= step / 2].T
+    margin = END_MARGIN * sheets.spacing
     fit = _sheet_through(inward, height, margin, 1 if rough.kind in ('v', 'fillet') else 2)
     if fit is None:
         return None
@@ -195,10 +192,32 @@ def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step
         return None
     slope = np.polyval(np.polyder(sheet), end)
     mean_slope = np.polyfit(inward[inner], height[inner], 1)[0]
-    return _Sides(origin + end * into_sheet + np.polyval(sheet, end) * upright,
-                  -(into_sheet + slope * upright) / np.hypot(1, slope),
-                  (upright - mean_slope * into_sheet) / np.hypot(1, mean_slope), np.array(noise),
-                  np.quantile(along[on_sheet], [0, 1]), np.array(resolution))
+    return _SheetEnd(origin + end * into_sheet + np.polyval(sheet, end) * upright,
+                     -(into_sheet + slope * upright) / np.hypot(1, slope),
+                     (upright - mean_slope * into_sheet) / np.hypot(1, mean_slope), noise,
+                     np.quantile(along[on_sheet], [0, 1]),
+                     _column_resolution(points[:, 1], sheets.spacing))
+
+
+def _points_of_sheet(sheets: Sheets, this_edge: NDArray[np.intp], other_edge: NDArray[np.intp],
+                     origin: Array, axes: Array) -> Array:
+    """
+    Return the points (n, 3) near a section of the sheet of an edge, along axes from an origin.
+
+    axes: (3, 3) rows along the seam, into the sheet, out of its surface. None are beyond the
+    middle between two edges of one sheet.
+    """
+    width = max(SECTION_WIDTH * sheets.spacing, LEAST_SECTION_WIDTH)
+    rows = np.array(sheets.tree.query_ball_point(origin + 0.5 * width * axes[1], 0.8 * width),
+                    dtype=int)
+    labels, counts = np.unique(sheets.label[this_edge], return_counts=True)
+    rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(this_edge)])]
+    points = (sheets.points[rows] - origin) @ axes.T
+    beyond = LARGEST_END_OFFSET
+    if np.isin(labels, sheets.label[other_edge]).any():  # one sheet on both sides
+        apart = (sheets.points[this_edge] - sheets.points[other_edge]) @ axes[1]
+        beyond = min(0.5 * abs(float(np.median(apart))), beyond)
+    return np.asarray(points[(points[:, 1] <= width) & (points[:, 1] >= -beyond)])
 
 
 def _axes(sheets: Sheets, this_edge: NDArray[np.intp], other_edge: NDArray[np.intp],
@@ -250,21 +269,23 @@ def _column_resolution(inward: Array, spacing: float) -> float:
     return float(spacing / FREQUENCIES[peaks[0]] / np.sqrt(12))
 
 
-def _lines(kind: str, meeting: float, sides: _Sides) -> dict[str, Array]:
+def _lines(kind: str, meeting: float, end: Array, outwards: Array, normals: Array
+           ) -> dict[str, Array]:
     """
     Return the lines of k sections by name: points (k, 3) of first and second edge, root, centre.
 
-    meeting: sheets whose edges are nearer to each other than this (m) meet in the root.
+    end, outwards, normals: (k, 2, 3) of both sheets, see _SheetEnd; meeting: sheets whose edges
+    are nearer to each other than this (m) meet in the root.
     """
-    edges, root, lower, along = sides.end.copy(), sides.end.mean(axis=1), 0, sides.outwards[:, 1]
+    edges, root, lower, along = end.copy(), end.mean(axis=1), 0, outwards[:, 1]
     if kind == 'lap':  # the rim of the upper sheet is above the root; their curvature cancels
-        along = sides.normal.sum(axis=1)
+        along = normals.sum(axis=1)
         lower = int(np.median(_dot(edges[:, 0] - edges[:, 1], along)) > 0)
     if meeting:
-        end, outwards = edges[:, lower], sides.outwards[:, lower]
-        apart = edges[:, 1 - lower] - end
-        across = outwards - _dot(outwards, along) / _dot(along, along) * along
-        intersection = end + outwards * (_dot(apart, across) / _dot(outwards, across))
+        start, direction = edges[:, lower], outwards[:, lower]
+        apart = edges[:, 1 - lower] - start
+        across = direction - _dot(direction, along) / _dot(along, along) * along
+        intersection = start + direction * (_dot(apart, across) / _dot(direction, across))
         root = np.where(np.sqrt(_dot(apart, apart)) < meeting, intersection, root)
     if kind == 'lap':
         edges[:, lower] = root

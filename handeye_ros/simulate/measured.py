@@ -35,7 +35,7 @@ class SimulatedFiles:
     T_flange_sensor: (4, 4), of the camera in the base with eye_on_base
     noise: 1 sigma each, in SI units
     settings: the configuration by dotted key
-    profiles, poses: of the bag beside the tables, if there is one; without joint values
+    profiles, poses: of the bag beside the tables, if there is one
     """
 
     tables: Mapping[str, str]
@@ -44,7 +44,6 @@ class SimulatedFiles:
     settings: Mapping[str, Any]
     profiles: tuple[Profile, ...] = ()
     poses: tuple[TimedPose, ...] = ()
-    joints: tuple[()] = ()
 
     @property
     def true_values(self) -> dict[str, Any]:

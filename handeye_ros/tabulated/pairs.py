@@ -158,7 +158,7 @@ class PairedRows(TableProblem):
                         f'the positions of the {prefix} 1000 times {words}', 'correct the unit in '
                         f'the header of {prefix}_x, {prefix}_y, {prefix}_z', values)
 
-    def solve(self) -> TableAnswer:
+    def estimate(self) -> TableAnswer:
         """Return the least squares, weighted by the noise that its residuals show."""
         variances = self.typical_variances
         fit, whiten = self.fit_with_variances(self.state_of(self.closed_form()), variances)

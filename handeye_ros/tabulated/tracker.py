@@ -8,7 +8,7 @@ faces that meet in a ridge show the block, profiles with an arc the ball; all ot
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -122,7 +122,7 @@ class TrackerSession(TableProblem):
                 if piece.part == part]
 
     @property
-    def T_sensor_plane(self) -> Array:
+    def T_sensor_values(self) -> Array:
         return T_sensor_plane(self.config)
 
     def field(self) -> Array:
@@ -138,7 +138,7 @@ class TrackerSession(TableProblem):
 
     def published_answer(self, readings: jing2020.Readings) -> jing2020.Result:
         """Return the answer of Jing 2020, of the sensor plane; raises DataError."""
-        direction = self.T_sensor_plane[:3, :3].T @ np.array(self.config.tracker.direction)
+        direction = self.T_sensor_values[:3, :3].T @ np.array(self.config.tracker.direction)
         return jing2020.solve(readings, direction / np.linalg.norm(direction))
 
     def require_determined(self) -> None:
@@ -159,25 +159,36 @@ class TrackerSession(TableProblem):
                 'reflector; check which face is which, tracker.direction, and that the line was '
                 'measured towards larger readings of P3')
 
-    def solve(self) -> TableAnswer:
+    def estimate(self) -> TableAnswer:
         """Return the published answer, its covariance by draws of noise; raises DataError."""
-        answer, tracker_noise = self.published_answer(self.readings), self.config.tracker.noise
-        noise, residuals = {'ball': tracker_noise}, list[float]()
+        answer = self.published_answer(self.readings)
+        distances = self.distances(answer)
+        residuals = np.array([
+            rms(distances_of_piece) for part in PARTS for distances_of_piece in np.split(
+                distances[part], np.cumsum([len(piece.points) for piece in self.pieces
+                                            if piece.part == part])[:-1])])
+        self.require_agreement(distances, residuals)
+        residual_rms, point_count = rms(residuals), sum(map(len, self.readings.parts.values()))
+        return TableAnswer(
+            answer.T_flange_sensor, self.covariance(answer.T_flange_sensor, distances),
+            np.ones(len(residuals), dtype=bool), residuals, residual_rms,
+            residual_rms / (1 - UNKNOWNS / point_count),  # generalised cross-validation
+            target={'radius': answer.radius, 'face_angle': float(answer.angles[0])})
+
+    def require_agreement(self, distances: Mapping[str, Array], residuals: Array) -> None:
+        """Raise DataError where a part or a row is further off than the noise of instruments."""
         contradicting = list[tuple[float, str]]()
-        for part, distances in self.distances(answer).items():
-            pieces, is_swept = [p for p in self.pieces if p.part == part], part in SWEPT_PARTS
-            ends = np.cumsum([len(piece.points) for piece in pieces])
-            piece_rms = [rms(of_piece) for of_piece in np.split(distances, ends[:-1])]
-            residuals += piece_rms
-            noise[part] = max(rms(distances), 0.0 if is_swept else tracker_noise)
+        for (sample, part), residual in zip(self.samples, residuals.tolist(), strict=True):
+            is_swept = part in SWEPT_PARTS
             # the distance of a reflector from a swept face has the noise of both instruments
-            stated = math.hypot(0.0 if is_swept else tracker_noise,
-                                0.0 if part in ('arc', 'line') else self.config.noise.sensor)
-            row_limit = math.inf if is_swept else LARGEST_ROW_RMS  # one profile matters little
-            contradicting += [
-                (distance, f'{part} of {"profile" if is_swept else "row"} {piece.sample}')
-                for piece, distance in zip(pieces, piece_rms, strict=True)
-                if max(distance / row_limit, rms(distances) / LARGEST_PART_RMS) > stated]
+            noise = math.hypot(0.0 if is_swept else self.config.tracker.noise,
+                               0.0 if part in ('arc', 'line') else self.config.noise.sensor)
+            part_is_off = rms(distances[part]) > LARGEST_PART_RMS * noise
+            # one profile matters little
+            row_is_off = not is_swept and residual > LARGEST_ROW_RMS * noise
+            if part_is_off or row_is_off:
+                contradicting.append(
+                    (residual, f'{part} of {"profile" if is_swept else "row"} {sample}'))
         if contradicting:
             distance, worst = max(contradicting)
             raise DataError(
@@ -185,19 +196,19 @@ class TrackerSession(TableProblem):
                 'measure again or leave that row out, and check which face is which, the unit of '
                 'the table, tracker.h0 and tracker.h1, and the noise of both instruments',
                 reason='misfit')
-        rng, errors = np.random.default_rng(SEED), []
+
+    def covariance(self, X: Array, distances: Mapping[str, Array]) -> Array:
+        """Return the covariance (6, 6) of X (4, 4) by draws of the noise that distances show."""
+        tracker_noise, rng, errors = self.config.tracker.noise, np.random.default_rng(SEED), []
+        noise = {'ball': tracker_noise} | {
+            part: max(rms(values), 0.0 if part in SWEPT_PARTS else tracker_noise)
+            for part, values in distances.items()}
         for _ in range(NOISE_DRAWS):  # of each coordinate, but not of the reading of P3
             parts = {part: points + noise[part] * rng.normal(size=points.shape) * [
                 1, 1, part not in SWEPT_PARTS] for part, points in self.readings.parts.items()}
-            X = self.published_answer(replace(self.readings, parts=parts)).T_flange_sensor
-            errors.append(se3.difference(X, answer.T_flange_sensor))
-        residual_rms = rms(np.array(residuals))
-        point_count = sum(map(len, self.readings.parts.values()))
-        return TableAnswer(
-            answer.T_flange_sensor, np.asarray(np.transpose(errors) @ errors / NOISE_DRAWS),
-            np.ones(len(residuals), dtype=bool), np.array(residuals), residual_rms,
-            residual_rms / (1 - UNKNOWNS / point_count),  # generalised cross-validation
-            target={'radius': answer.radius, 'face_angle': float(answer.angles[0])})
+            drawn = self.published_answer(replace(self.readings, parts=parts))
+            errors.append(se3.difference(drawn.T_flange_sensor, X))
+        return np.asarray(np.transpose(errors) @ errors / NOISE_DRAWS)
 
     def distances(self, answer: jing2020.Result) -> dict[str, Array]:
         """

@@ -82,7 +82,7 @@ class TableProblem(ABC):
         """Raise DataError for values that leave something of the transform free."""
 
     @abstractmethod
-    def solve(self) -> TableAnswer:
+    def estimate(self) -> TableAnswer:
         """Return the answer, however uncertain; raises DataError."""
 
     @abstractmethod
@@ -90,7 +90,7 @@ class TableProblem(ABC):
         """Return the points (k, 3) over which errors are reported, in the plane's frame (m)."""
 
     @property
-    def T_sensor_plane(self) -> Array:
+    def T_sensor_values(self) -> Array:
         """Return (4, 4): the frame of the values in the sensor's; of profiles their plane."""
         return np.eye(4)
 
@@ -143,21 +143,21 @@ class TableAnswer:
 
 
 @single_threaded
-def calibrate(problem: TableProblem) -> Calibration:
+def calibrate_table(problem: TableProblem) -> Calibration:
     """Return the calibration; raises DataError when the files do not determine an answer."""
-    answer = solve(problem)
+    answer = answer_table(problem)
     answer.require_trusted(problem)
     warnings = {'warnings': list(problem.warnings)} if problem.warnings else {}
     return assemble_calibration(
         problem.config, problem.name, problem.frame,
-        answer.X @ se3.inverse(problem.T_sensor_plane), answer.covariance, answer.residual_rms,
+        answer.X @ se3.inverse(problem.T_sensor_values), answer.covariance, answer.residual_rms,
         answer.holdout_rms, answer.target,
         [report_of_row(number, kind, used, residual) for (number, kind), used, residual in zip(
             problem.samples, answer.used, answer.residuals, strict=True)],
         {'inputs': list(problem.inputs), **warnings})
 
 
-def solve(problem: TableProblem) -> TableAnswer:
+def answer_table(problem: TableProblem) -> TableAnswer:
     """
     Return the answer of values that agree; raises DataError.
 
@@ -165,7 +165,7 @@ def solve(problem: TableProblem) -> TableAnswer:
     """
     try:
         problem.require_determined()
-        answer = problem.solve()
+        answer = problem.estimate()
         if answer.agrees:
             return answer
         turned = f' and {degrees(answer.angle_rms)}' if answer.angle_rms else ''
@@ -179,7 +179,7 @@ def solve(problem: TableProblem) -> TableAnswer:
     for words, remedy, values in problem.misreadings:
         with suppress(DataError):
             values.require_determined()
-            answer = values.solve()
+            answer = values.estimate()
             if answer.agrees and answer.residual_rms < MISREADING_RMS:
                 explaining.append((answer.X, f'the values contradict each other, but with {words} '
                                    f'they agree to {mm(answer.residual_rms)}: {remedy}'))

@@ -44,6 +44,7 @@ from handeye_ros.targets import TARGETS
 from handeye_ros.targets.profile_target import grazing, out_of_face
 from handeye_ros.verification.fit import (
     fit_without_outliers,
+    GroupFit,
     Indices,
     largest_displacement,
     likeliest,
@@ -154,14 +155,14 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     calibrated = _Calibrated.read(calibration, config)
     problem = _observed(samples, calibrated, config, others)
 
-    def compared_at(stops: Indices) -> tuple[_Comparison, Array, Array, Indices]:
+    def compared_at(stops: Indices) -> GroupFit[_Comparison]:
         comparison = _comparison(problem.subset(stops), calibrated)
         station = comparison.linear.problem.observations.station
         require_stations([len(np.unique(station))])
         # whatever moved, and however the calibration errs
         moves = [comparison.moved(name)[1] * _move_sigmas(MOVE_SCALES[-1]) for name in MOVABLE]
-        return (comparison, comparison.residuals, np.hstack([comparison.errors, *moves]),
-                stops[station])
+        return GroupFit(comparison, comparison.residuals, np.hstack([comparison.errors, *moves]),
+                        stops[station])
 
     comparison, _, contradicting = fit_without_outliers(
         np.unique(problem.observations.station), compared_at)

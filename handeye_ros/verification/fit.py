@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 import math
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config
@@ -163,7 +163,7 @@ class Quantity:
         points leave open
     claimed: 1 sigma by the calibration's covariance
     nominal: None where there is none
-    characteristic: its symbol in VDI/VDE 2634 or ISO 10360 (see results/verification_file.py)
+    characteristic: its symbol in VDI/VDE 2634 or ISO 10360 (see result_file.py)
     """
 
     name: str
@@ -248,53 +248,73 @@ class Scatter:
     p: float
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
+class CalibrationError(NamedTuple):
     """
-    Result of a fit to m points.
+    The error of the calibration that the distances of a shape suggest, whatever is claimed.
+
+    twist (6,): the most likely one, of the sensor plane in the mount (m, rad)
+    p_explained: probability of larger distances from the shape with this error
+    p_chance: probability that chance looks at least as much like an error
+    largest, largest_std: the largest displacement of a point by it, and its 1 sigma (m)
+    detectable: the smallest error that would show, in the direction in which it shows least, as
+        RMS displacement of the points (m)
+    weakest_direction: this direction in words
+    """
+
+    twist: Array
+    p_explained: float
+    p_chance: float
+    largest: float
+    largest_std: float
+    detectable: float
+    weakest_direction: str
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeFit:
+    """
+    Result of a fit of a shape to m points.
 
     quantities: those of the shape, as measured
     scatter: of the distances
     distances (m,): of the points from the shape (m)
-    distance_std (m,): their 1 sigma due to sensor and robot (m)
+    distance_stds (m,): their 1 sigma due to sensor and robot (m)
     region: (v - nominal)' cov^-1 (v - nominal) of the values v with a nominal, cov the sum
         of their covariances by measurement and calibration
     freedom: number of values with a nominal
-    claim_p: probability of a larger one if the calibration's covariance is true
-    smallest_error: the smallest error of the calibration that would show, in the direction in
-        which it shows least, as RMS displacement of the points (m)
-    weakest_direction: this direction in words
-    error (6,): most likely error of the calibration, of the sensor plane in the mount (m, rad)
-    p_error: probability of larger distances from the shape with this error
-    p_of_error: probability that chance looks at least as much like an error
-    largest_error, largest_error_std: the largest displacement of a point by the error, and the 1
-        sigma of this displacement (m)
-    white_distances (m,): the distances in units of their noise
-    wrt_unknowns (m, k): their derivatives by shape, calibration and robot, each in units of its 1
-        sigma a priori
+    claim_p: probability of a larger region if the calibration's covariance is true
+    error: of the calibration
     """
 
     quantities: tuple[Quantity, ...]
     scatter: Scatter
     distances: Array
-    distance_std: Array
+    distance_stds: Array
     region: float
     freedom: int
     claim_p: float
-    smallest_error: float
-    weakest_direction: str
-    error: Array
-    p_error: float
-    p_of_error: float
-    largest_error: float
-    largest_error_std: float
-    white_distances: Array
-    wrt_unknowns: Array
+    error: CalibrationError
 
 
-def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
+class GroupFit(NamedTuple, Generic[T]):
     """
-    Return the fit of a shape; raises InputError for an impossible covariance.
+    A fit to some groups of points.
+
+    residuals: (m,) white
+    wrt_unknowns: (m, k) their derivatives by all unknowns, in units of their 1 sigma a priori
+    group: (m,) of each
+    """
+
+    result: T
+    residuals: Array
+    wrt_unknowns: Array
+    group: Indices
+
+
+def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0
+              ) -> GroupFit[tuple[Shape, ShapeFit]]:
+    """
+    Return a shape with its fit; raises InputError for an impossible covariance.
 
     X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; smooth_std: 1 sigma (m) of the
     smooth error of the robot. The settings of the stations hold the uncertainty of nominal values.
@@ -306,54 +326,72 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
         return Whitening(tuple(group.rows for group in groups), tuple(
             inverse_roots(_covariance(linear, group)) for group in groups))
 
-    # at the fitted shape q: white distances r, their derivatives J by the shape, and E by the
-    # errors e, of the calibration and of the robot (these of unit covariance)
     q = shape.fitted(problem.points_in_base(X), lambda q: whitening(shape.linear(X, q)))
     linear = shape.linear(X, q)
-    distances, lever = linear.residuals, linear.lever
     basis = problem.smooth_error_basis[problem.observations.station]
     by_robot = wrt_smooth(linear.wrt_pose, basis * smooth_std)
-    r, E, J = np.split(whitening(linear)(np.column_stack([
-        distances, linear.jacobian[:, :6], by_robot, linear.jacobian[:, 6:]])),
-        [1, 7 + by_robot.shape[1]], axis=1)
-    r = r[:, 0]
+    # white distances r, their derivatives J by the shape, and E by the errors, of the calibration
+    # and of the robot (these of unit covariance)
+    white = whitening(linear)
+    r, J = white(linear.residuals), white(linear.jacobian[:, 6:])
+    E = np.hstack([white(linear.jacobian[:, :6]), white(by_robot)])
     claim = scipy.linalg.block_diag(root_of(C), np.eye(by_robot.shape[1]))
-    quantities, deviation, deviation_wrt_errors, region = _values(shape, q, J, E, claim)
-    nominal_count = len(deviation)
-
-    # whether the points agree: what the shape does not take up of distances and errors
     gain = np.asarray(np.linalg.pinv(J), dtype=float)
-    r_left, E_left = r - J @ (gain @ r), E - J @ (gain @ E)
-    sizes, freedom = np.abs(distances), max(len(r) - len(gain), 1)
-    scatter = Scatter(
-        len(r), float(sizes.mean()), float(sizes.std()), rms(sizes), float(sizes.max()),
-        float(chi2_sf(likeliest(E_left @ claim, r_left)[2], freedom)))
+    quantities, deviation, deviation_wrt_errors, region = _values(shape, q, J, gain, E, claim)
+    # what the shape does not take up
+    r_left, E_left, freedom = r - J @ (gain @ r), E - J @ (gain @ E), max(len(r) - len(gain), 1)
+    fit = ShapeFit(
+        quantities, _scatter(linear.residuals, likeliest(E_left @ claim, r_left)[2], freedom),
+        distances=linear.residuals, distance_stds=_distance_stds(linear, groups, by_robot),
+        region=region, freedom=len(deviation),
+        claim_p=float(chi2_sf(region, len(deviation))) if len(deviation) else 1.0,
+        error=_calibration_error(
+            np.vstack([E_left, -deviation_wrt_errors]), np.append(r_left, deviation),
+            freedom + len(deviation), linear))
+    # the test for outliers leaves shape and calibration free
+    unknowns = np.hstack([J, E[:, :6]])
+    unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
+    return GroupFit((shape, fit), r, np.hstack([unknowns, E[:, 6:]]), stations.group_of_point)
 
-    # the error of the calibration that distances and nominal values show, whatever is claimed
-    A, b = np.vstack([E_left, -deviation_wrt_errors]), np.append(r_left, deviation)
-    information = np.append(LARGEST_ERROR ** -2.0, np.ones(len(claim) - 6))
+
+def _scatter(distances: Array, square: float, freedom: int) -> Scatter:
+    """Return the scatter of distances (m,) whose white sum of squares is that with a freedom."""
+    sizes = np.abs(distances)
+    return Scatter(len(sizes), float(sizes.mean()), float(sizes.std()), rms(sizes),
+                   float(sizes.max()), float(chi2_sf(square, freedom)))
+
+
+def _calibration_error(A: Array, b: Array, conditions: int, linear: Linear) -> CalibrationError:
+    """
+    Return the error of the calibration that distances and nominal values show.
+
+    A, b: (n, 6 + s), (n,) what the shape leaves of white distances and deviations from nominal is
+    b = A e + noise, with the errors e of calibration and robot; conditions: what is left of n.
+    """
+    information = np.append(LARGEST_ERROR ** -2.0, np.ones(A.shape[1] - 6))
     errors, covariance, square = likeliest(A, b, information)
-    error, covariance = errors[:6], covariance[:6, :6]
-    square -= float(error ** 2 @ information[:6])
+    twist, covariance = errors[:6], covariance[:6, :6]
+    square -= float(twist ** 2 @ information[:6])
     _, _, square_without = likeliest(A[:, 6:], b, information[6:])
-    freedom = max(freedom + nominal_count - 6, 1)
+    freedom = max(conditions - 6, 1)
     factor = max(square / freedom, 1.0)
-    smallest_error, weakest_direction = _weakest(covariance, lever, mount_frame(problem.config))
-    largest_error, largest_error_std = largest_displacement(lever, error, factor * covariance)
+    return CalibrationError(
+        twist, float(chi2_sf(square, freedom)),
+        float(chi2_sf((square_without - square) / factor, 6)),
+        *largest_displacement(linear.lever, twist, factor * covariance),
+        *_weakest(covariance, linear.lever, mount_frame(linear.problem.config)))
 
-    # of each point what sensor and robot add; and what a fit of other groups would leave unknown
+
+def _distance_stds(linear: Linear, groups: Sequence[StationGroup], by_robot: Array) -> Array:
+    """
+    Return 1 sigma (m,) of the distances due to sensor and robot.
+
+    by_robot: (m, s) derivatives by the smooth errors of the robot, which are of unit variance.
+    """
     variances = np.square(by_robot).sum(axis=1)
     for group in groups:
         variances[group.rows] += np.einsum('nii->ni', _covariance(linear, group))
-    unknowns = np.hstack([J, E[:, :6]])
-    unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
-    return Fit(
-        quantities, scatter, distances, np.sqrt(variances), region, nominal_count,
-        float(chi2_sf(region, nominal_count)) if nominal_count else 1.0, smallest_error,
-        weakest_direction, error, p_error=float(chi2_sf(square, freedom)),
-        p_of_error=float(chi2_sf((square_without - square) / factor, 6)),
-        largest_error=largest_error, largest_error_std=largest_error_std, white_distances=r,
-        wrt_unknowns=np.hstack([unknowns, E[:, 6:]]))
+    return np.asarray(np.sqrt(variances))
 
 
 def _covariance(linear: Linear, group: StationGroup) -> Array:
@@ -378,18 +416,18 @@ def likeliest(A: Array, b: Array, information: Array | float = 1.0
     return x, covariance, float(b @ b - explained @ x)
 
 
-def _values(shape: Shape, q: Array, J: Array, E: Array, claim: Array
+def _values(shape: Shape, q: Array, J: Array, gain: Array, E: Array, claim: Array
             ) -> tuple[tuple[Quantity, ...], Array, Array, float]:
     """
     Return the measured quantities of a shape q (k,), and how the v with a nominal value deviate.
 
     That is the white deviations (v,), their derivatives (v, 6 + s) by the errors, and the region
-    of a Fit. J, E: derivatives of the white distances by shape and errors; claim: root of the
-    covariance of the errors.
+    of a ShapeFit. J, E: derivatives of the white distances by shape and errors; gain: pinv(J);
+    claim: root of the covariance of the errors.
     """
     certificate = shape.stations.problem.config.verify.certificate  # U of nominal lengths
     values, wrt_shape = shape.values(q), derivatives(shape.values, q)
-    wrt_distances = wrt_shape @ np.asarray(np.linalg.pinv(J), dtype=float)
+    wrt_distances = wrt_shape @ gain
     wrt_errors = wrt_distances @ E
     by_claim, by_smooth = np.split(wrt_errors @ claim, [6], axis=1)
     covariance, claimed = wrt_distances @ wrt_distances.T, by_claim @ by_claim.T
@@ -420,7 +458,7 @@ def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, fl
 
 def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
     """
-    Return smallest_error and weakest_direction of a Fit.
+    Return detectable and weakest_direction of a CalibrationError.
 
     covariance (6, 6): of the calibration's error, in its mount; lever (m, 3): from the sensor.
     """
@@ -437,14 +475,14 @@ def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
             f'{motion} {name_direction(axis, mount)}')
 
 
-def refit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
+def refit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> ShapeFit:
     """Return the fit with the calibration error estimated as well, for errors of any size."""
     for _ in range(REFIT_COUNT):
-        result = fit_shape(shape, X, C, smooth_std)
-        if not result.largest_error < LARGEST_SHIFT:
+        _, fit = fit_shape(shape, X, C, smooth_std).result
+        if not fit.error.largest < LARGEST_SHIFT:
             break
-        X = se3.perturb(X, -result.error)
-    return result
+        X = se3.perturb(X, -fit.error.twist)
+    return fit
 
 
 def root_of(C: Array) -> Array:
@@ -456,45 +494,41 @@ def root_of(C: Array) -> Array:
     return np.asarray(vectors * np.sqrt(np.maximum(value, 0.0)))
 
 
-def fit_without_outliers(groups: Indices,
-                         fitted: Callable[[Indices], tuple[T, Array, Array, Indices]]
+def fit_without_outliers(groups: Indices, fitted: Callable[[Indices], GroupFit[T]]
                          ) -> tuple[T, dict[int, float], list[int]]:
     """
     Return the fit of the groups that agree, the p-value of each group, and those left out.
 
-    fitted(groups): their fit; its whitened residuals (m,), their derivatives (m, k) by unknowns in
-    units of 1 sigma of these, and the group (m,) of each. None is left out where it would be too
-    many, or where too few would be left.
+    None is left out where it would be too many, or where too few would be left.
     """
     p, most = dict[int, float](), int(MOST_OUTLIERS * len(groups))
 
     def of_groups(_: object, used: Indices) -> tuple[T, Array, Indices]:
-        fit, r, wrt_unknowns, group_of_point = fitted(used)
-        squares, freedom = _left_out_squares(r, wrt_unknowns, group_of_point, used)
+        fit = fitted(used)
+        squares, freedom = _left_out_squares(fit, used)
         p.update(zip(used.tolist(), chi2_sf(squares * freedom, freedom).tolist(), strict=True))
-        return fit, squares, freedom
+        return fit.result, squares, freedom
 
     with suppress(DataError):
-        (fit, *_), _, dropped = drop_outliers(
+        (result, *_), _, dropped = drop_outliers(
             groups, len(groups), len(groups) - most - 1, of_groups, lambda fit: fit[1:])
         if len(dropped) <= most:
-            return fit, p, list(dropped)
+            return result, p, list(dropped)
     return of_groups(None, groups)[0], p, []
 
 
-def _left_out_squares(r: Array, wrt_unknowns: Array, group_of_point: Indices, groups: Indices
-                      ) -> tuple[Array, Indices]:
+def _left_out_squares(fit: GroupFit[T], groups: Indices) -> tuple[Array, Indices]:
     """
     Return how well the others predict each of groups (g,): mean squares of (12), and freedom.
 
     What a group alone determines is no part of it.
     """
-    U, s, _ = np.linalg.svd(wrt_unknowns, full_matrices=False)
+    U, s, _ = np.linalg.svd(fit.wrt_unknowns, full_matrices=False)
     U *= s / np.hypot(s, 1.0)  # U U' r is what the unknowns take up
-    left = r - U @ (U.T @ r)
+    left = fit.residuals - U @ (U.T @ fit.residuals)
     squares, freedom = np.zeros(len(groups)), np.zeros(len(groups), dtype=np.intp)
     for k, group in enumerate(groups):
-        U_group, left_group = U[group_of_point == group], left[group_of_point == group]
+        U_group, left_group = U[fit.group == group], left[fit.group == group]
         share, V = np.linalg.eigh(U_group.T @ U_group)
         by_others = share < 1 - LEFT_BY_OTHERS_SHARE  # directions that the others determine too
         b = (left_group @ U_group @ V)[by_others]

@@ -10,6 +10,7 @@ import math
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError, UnknownNameError
+from handeye_ros.published.jing2020 import fit_round
 from handeye_ros.verification.fit import Quantity, Shape, StationSet
 from handeye_ros.verification.tooth_gauge import teeth
 import numpy as np
@@ -22,8 +23,9 @@ def line(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     frame = np.linalg.svd(p - middle)[2].T
 
     def distance(p: Array, q: Array) -> Array:
+        offsets, slopes = q[:2], q[2:]  # of the line across its first direction
         local = (p - middle) @ frame
-        away = local[:, 1:] - q[:2] - local[:, :1] * q[2:]
+        away = local[:, 1:] - offsets - local[:, :1] * slopes
         return np.asarray(np.where(kind == 0, away[:, 0], away[:, 1]))
 
     return Shape(stations, np.zeros(4), distance)
@@ -64,21 +66,24 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
         sensor = sensors[block[stations.recording_of_pose] == k].mean(axis=0)
         frames[k][:, 2] *= np.sign((sensor - middles[block == k][0]) @ frames[k][:, 2])
 
-    def normals(q: Array) -> Array:
-        tilt = q[:2 * blocks].reshape(blocks, 2)
-        n = frames[:, :, 2] + np.einsum('kij,kj->ki', frames[:, :, :2], tilt)
-        return np.asarray((n / np.linalg.norm(n, axis=1)[:, None])[block])
+    def normals_and_heights(q: Array) -> tuple[Array, Array]:
+        """Return the normal (count, 3) of each plane, and its height (count,) over its middle."""
+        tilts, heights = q[:2 * blocks].reshape(blocks, 2), q[2 * blocks:]
+        n = frames[:, :, 2] + np.einsum('kij,kj->ki', frames[:, :, :2], tilts)
+        return (n / np.linalg.norm(n, axis=1)[:, None])[block], heights
 
     def distance(p: Array, q: Array) -> Array:
-        heights = ((p - middles[recording]) * normals(q)[recording]).sum(axis=1)
-        return np.asarray(heights - q[2 * blocks + recording])
+        normals, heights = normals_and_heights(q)
+        over_middle = ((p - middles[recording]) * normals[recording]).sum(axis=1)
+        return np.asarray(over_middle - heights[recording])
 
     def values(q: Array) -> Array:
-        n = normals(q)
+        normals, heights = normals_and_heights(q)
         if count == blocks == 2:
-            return np.array([np.arctan2(np.linalg.norm(np.cross(*n)), -(n[0] @ n[1]))])
-        heights = (middles * n).sum(axis=1) + q[2 * blocks:]
-        return np.asarray((heights - heights[np.searchsorted(block, block)])[face > 0])
+            across, along = np.linalg.norm(np.cross(*normals)), -(normals[0] @ normals[1])
+            return np.array([np.arctan2(across, along)])
+        in_base = (middles * normals).sum(axis=1) + heights
+        return np.asarray((in_base - in_base[np.searchsorted(block, block)])[face > 0])
 
     quantities = tuple(
         Quantity(f'height of face {f} over face 0' + (f' of block {b + 1}' if blocks > 1 else ''),
@@ -93,7 +98,7 @@ def spheres(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     """Return one sphere of each recording; measured: radii, and distances of the centres."""
     p, count = stations.problem.points_in_base(X), len(stations.counts)
     recording = stations.recording_of_point
-    start = np.concatenate([_sphere_through(p[recording == k]) for k in range(count)])
+    start = np.concatenate([fit_round(p[recording == k]) for k in range(count)])
 
     def distance(p: Array, q: Array) -> Array:
         balls = q.reshape(count, 4)[recording]
@@ -109,15 +114,6 @@ def spheres(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     distances = [Quantity(f'distance of balls {k} and {k + 1}', nominal=length,
                           characteristic='SD') for k, length in enumerate(nominal.lengths, 1)]
     return Shape(stations, start, distance, values, (*radii, *distances))
-
-
-def _sphere_through(p: Array) -> Array:
-    """Return centre and radius (4,) of the algebraic sphere fit to points (n, 3)."""
-    middle = p.mean(axis=0)
-    centred = p - middle
-    A = np.column_stack([2 * centred, np.ones(len(p))])
-    x = np.linalg.lstsq(A, (centred ** 2).sum(axis=1), rcond=None)[0]
-    return np.append(x[:3] + middle, np.sqrt(max(x[3] + x[:3] @ x[:3], 1e-12)))
 
 
 @dataclass(frozen=True)

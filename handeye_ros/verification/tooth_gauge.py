@@ -19,6 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 TOP, VALLEY, RISING, FALLING = 0, 1, 2, 3
+# Of the unknowns: how much pitch and height are larger than nominal, the outward offset of the
+# flanks (m), and their slope (horizontal distance per height).
+TEETH = slice(5, 9)
 CORNER_SHARE = 0.12  # of the height: nearer to a corner no point is used
 OFF_ALL_FACES = 0.15  # of the height: a point further from all faces is on none
 BIN_WIDTH = 0.05  # of the pitch
@@ -95,9 +98,10 @@ def _without_outliers(distances: Array, by_range: Array, face: Indices, min_scat
 
 
 def _local(p: Array, frame: Array, q: Array) -> Array:
-    """Return points in the gauge's frame (m, 3), moved by the first five unknowns."""
+    """Return points (m, 3) in the frame of the gauge, as its unknowns move it."""
+    rotation, (x, z) = q[:3], q[3:5]
     in_frame = se3.apply(se3.inverse(frame), p)
-    return np.asarray(in_frame @ se3.exp_rotation(q[:3]).T + [q[3], 0.0, q[4]])
+    return np.asarray(in_frame @ se3.exp_rotation(rotation).T + [x, 0.0, z])
 
 
 def _shape(stations: StationSet, frame: Array, pitch: float, height: float, tooth: Indices,
@@ -105,20 +109,20 @@ def _shape(stations: StationSet, frame: Array, pitch: float, height: float, toot
     """
     Return the teeth as a shape; tooth: (m,) the tooth of each point on a flank.
 
-    Unknowns: rotation, x and z of the gauge, the deviations of pitch and height from nominal, the
-    outward offset of the flanks, and their slope (horizontal distance per height).
+    Unknowns (9,): rotation, x and z of the gauge, and TEETH.
     """
     face = stations.observations.kind
     side = np.where(face == RISING, -1.0, 1.0)
 
     def distance(p: Array, q: Array) -> Array:
         x, _, z = _local(p, frame, q).T
-        out = side * (x - (pitch + q[5]) * tooth) - (pitch / 4 + q[7])
-        flank = (out + q[8] * (z - height / 2)) / np.hypot(1.0, q[8])
-        return np.asarray(np.where(face == TOP, z - height - q[6],
+        pitch_off, height_off, outwards, slope = q[TEETH]
+        out = side * (x - (pitch + pitch_off) * tooth) - (pitch / 4 + outwards)
+        flank = (out + slope * (z - height / 2)) / np.hypot(1.0, slope)
+        return np.asarray(np.where(face == TOP, z - height - height_off,
                                    np.where(face == VALLEY, z, flank)))
 
-    return Shape(stations, start, distance, lambda q: np.array([pitch + q[5], height + q[6]]),
+    return Shape(stations, start, distance, lambda q: [pitch, height] + q[TEETH][:2],
                  (Quantity('pitch', nominal=pitch, characteristic='E'),
                   Quantity('height', nominal=height, characteristic='E')))
 
@@ -127,10 +131,11 @@ def _faces(local: Array, pitch: float, height: float, q: Array
            ) -> tuple[Indices, Indices, NDArray[np.bool_]]:
     """Return the face and the tooth of each point, and which points are clearly on a face."""
     x, z = local[:, 0], local[:, 2]
-    tooth = np.round(x / (pitch + q[5])).astype(np.intp)
-    from_middle = x - (pitch + q[5]) * tooth  # of its tooth
-    slope, margin = abs(q[8]), CORNER_SHARE * height
-    out = np.abs(from_middle) - (pitch / 4 + q[7])  # past the middle of the flank
+    pitch_off, _, outwards, slope = q[TEETH]
+    tooth = np.round(x / (pitch + pitch_off)).astype(np.intp)
+    from_middle = x - (pitch + pitch_off) * tooth  # of its tooth
+    slope, margin = abs(slope), CORNER_SHARE * height
+    out = np.abs(from_middle) - (pitch / 4 + outwards)  # past the middle of the flank
     reach = slope * height / 2
     on_top, in_valley = out < -reach - margin, out > reach + margin
     on_flank = np.abs(z - height / 2) < height / 2 - margin

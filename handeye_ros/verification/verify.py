@@ -9,39 +9,24 @@ takes no part in U.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from datetime import datetime, UTC
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 import math
-from pathlib import Path
-from typing import Any
 
-from handeye_ros import __version__, output
+from handeye_ros import output
 from handeye_ros.config import VerifyConfig
-from handeye_ros.data import Array, Calibration, Reject
+from handeye_ros.data import Calibration, Reject
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.least_squares import FALSE_ALARM
 from handeye_ros.frames import T_sensor_plane
-from handeye_ros.results.calibration_file import input_values
-from handeye_ros.results.verification_file import (
-    CONFORMS,
-    decision,
-    FORMAT,
-    formatted,
-    UNDECIDED,
-    VIOLATES,
-)
 from handeye_ros.verification.fit import (
     COVERAGE_FACTOR,
     DETECTION_SIGMAS,
-    Fit,
     fit_shape,
     fit_without_outliers,
-    Indices,
     Quantity,
     refit_shape,
-    Scatter,
-    Shape,
+    ShapeFit,
     StationSet,
 )
 from handeye_ros.verification.routines import Routine
@@ -51,6 +36,8 @@ ONE_SIDED_95 = 1.64
 SIGNIFICANCE = 0.01  # level of the tests of a calibration error
 INCONSISTENT_P = 1e-3  # level of the test that the points agree
 UNEXPLAINED_P = 1e-6  # below this p no error of the calibration explains the points
+# decisions of ISO 14253-1
+CONFORMS, VIOLATES, UNDECIDED = 'conforms', 'does not conform', 'not decided'
 
 
 @dataclass(frozen=True)
@@ -90,12 +77,7 @@ class Verification:
     reasons: sentences
     tolerance (m), angle_tolerance (rad): as configured
     stations: number of stops used, of a sweep of profiles
-    smallest_error: the smallest detectable error of the calibration, in the least sensitive
-        direction (m)
-    weakest_direction: this direction, in words
-    region: squared distance of the values from their nominals, in units of both covariances
-    freedom: number of values with a nominal
-    claim_p: probability of a larger region if the calibration's covariance is true
+    quantities: those of the fit, and the scatter of each face or ball
     surface: the choice between several in sight
     says: what the routine measures, in words
     recorded: when (ISO 8601; empty: unknown)
@@ -111,12 +93,7 @@ class Verification:
     angle_tolerance: float
     stations: int
     quantities: tuple[Quantity, ...]
-    scatter: Scatter
-    smallest_error: float
-    weakest_direction: str
-    region: float
-    freedom: int
-    claim_p: float
+    fit: ShapeFit
     per_station: tuple[StationResult, ...] = ()
     surface: str = ''
     says: str = ''
@@ -135,23 +112,20 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
     two recordings are one.
     """
     stations.require_enough(others)
-    config = stations.problem.config
+    config, limits = stations.problem.config, stations.problem.config.verify
     stops = np.column_stack([stations.stamps, stations.problem.poses.reshape(-1, 16)])
     if len(np.unique(stops, axis=0)) < len(stops):
         raise InputError('two recordings hold the same stops: give one recording of each face, '
                          'ball or pass')
     X = calibration.T_flange_sensor @ T_sensor_plane(config)
     smooth_std = float(calibration.target.get('robot_position_error', 0.0))
-
-    def fitted(groups: Indices) -> tuple[tuple[Shape, Fit], Array, Array, Indices]:
-        shape = routine.shape(stations.of_groups(groups), X, config.verify)
-        fit = fit_shape(shape, X, calibration.covariance, smooth_std)
-        return (shape, fit), fit.white_distances, fit.wrt_unknowns, shape.stations.group_of_point
-
-    (shape, fit), p, dropped = fit_without_outliers(np.unique(stations.group_of_point), fitted)
-    if max(fit.scatter.p, fit.p_error) < UNEXPLAINED_P and not routine.in_passes:
+    (shape, fit), p, dropped = fit_without_outliers(
+        np.unique(stations.group_of_point), lambda groups: fit_shape(
+            routine.shape(stations.of_groups(groups), X, limits), X,
+            calibration.covariance, smooth_std))
+    if max(fit.scatter.p, fit.error.p_explained) < UNEXPLAINED_P and not routine.in_passes:
         freed = refit_shape(shape, X, calibration.covariance, smooth_std)
-        if freed.p_error < UNEXPLAINED_P and freed.scatter.maximum > config.verify.tolerance:
+        if freed.error.p_explained < UNEXPLAINED_P and freed.scatter.maximum > limits.tolerance:
             raise DataError(
                 f'this is not what "{routine.name}" measures: no error of the calibration brings '
                 f'all points closer than {mm(freed.scatter.maximum)} to its shape. Check which '
@@ -159,17 +133,15 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
                 '(verify.near), and, of a sweep, that the clocks are as they were (handeye check)')
     quantities = (*fit.quantities, *routine.scatter(shape.stations, fit.distances))
     per_station = _station_results(stations, shape.stations, fit, p, dropped)
-    verdict, reasons = _decide(fit, quantities, per_station, config.verify, smooth_std)
+    verdict, reasons = _decide(fit, quantities, per_station, limits, smooth_std)
     return Verification(
-        routine.name, calibration.name, verdict, reasons, config.verify.tolerance,
-        config.verify.angle_tolerance, len(np.unique(shape.stations.observations.station)),
-        quantities, fit.scatter, fit.smallest_error, fit.weakest_direction, fit.region,
-        fit.freedom, fit.claim_p, per_station, stations.surface, says=routine.says,
-        recorded=output.time_of(int(stations.stamps.min())), certificate=config.verify.certificate,
-        record=dict(config.record))
+        routine.name, calibration.name, verdict, reasons, limits.tolerance, limits.angle_tolerance,
+        len(np.unique(shape.stations.observations.station)), quantities, fit, per_station,
+        stations.surface, routine.says, output.time_of(int(stations.stamps.min())),
+        limits.certificate, dict(config.record))
 
 
-def _station_results(stations: StationSet, used: StationSet, fit: Fit,
+def _station_results(stations: StationSet, used: StationSet, fit: ShapeFit,
                      p: Mapping[int, float], dropped: Sequence[int]) -> tuple[StationResult, ...]:
     """
     Return the results of all stops or passes of which points are used, or were left out.
@@ -189,12 +161,12 @@ def _station_results(stations: StationSet, used: StationSet, fit: Fit,
         elif len(rows):
             worst = rows[np.argmax(np.abs(fit.distances[rows]))]
             results.append(StationResult(
-                *identity, float(abs(fit.distances[worst])), float(fit.distance_std[worst]),
+                *identity, float(abs(fit.distances[worst])), float(fit.distance_stds[worst]),
                 p[group]))
     return tuple(results)
 
 
-def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[StationResult],
+def _decide(fit: ShapeFit, quantities: Sequence[Quantity], stations: Sequence[StationResult],
             limits: VerifyConfig, smooth_std: float) -> tuple[str, tuple[str, ...]]:
     """
     Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences.
@@ -212,19 +184,34 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
             f': measure at about {math.ceil(used * (size / largest) ** 2)} stops like these, or '
             'turn the sensor more between them')
 
-    other_size = fit.p_error < UNEXPLAINED_P < fit.scatter.p  # the shape fits, but not in its size
+    # the shape fits, but not in its size
+    other_size = fit.error.p_explained < UNEXPLAINED_P < fit.scatter.p
     findings = [*_values_off(quantities, limits, remedy),
                 *_points_off(fit, stations, limits, other_size)]
     failed, undecided = ([sentence for outcome, sentence in findings if outcome == wanted]
                          for wanted in (VIOLATES, UNDECIDED))
     verdict = 'fail' if failed else 'undecided' if undecided else 'pass'
-    if not failed and fit.smallest_error > limits.tolerance:
+    if not failed and fit.error.detectable > limits.tolerance:
         verdict = 'insensitive'
         undecided.insert(0, (
             'this decides nothing: an error of the calibration would show only from '
-            f'{mm(fit.smallest_error)} on ({fit.weakest_direction}), and the tolerance is '
-            f'{mm(limits.tolerance)}{remedy(fit.smallest_error, limits.tolerance)}'))
+            f'{mm(fit.error.detectable)} on ({fit.error.weakest_direction}), and the tolerance is '
+            f'{mm(limits.tolerance)}{remedy(fit.error.detectable, limits.tolerance)}'))
     return verdict, (*failed, *undecided, *_notes(fit, other_size, stations))
+
+
+def decision(deviation: float, U: float, tolerance: float) -> str:
+    """Return the decision of ISO 14253-1 on a deviation with its expanded uncertainty U."""
+    if abs(deviation) + U <= tolerance:
+        return CONFORMS
+    return VIOLATES if abs(deviation) - U > tolerance else UNDECIDED
+
+
+def formatted(value: float | None, unit: str) -> str:
+    """Return a value in millimetres or degrees, '' if there is none."""
+    if value is None or math.isnan(value):
+        return ''
+    return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{math.degrees(value):.4f} degrees'
 
 
 def _values_off(quantities: Sequence[Quantity], limits: VerifyConfig,
@@ -246,7 +233,7 @@ def _values_off(quantities: Sequence[Quantity], limits: VerifyConfig,
                 f'{remedy(q.expanded, tolerance - abs(q.error))}')
 
 
-def _points_off(fit: Fit, stations: Sequence[StationResult], limits: VerifyConfig,
+def _points_off(fit: ShapeFit, stations: Sequence[StationResult], limits: VerifyConfig,
                 other_size: bool) -> Iterator[tuple[str, str]]:
     """
     Yield the decisions on points and calibration that do not conform, each with a sentence.
@@ -259,12 +246,13 @@ def _points_off(fit: Fit, stations: Sequence[StationResult], limits: VerifyConfi
         worst = max(outside, key=lambda s: s.distance)
         yield VIOLATES, (f'points of {len(outside)} of {len(stations)} stops lie up to '
                          f'{mm(worst.distance)} from the fit (the worst: {worst.name})')
-    outcome = decision(fit.largest_error, ONE_SIDED_95 * fit.largest_error_std, limits.tolerance)
-    error = (f'an error of the calibration of {mm(fit.largest_error)} ± '
-             f'{mm(COVERAGE_FACTOR * fit.largest_error_std)} (k = {COVERAGE_FACTOR:g})')
-    if fit.p_of_error <= SIGNIFICANCE and outcome == VIOLATES and not other_size:
+    size, std = fit.error.largest, fit.error.largest_std
+    outcome = decision(size, ONE_SIDED_95 * std, limits.tolerance)
+    error = (f'an error of the calibration of {mm(size)} ± {mm(COVERAGE_FACTOR * std)} '
+             f'(k = {COVERAGE_FACTOR:g})')
+    if fit.error.p_chance <= SIGNIFICANCE and outcome == VIOLATES and not other_size:
         yield VIOLATES, f'the pattern of the distances matches {error} at the points'
-    elif fit.p_of_error <= SIGNIFICANCE and outcome != CONFORMS:
+    elif fit.error.p_chance <= SIGNIFICANCE and outcome != CONFORMS:
         yield UNDECIDED, (f'the points suggest {error}, which may exceed the tolerance: measure '
                           'at more stops')
     contradicting = [s.name for s in stations if s.used and s.p * len(stations) < FALSE_ALARM]
@@ -273,7 +261,7 @@ def _points_off(fit: Fit, stations: Sequence[StationResult], limits: VerifyConfi
                           'calibration, and without them too little would be left: measure again')
 
 
-def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult]) -> Iterator[str]:
+def _notes(fit: ShapeFit, other_size: bool, stations: Sequence[StationResult]) -> Iterator[str]:
     """Yield the sentences that qualify a verdict."""
     yield from (f'{s.name} is left out: {s.reason}' for s in stations if not s.used)
     if fit.scatter.p < INCONSISTENT_P:
@@ -285,12 +273,3 @@ def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult]) -> Ite
                'deviations: check the nominal values (verify.radius, verify.lengths)')
     if fit.claim_p < SIGNIFICANCE:
         yield f'the deviations are larger than the calibration claims (p = {fit.claim_p:.1g})'
-
-
-def plain_values(verification: Verification, inputs: Iterable[object] = (),
-                 calibration_file: Path | None = None) -> dict[str, Any]:
-    """Return a verification, of now and what it comes from, as the content of its YAML."""
-    return {'format': FORMAT, 'version': __version__, 'k': COVERAGE_FACTOR, **asdict(verification),
-            'inputs': list(map(str, inputs)),
-            'calibration_file': input_values(calibration_file) if calibration_file else {},
-            'created': datetime.now(UTC).isoformat(timespec='seconds')}

@@ -14,7 +14,7 @@ from handeye_ros.published import jing2020
 from handeye_ros.simulate.measured import BALL_RADIUS, laser_tracker, SimulatedFiles
 from handeye_ros.tabulated.pairs import PointPairs, PosePairs
 from handeye_ros.tabulated.tracker import Piece, sweep_from, SWEPT_PARTS, TrackerSession
-from handeye_ros.tabulated.values import solve, TableAnswer
+from handeye_ros.tabulated.values import answer_table, TableAnswer
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -45,7 +45,7 @@ def test_points_are_as_sure_as_they_say(count: int, mean: float) -> None:
     squares, noise = [], []
     for seed in range(100):
         T, points = pairs(seed, count)
-        found = points.solve()
+        found = points.estimate()
         squares.append(chi_squared(found, T))
         noise.append(found.target['point_noise'])
         assert found.used.sum() >= min(count, 4)
@@ -58,7 +58,7 @@ def test_points_are_as_sure_as_they_say(count: int, mean: float) -> None:
 def test_wrong_points_are_left_out(count: int, wrong: int) -> None:
     for seed in range(5):
         T, points = pairs(seed, count, wrong)
-        found = solve(points)
+        found = answer_table(points)
         assert np.flatnonzero(~found.used).tolist() == list(range(wrong))
         assert found.residuals[:wrong].min() > 5 * found.residual_rms
         assert found.residual_rms < found.holdout_rms < 1e-3
@@ -67,7 +67,7 @@ def test_wrong_points_are_left_out(count: int, wrong: int) -> None:
 def test_points_in_another_order_are_refused() -> None:
     _, points = pairs(1)
     with pytest.raises(DataError, match='same points in the same order'):
-        solve(replace(points, robot=points.robot[::-1]))
+        answer_table(replace(points, robot=points.robot[::-1]))
 
 
 def views(seed: int, robot: tuple[float, float], count: int = 12, on_base: bool = False
@@ -95,7 +95,7 @@ def test_views_are_as_sure_as_they_say(on_base: bool, count: int) -> None:
     squares = []
     for seed in range(40):
         X, Z, poses = views(seed, (1e-4, 1e-3), count, on_base)
-        found = poses.solve()
+        found = poses.estimate()
         squares.append(chi_squared(found, X))
         assert list(found.target['pose']['translation'].values()) == pytest.approx(
             Z[:3, 3], abs=2e-3 if count == 20 else 1e-2)
@@ -107,7 +107,7 @@ def test_a_wrong_view_is_left_out() -> None:
     X, _, poses = views(5, (3e-5, 1e-4))
     seen = poses.seen.copy()
     seen[4] = se3.perturb(seen[4], np.array([5e-3, 0, 0, 0, 0.02, 0]))
-    found = solve(replace(poses, seen=seen))
+    found = answer_table(replace(poses, seen=seen))
     assert not found.used[4] and found.used.sum() >= 10
     assert np.linalg.norm(se3.difference(found.X, X)[:3]) < 1e-3
     assert found.residual_rms < found.holdout_rms < 1e-3
@@ -123,7 +123,7 @@ def tracked(measured: jing2020.Readings) -> TableAnswer:
     pieces = [Piece(row, part, point[None])
               for part, points in measured.parts.items() if part != 'ball'
               for row, point in enumerate(points)]
-    return solve(TrackerSession(config, pieces, measured.parts['ball'][0], measured.q30))
+    return answer_table(TrackerSession(config, pieces, measured.parts['ball'][0], measured.q30))
 
 
 def test_the_tracker_without_noise_finds_the_truth() -> None:

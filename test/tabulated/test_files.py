@@ -26,7 +26,7 @@ from handeye_ros.simulate import FILE_SCENES, measured
 from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.tables import Table
 from handeye_ros.tabulated import FILE_TARGETS
-from handeye_ros.tabulated.values import calibrate, TableProblem
+from handeye_ros.tabulated.values import calibrate_table, TableProblem
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -102,7 +102,7 @@ def test_solve_answers_near_the_truth_and_says_how_near(name, handeye, tmp_path)
     told = f'mapped points {errors.mapped_points * 1e3:.3f} mm RMS over {read.field_text}'
     assert told in run.stdout
     found.provenance.pop('created')
-    assert equal(found, calibrate(read))
+    assert equal(found, calibrate_table(read))
 
 
 @pytest.mark.parametrize('name', EXACT)
@@ -137,7 +137,7 @@ def test_a_wrong_row_is_left_out_and_reported(tmp_path: Path) -> None:
     comparison = compare_files(read, folds=9)
     assert (comparison.used, comparison.rejected) == (9, 1)
     assert all(row.residual_rms < row.holdout_rms < 1e-4 for row in comparison.rows)
-    found = calibrate(read)
+    found = calibrate_table(read)
     assert [sample.used for sample in found.samples] == [False] + 9 * [True]
     assert (found.samples[0].stamp, found.samples[0].reason) == (1, 'contradicts the others')
     assert found.samples[0].residual > 0.4
@@ -153,12 +153,12 @@ def test_the_samples_of_the_tracker_are_its_rows_and_the_profiles(tmp_path: Path
     lines[row] = f'{kind}, {float(x) + 3}, {y}, {float(z) - 3}'
     file.write_text('\n'.join(lines))
     with pytest.raises(DataError, match=f'face_d of row {row}, by .* or leave that row out'):
-        calibrate(read_configured('small_tracker', tmp_path / 'cell'))
+        calibrate_table(read_configured('small_tracker', tmp_path / 'cell'))
     file.write_text(text)
     read = read_configured('small_tracker', tmp_path / 'cell')
     with pytest.raises(InputError, match='one estimator alone: use "handeye solve"'):
         compare_files(read)
-    found = calibrate(read)
+    found = calibrate_table(read)
     kinds = [sample.edge for sample in found.samples]
     assert [kinds.count(kind) for kind in ('arc', 'line', 'face_c', 'face_d')] == [40, 30, 40, 40]
     swept = {sample.stamp for sample in found.samples if sample.edge.startswith('swept')}
@@ -167,7 +167,7 @@ def test_the_samples_of_the_tracker_are_its_rows_and_the_profiles(tmp_path: Path
     assert swept <= {profile.stamp for profile in bag.read(tmp_path / 'cell', config).profiles}
     turned = with_values(config, {'profile.axes': ['y', 'z'], 'tracker.direction': [-1, 0, 0]},
                          'test')
-    T_turned = calibrate(replace(read, config=turned)).T_flange_sensor
+    T_turned = calibrate_table(replace(read, config=turned)).T_flange_sensor
     np.testing.assert_allclose(T_turned @ T_sensor_plane(turned), found.T_flange_sensor, atol=1e-9)
 
 

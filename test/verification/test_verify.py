@@ -13,12 +13,12 @@ from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Arc, FaceLine
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.output import yaml_text
-from handeye_ros.results.verification_file import protocol
 from handeye_ros.simulate.robot import pose_error
 from handeye_ros.simulate.scenario import PlateTarget, SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
+from handeye_ros.verification.result_file import plain_values, protocol
 from handeye_ros.verification.routines import routine_of, ROUTINES, settings_for
-from handeye_ros.verification.verify import plain_values, verify
+from handeye_ros.verification.verify import verify
 import numpy as np
 import pytest
 from verifications import bench, measured, result
@@ -109,7 +109,7 @@ def test_what_does_not_belong_to_the_artefact_takes_no_part():
         return replace(arc, points=arc.points + [0.05, 0], centre=arc.centre + [0.05, 0]), arc
 
     assert result('sphere', with_features(made, with_another_ball), found, config=config
-                  ).scatter == result('sphere', made, found).scatter
+                  ).fit.scatter == result('sphere', made, found).fit.scatter
     made, found = measured('line')
 
     def with_another_edge(sample):
@@ -118,7 +118,7 @@ def test_what_does_not_belong_to_the_artefact_takes_no_part():
         return replace(edge, point=edge.point + shift), face, edge
 
     assert result('line', with_features(made, with_another_edge), found
-                  ).scatter == result('line', made, found).scatter
+                  ).fit.scatter == result('line', made, found).fit.scatter
 
 
 @pytest.mark.parametrize(('name', 'change', 'number', 'error'), [
@@ -171,7 +171,7 @@ def test_what_could_not_have_shown_is_no_pass():
     report = result('plane', *measured('plane', count=5))
     assert report.verdict == 'insensitive' and 'would show only from' in report.reasons[0]
     made, found = measured('step', count=12)
-    shown = result('step', made, found).smallest_error
+    shown = result('step', made, found).fit.error.detectable
     assert result('step', made, found, tolerance=2.0 * shown).verdict == 'pass'
     coarse = result('step', made, found, tolerance=0.8 * shown)
     more = math.ceil(sum(stop.used for stop in coarse.per_station) / 0.8 ** 2)
@@ -184,7 +184,7 @@ def test_what_could_not_have_shown_is_no_pass():
 def test_the_calibration_s_claim_takes_no_part_in_the_decision():
     made, found = measured('point')
     judged = result('point', made, replace(found, covariance=1e4 * found.covariance))  # 3 mm
-    assert judged.verdict == 'pass' and judged.claim_p > 0.5
+    assert judged.verdict == 'pass' and judged.fit.claim_p > 0.5
     assert judged.quantities[0].claimed > 1e-3 > 1e-4 > judged.quantities[0].expanded
     bold = replace(found, covariance=1e-6 * found.covariance)
     off = replace(made, reference=tuple(np.add(made.reference, [0, 0, 1e-4])))
@@ -335,7 +335,7 @@ def test_of_points_without_noise_none_is_an_outlier():
                        replace(bench.ROBOT, repeatability=(0.0, 0.0)))
     report = teeth(made, bench.calibration(made.T_flange_sensor, np.diag(bench.STD ** 2)))
     assert report.verdict == 'pass' and max(abs(q.error) for q in report.quantities) < 1e-6
-    assert report.scatter.points > 0.5 * len(made.passes) * 960
+    assert report.fit.scatter.points > 0.5 * len(made.passes) * 960
 
 
 @pytest.mark.parametrize('name', ('plane', 'square'))
@@ -345,4 +345,4 @@ def test_steep_faces_disagree_no_more_than_their_doubtful_range(name):
         made, found = measured(name, seed, take=bench.take, tilt=np.radians(66.0))
         bags = bench.stops_of(ROUTINES[name], made, Config(noise=bench.NOISE))
         seen.append(result(name, replace(made, bags=tuple(bags)), found))
-    assert all(one.scatter.p > 1e-3 and one.verdict == 'pass' for one in seen)
+    assert all(one.fit.scatter.p > 1e-3 and one.verdict == 'pass' for one in seen)

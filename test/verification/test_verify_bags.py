@@ -11,10 +11,10 @@ from handeye_ros.cli import command
 from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import ClockEstimate
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.results import verification_file
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.simulate import SCENARIOS, settings, simulate
 from handeye_ros.simulate.scenario import Sweep
+from handeye_ros.verification import result_file
 from handeye_ros.verification.routines import ROUTINES, settings_for
 from handeye_ros.verification.stations import stations_of
 from handeye_ros.verification.verify import verify
@@ -85,25 +85,25 @@ def reported(folder, result):
     page = (folder / 'told.html').read_text()
     assert f'sphere: FAIL, {result["stations"]} stations' in page and 'ISO 14253-1' in page
     assert all(reason in page for reason in result['reasons'])
-    assert dict(verification_file.table_rows(result))['radius'][0] in page
+    assert dict(result_file.table_rows(result))['radius'][0] in page
     for key in ('says', 'weakest_direction', 'per_station'):
         (folder / 'part.yaml').write_text(yaml.safe_dump(
             {name: value for name, value in result.items() if name != key}))
         with pytest.raises(InputError, match='not the whole result of a verification'):
-            verification_file.protocol_of(folder / 'part.yaml')
+            result_file.protocol_of(folder / 'part.yaml')
     (folder / 'part.yaml').write_text(yaml.safe_dump(result | {'smallest_error': 10**400}))
     with pytest.raises(InputError, match='not the whole result of a verification'):
-        verification_file.protocol_of(folder / 'part.yaml')
+        result_file.protocol_of(folder / 'part.yaml')
 
 
 @pytest.mark.parametrize(('text', 'words'), [
-    (f'format: {verification_file.FORMAT}', 'not the whole result'),
+    (f'format: {result_file.FORMAT}', 'not the whole result'),
     ('format: handeye_ros/verification/2', 'newer than this'),
     ('{', 'not valid YAML')])
 def test_files_of_no_verification_are_refused(tmp_path, text, words):
     (tmp_path / 'told.yaml').write_text(text)
     with pytest.raises(InputError, match=words):
-        verification_file.protocol_of(tmp_path / 'told.yaml')
+        result_file.protocol_of(tmp_path / 'told.yaml')
 
 
 def sweep(target, calibrated, knot, delay, **values):
@@ -130,7 +130,7 @@ def swept(target, *given, **values):
 @pytest.mark.parametrize('target', ['sphere', 'line'])
 def test_a_sweep_is_measured_at_the_time_offset_of_the_calibration(target):
     result = swept(target, 0.020, 0.9, -0.020)
-    assert result.verdict == 'pass' and result.scatter.rms < 1e-4
+    assert result.verdict == 'pass' and result.fit.scatter.rms < 1e-4
     with pytest.raises(DataError, match='of a sweep, that the clocks are as they were'):
         swept(target, 0.010, 0.9, -0.020)
 

@@ -1,24 +1,28 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-A verification by the content of its YAML (see verification/verify.py): table, sentence, protocol.
+A verification as the content of its YAML, and what is shown of it: table, sentence, protocol.
 
 The protocol is one HTML file for an inspector; it opens without a network.
 """
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict
+from datetime import datetime, UTC
 import hashlib
 import json
-import math
 from pathlib import Path
 from typing import Any
 
+from handeye_ros import __version__
 from handeye_ros.config import read_yaml
 from handeye_ros.errors import unusable_file
 from handeye_ros.output import rendered
-from handeye_ros.results.calibration_file import require_format
+from handeye_ros.results.calibration_file import input_values, require_format
 from handeye_ros.results.table import figures_table
+from handeye_ros.verification.fit import COVERAGE_FACTOR
+from handeye_ros.verification.verify import decision, formatted, Verification
 from rich.table import Table
 
 FORMAT_PREFIX = 'handeye_ros/verification/'
@@ -39,21 +43,19 @@ CHARACTERISTICS = {
     'SD': ('sphere spacing error', 1.0),
     'F': ('flatness measurement error: span of the distances from the plane', 1.0),
     'E': ('length measurement error', 1.0)}
-CONFORMS, VIOLATES, UNDECIDED = 'conforms', 'does not conform', 'not decided'
 
 
-def formatted(value: float | None, unit: str) -> str:
-    """Return a value in millimetres or degrees, '' if there is none."""
-    if value is None or math.isnan(value):
-        return ''
-    return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{math.degrees(value):.4f} degrees'
-
-
-def decision(deviation: float, U: float, tolerance: float) -> str:
-    """Return the decision of ISO 14253-1 on a deviation with its expanded uncertainty U."""
-    if abs(deviation) + U <= tolerance:
-        return CONFORMS
-    return VIOLATES if abs(deviation) - U > tolerance else UNDECIDED
+def plain_values(verification: Verification, inputs: Iterable[object] = (),
+                 calibration_file: Path | None = None) -> dict[str, Any]:
+    """Return a verification, of now and what it comes from, as the content of its YAML."""
+    values, fit = asdict(verification), verification.fit
+    del values['fit']
+    return {'format': FORMAT, 'version': __version__, 'k': COVERAGE_FACTOR, **values,
+            'scatter': asdict(fit.scatter), 'smallest_error': fit.error.detectable,
+            'weakest_direction': fit.error.weakest_direction, 'region': fit.region,
+            'freedom': fit.freedom, 'claim_p': fit.claim_p, 'inputs': list(map(str, inputs)),
+            'calibration_file': input_values(calibration_file) if calibration_file else {},
+            'created': datetime.now(UTC).isoformat(timespec='seconds')}
 
 
 def title_of(content: Mapping[str, Any]) -> str:
