@@ -349,8 +349,7 @@ def outliers_at_one_end(solution: Solution) -> str:
     dropped = n - len(used)
     if solution.problem.pose_model is not None or math.comb(n, dropped) < 2 / PARTED_P:
         return ''
-    which, side = {0: ('last', 'before'), dropped: ('first', 'after')}.get(
-        int(used[0]), ('', ''))
+    which, side = {0: ('last', 'before'), dropped: ('first', 'after')}.get(int(used[0]), ('', ''))
     if not which or np.ptp(used) >= n - dropped:
         return ''
     return (f'the {which} {dropped} of {n} samples contradict the {n - dropped} {side} them: the '

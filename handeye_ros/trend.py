@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 from handeye_ros import output, se3
 from handeye_ros.data import Array, Calibration
@@ -21,32 +20,23 @@ CHANGED_P, WATCH_P = 0.01, 0.05  # p-values of a difference: act, watch
 AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 
 
-class Difference(NamedTuple):
-    """
-    The difference of two transforms (6,) as x y z rx ry rz (m, rad), and its 1 sigma (6,).
-
-    p: probability of a larger one by both covariances
-    """
-
-    values: Array
-    std: Array
-    p: float
-
-
 @dataclass(frozen=True, eq=False)
 class Entry:
     """
     One calibration of a trend.
 
     recorded: time of its first sample, or of its solution where that is unknown
-    from_first: the difference from the first calibration
-    p_before: p-value of the difference from the previous one
+    difference: (6,) from the first calibration, as x y z rx ry rz (m, rad)
+    std: (6,) 1 sigma of it, by both covariances
+    p_first, p_before: p-values of the differences from the first and from the previous one
     residual: RMS (m)
     """
 
     path: Path
     recorded: str
-    from_first: Difference
+    difference: Array
+    std: Array
+    p_first: float
     p_before: float
     residual: float
 
@@ -82,8 +72,9 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], 
             warnings.append(f'{path} is left out: it is of {_frames(calibration)}, not of '
                             f'{_frames(reference)}; name another reference with --against')
             continue
-        entries.append(Entry(path, recorded, difference_of(calibration, reference),
-                             difference_of(calibration, before).p,
+        difference, std, p_first = difference_of(calibration, reference)
+        _, _, p_before = difference_of(calibration, before)
+        entries.append(Entry(path, recorded, difference, std, p_first, p_before,
                              calibration.quality.residual_rms))
         before = calibration
     return entries, warnings
@@ -93,25 +84,24 @@ def _frames(calibration: Calibration) -> str:
     return f'{calibration.child_frame} on {calibration.parent_frame}'
 
 
-def difference_of(a: Calibration, b: Calibration) -> Difference:
-    """Return the difference of a from b."""
+def difference_of(a: Calibration, b: Calibration) -> tuple[Array, Array, float]:
+    """Return the difference (6,) of a from b, its 1 sigma (6,) and its p-value."""
     difference = se3.difference(a.T_flange_sensor, b.T_flange_sensor)
     covariance = a.covariance + b.covariance
     p_value = float(chi2_sf(difference @ np.linalg.solve(covariance, difference), 6))
-    return Difference(difference, np.sqrt(np.diag(covariance)), p_value)
+    return difference, np.sqrt(np.diag(covariance)), p_value
 
 
 def table(entries: Sequence[Entry]) -> Table:
     """Return the trend as a table."""
     rows = []
     for entry in entries:
-        shift, turn = np.split(entry.from_first.values, 2)
-        p_first, p_before = entry.from_first.p, entry.p_before
+        shift, turn = np.split(entry.difference, 2)
         rows.append((
             entry.recorded, *(f'{metres * 1e3:.3f}' for metres in shift),
-            f'{np.degrees(np.linalg.norm(turn)):.4f}', f'{p_first:.3g}', f'{p_before:.3g}',
-            'CHANGED' if p_before < CHANGED_P else
-            'watch' if min(p_before, p_first) < WATCH_P else ''))
+            f'{np.degrees(np.linalg.norm(turn)):.4f}', f'{entry.p_first:.3g}',
+            f'{entry.p_before:.3g}', 'CHANGED' if entry.p_before < CHANGED_P else
+            'watch' if min(entry.p_before, entry.p_first) < WATCH_P else ''))
     return figures_table(
         'recorded', 'x [mm]', 'y [mm]', 'z [mm]', 'rotation [degrees]', 'p to the first',
         'p to the previous', '', rows=rows, right=range(7), title='differences from the first')
@@ -131,5 +121,5 @@ def csv_text(entries: Sequence[Entry]) -> str:
     return output.csv_text(
         ('recorded', 'path', *AXES, *(f'{axis}_std' for axis in AXES), 'p_first', 'p_before',
          'residual'),
-        ((entry.recorded, entry.path, *entry.from_first.values, *entry.from_first.std,
-          entry.from_first.p, entry.p_before, entry.residual) for entry in entries))
+        ((entry.recorded, entry.path, *entry.difference, *entry.std, entry.p_first,
+          entry.p_before, entry.residual) for entry in entries))

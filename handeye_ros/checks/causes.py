@@ -50,9 +50,8 @@ def require_agreement(samples: Sequence[Sample], solution: Solution, baseline: F
 
     samples: of the stations of the problem, in order; baseline: the fit of the solution.
     """
-    problem, config, poses = (solution.full_problem, solution.full_problem.config,
-                              solution.full_problem.poses)
-    refusal = contradiction(solution)
+    problem, refusal = solution.full_problem, contradiction(solution)
+    config, poses = problem.config, problem.poses
     doubt = math.inf if refusal else solution.variance_factor
     # the opposite sign of the range, and known errors in the conventions of the poses
     hypotheses = list[Hypothesis]()

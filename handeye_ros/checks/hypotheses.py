@@ -113,8 +113,8 @@ class Fit:
                                   < SMALLEST_EXPLAINED_SHARE * explained_before):
             return -math.inf
         fitted = [fit for fit in (self, baseline) if fit.solutions]
-        conditions = min(int(np.median(np.concatenate([solution.ranks for solution in
-                                                       fit.solutions]))) for fit in fitted)
+        conditions = min(int(np.median(np.concatenate([each.ranks for each in fit.solutions])))
+                         for fit in fitted)
         noise = min(fit.solutions[0].expected_rms for fit in fitted)  # m
         unexplained = np.full(2, np.inf)
         before, after = (

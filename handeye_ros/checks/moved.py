@@ -242,8 +242,7 @@ def _likeliest_move(solution: Solution) -> _Move | None:
     for (_, body), first in np.ndenumerate(first_tried):
         station = int(first)
         while (body, station) not in tried:
-            moved = with_noise_reestimated(
-                reported, _blocks_of_move(reported, body, station))
+            moved = with_noise_reestimated(reported, _blocks_of_move(reported, body, station))
             tried[body, station] = moved
             # noise and scales estimated with the move do not absorb it: its time is clearer
             again = solution_at(problem, solution.estimate, moved.noise)

@@ -59,13 +59,8 @@ def setting_hypotheses(session: Session, config: Config, baseline: Fit) -> Itera
         yield Hypothesis(fit, settings_refusal(dict(values), baseline, fit, [
             other for other_values, other in fits.items()
             if values[0][0] == TARGET_TYPE == other_values[0][0] and values[1:] == other_values[1:]
-            and _shows_more(other, fit)]), len(values))
-
-
-def _shows_more(other: Fit, fit: Fit) -> bool:
-    """Return whether another type of target explains as many stops, by more conditions."""
-    return (len(other.left_out_squares) >= len(fit.left_out_squares)
-            and other.redundancy > fit.redundancy)
+            and len(other.left_out_squares) >= len(fit.left_out_squares)
+            and other.redundancy > fit.redundancy]), len(values))
 
 
 def settings_refusal(values: Mapping[str, str], baseline: Fit, fit: Fit,

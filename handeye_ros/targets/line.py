@@ -86,10 +86,8 @@ def problems_with_one_end(problem: Problem) -> Iterator[list[Problem]]:
     obs, end = edges.observations, LINE.pieces(edges.observations)
     group, side = np.zeros((2, len(edges.poses), int(end.max()) + 1))
     group[obs.station, end], side[obs.station, end] = END_GROUPS[obs.ending], obs.outward[:, 0]
-    groups = range(1, END_GROUPS.max() + 1)
-    station_counts = {k: int((group == k).any(axis=1).sum()) for k in groups}
-    present = sorted((k for k in groups if station_counts[k]),
-                     key=lambda k: (-station_counts[k], -k))
+    station_counts = {k: (group == k).any(axis=1).sum() for k in np.unique(group[group > 0])}
+    present = sorted(station_counts, key=lambda k: (station_counts[k], k), reverse=True)
     for allowed in ([group == k for k in present] if len(present) > 1 else [], [group > 0]):
         yield with_one_piece(edges, end, [np.where(is_allowed, rank, np.nan)
                                           for is_allowed in allowed for rank in (side, -side)])

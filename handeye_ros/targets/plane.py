@@ -61,7 +61,7 @@ class Plane(ProfileTarget):
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts, best first; of few stations, which fit in many wrong ways, then all."""
         few = with_few_stations(replace(problem, target=PLANE), rng)
-        factors = [1] + [SWEPT_DIRECTIONS // PLANE_CANDIDATES] * problem.needs_more_starts
+        factors = (1, SWEPT_DIRECTIONS // PLANE_CANDIDATES) if problem.needs_more_starts else (1,)
         return best_fitting_first(few, (
             [start for choice in problems_with_one_surface(few) for start in shortlisted(
                 choice, linear_solutions(

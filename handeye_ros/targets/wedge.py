@@ -67,8 +67,7 @@ def corners(observations: Observations, pair: NDArray[np.intp]) -> tuple[Array, 
     # two lines that are parallel cross nowhere: any point of one of them then
     difference = np.where(slope_1 == slope_2, np.inf, slope_1 - slope_2)
     along_x = (z_2 - z_1 - slope_2 * (x_2 - x_1)) / difference
-    return (np.stack([x_1 + along_x, z_1 + slope_1 * along_x], axis=-1),
-            (z_1 + z_2) / 2)
+    return np.stack([x_1 + along_x, z_1 + slope_1 * along_x], axis=-1), (z_1 + z_2) / 2
 
 
 def _starts(problem: Problem) -> list[Estimate]:
