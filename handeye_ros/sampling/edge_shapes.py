@@ -61,16 +61,12 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     if rounded > log_odds[-1]:
         shape = EdgeShape(*_radius(log_odds[:-1]))
     else:  # deeper ends say more about the legs of a bevel
-        legs = float(np.median(depth[depth > _weighted_median(depth, depth ** 2) / 2]))
+        order = np.argsort(depth)
+        squares = np.cumsum(depth[order] ** 2)
+        weighted_median = depth[order][np.searchsorted(squares, squares[-1] / 2)]
+        legs = float(np.median(depth[depth > weighted_median / 2]))
         shape = EdgeShape(legs, SHAPE_STD, is_round=False)
     return shape if np.median(depth) > LEAST_SEEN * shape.size else EdgeShape()
-
-
-def _weighted_median(values: Array, weights: Array) -> float:
-    """Return the value (of n) up to which the weights (n,) reach half of their sum."""
-    order = np.argsort(values)
-    reached = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(reached, reached[-1] / 2)])
 
 
 def _blurred(log_odds: Array) -> Array:

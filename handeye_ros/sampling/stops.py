@@ -194,7 +194,11 @@ class StopFinder(Copyable):
         sampling = self.sampling
         no_gap = bool(self._recent) and (
             pose.stamp - self._recent[-1].stamp <= sampling.max_pose_gap * NS)
-        self._note_rest(pose, no_gap)
+        if not (no_gap and self._rest and self._is_near(self._rest, pose)):
+            if self._rest:
+                stood = self._recent[-1].stamp - self._rest.stamp
+                self.longest_rest = max(self.longest_rest, stood)
+            self._rest = pose
         self._recent.append(pose)
         while pose.stamp - self._recent[0].stamp > MOTION_TIME:
             self._recent.popleft()
@@ -208,15 +212,6 @@ class StopFinder(Copyable):
             self.short_rests += self._poses[-1].stamp - self._poses[0].stamp >= SHORT_REST
         self._poses, self.stamp = deque([pose]), pose.stamp
         return ended
-
-    def _note_rest(self, pose: TimedPose, no_gap: bool) -> None:
-        """Measure how long the robot stays near one pose; no_gap: since the pose before."""
-        if self._rest and no_gap and self._is_near(self._rest, pose):
-            return
-        if self._rest:
-            stood = self._recent[-1].stamp - self._rest.stamp
-            self.longest_rest = max(self.longest_rest, stood)
-        self._rest = pose
 
     def _prolong(self, pose: TimedPose) -> None:
         """Add a pose to the current stop; a long one keeps its first, on request its last ones."""

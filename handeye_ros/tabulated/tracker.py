@@ -234,7 +234,7 @@ class TrackerSession(TableProblem):
             middle, normal = points.mean(axis=0), jing2020.fit_plane(points)
             distances[f'swept_{face}'] = (points - middle) @ normal
             distances[face] = (se3.apply(T_sensor_tracker, parts[face]) - middle) @ normal
-        return {part: distances[part] for part in PARTS}
+        return distances
 
 
 def read_table(path: Path) -> tuple[list[Piece], Array]:

@@ -340,9 +340,12 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0
     quantities, deviation, deviation_wrt_errors, region = _values(shape, q, J, gain, E, claim)
     # what the shape does not take up
     r_left, E_left, freedom = r - J @ (gain @ r), E - J @ (gain @ E), max(len(r) - len(gain), 1)
+    sizes, square = np.abs(linear.residuals), likeliest(E_left @ claim, r_left)[2]
+    scatter = Scatter(len(sizes), float(sizes.mean()), float(sizes.std()), rms(sizes),
+                      float(sizes.max()), float(chi2_sf(square, freedom)))
     fit = ShapeFit(
-        quantities, _scatter(linear.residuals, likeliest(E_left @ claim, r_left)[2], freedom),
-        distances=linear.residuals, distance_stds=_distance_stds(linear, groups, by_robot),
+        quantities, scatter, distances=linear.residuals,
+        distance_stds=_distance_stds(linear, groups, by_robot),
         region=region, freedom=len(deviation),
         claim_p=float(chi2_sf(region, len(deviation))) if len(deviation) else 1.0,
         error=_calibration_error(
@@ -352,13 +355,6 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0
     unknowns = np.hstack([J, E[:, :6]])
     unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
     return GroupFit((shape, fit), r, np.hstack([unknowns, E[:, 6:]]), stations.group_of_point)
-
-
-def _scatter(distances: Array, square: float, freedom: int) -> Scatter:
-    """Return the scatter of distances (m,) whose white sum of squares is that with a freedom."""
-    sizes = np.abs(distances)
-    return Scatter(len(sizes), float(sizes.mean()), float(sizes.std()), rms(sizes),
-                   float(sizes.max()), float(chi2_sf(square, freedom)))
 
 
 def _calibration_error(A: Array, b: Array, conditions: int, linear: Linear) -> CalibrationError:
