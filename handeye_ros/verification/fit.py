@@ -343,9 +343,11 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0
     sizes, square = np.abs(linear.residuals), likeliest(E_left @ claim, r_left)[2]
     scatter = Scatter(len(sizes), float(sizes.mean()), float(sizes.std()), rms(sizes),
                       float(sizes.max()), float(chi2_sf(square, freedom)))
+    variances = np.square(by_robot).sum(axis=1)  # of the distances, due to robot and sensor
+    for group in groups:
+        variances[group.rows] += np.einsum('nii->ni', _covariance(linear, group))
     fit = ShapeFit(
-        quantities, scatter, distances=linear.residuals,
-        distance_stds=_distance_stds(linear, groups, by_robot),
+        quantities, scatter, distances=linear.residuals, distance_stds=np.sqrt(variances),
         region=region, freedom=len(deviation),
         claim_p=float(chi2_sf(region, len(deviation))) if len(deviation) else 1.0,
         error=_calibration_error(
@@ -376,18 +378,6 @@ def _calibration_error(A: Array, b: Array, conditions: int, linear: Linear) -> C
         float(chi2_sf((square_without - square) / factor, 6)),
         *largest_displacement(linear.lever, twist, factor * covariance),
         *_weakest(covariance, linear.lever, mount_frame(linear.problem.config)))
-
-
-def _distance_stds(linear: Linear, groups: Sequence[StationGroup], by_robot: Array) -> Array:
-    """
-    Return 1 sigma (m,) of the distances due to sensor and robot.
-
-    by_robot: (m, s) derivatives by the smooth errors of the robot, which are of unit variance.
-    """
-    variances = np.square(by_robot).sum(axis=1)
-    for group in groups:
-        variances[group.rows] += np.einsum('nii->ni', _covariance(linear, group))
-    return np.asarray(np.sqrt(variances))
 
 
 def _covariance(linear: Linear, group: StationGroup) -> Array:
