@@ -141,18 +141,13 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     joints = np.array([pose.joints for pose in poses if isinstance(pose, ArmPose)])
     if offset := config.offset_ns:
         profiles = [replace(p, stamp=p.stamp + offset) for p in profiles]
-    _require_common_time(profiles, poses)
-    return Recording(tuple(profiles), poses, joints if len(joints) else None, reader.warnings,
-                     reader.files)
-
-
-def _require_common_time(profiles: Sequence[RawProfile], poses: Sequence[TimedPose]) -> None:
-    """Raise DataError for profiles and poses, in the order of their stamps, without an overlap."""
     gap = max(profiles[0].stamp - poses[-1].stamp, poses[0].stamp - profiles[-1].stamp)
     if gap > 0:
         raise DataError(f'profiles and poses share no time: {gap * 1e-9:.1f} s are between them; '
                         'the clocks of sensor and robot differ, or they were not recorded '
                         'together')
+    return Recording(tuple(profiles), poses, joints if len(joints) else None, reader.warnings,
+                     reader.files)
 
 
 def _moving_last(messages: Iterable[Raw]) -> Iterator[Raw]:

@@ -52,13 +52,6 @@ class Inputs(NamedTuple):
     samples: Sequence[tuple[int, Sample | None]]
 
 
-class _Request(NamedTuple):
-    """An answer that was asked for: what it is made from, and the future of its message."""
-
-    inputs: Inputs
-    message: Future[str]
-
-
 @dataclass(frozen=True, eq=False)
 class Review:
     """
@@ -117,7 +110,8 @@ class LiveAnswer:
         self.calibration: Calibration | None = None
         self.why_missing, self.saved, self.is_wanted = why, '', False
         self._reviewed: Inputs | None = None  # by the last review that was begun
-        self._request: _Request | None = None  # the last one
+        self._requested: Inputs | None = None  # by the last answer that was asked for
+        self._message = Future[str]()  # about that
 
     def changes_since(self, session: Session) -> str:
         """Return in words how the samples of a session differ from those of the answer, or ''."""
@@ -157,9 +151,8 @@ class LiveAnswer:
         except HandeyeError as error:
             self._refuse(error)
             raise
-        request = self._request
-        if request and request.inputs == self._inputs():
-            message = request.message
+        if self._requested == self._inputs():
+            message = self._message
             if not message.done() or (self.calibration and not message.exception()):
                 return message
         return self._begin_review(is_requested=True)
@@ -191,7 +184,7 @@ class LiveAnswer:
             partial(self._accept, inputs, session, is_requested),
             review_of, session, config, self.view, is_requested or self.calibration is not None)
         if is_requested:
-            self._request = _Request(inputs, message)
+            self._requested, self._message = inputs, message
         return message
 
     def _accept(self, inputs: Inputs, session: Session, is_requested: bool, review: Review) -> str:
@@ -208,7 +201,7 @@ class LiveAnswer:
         if inputs.session is not live.session:
             raise DataError('the samples were cleared while the calibration was computed, so '
                             'there is no answer: take new samples')
-        is_newest = self._request is not None and inputs is self._request.inputs
+        is_newest = inputs is self._requested
         if answer.refusal and is_newest:
             self._refuse(answer.refusal)
         calibration = answer.require_calibration()

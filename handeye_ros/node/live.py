@@ -346,8 +346,10 @@ class LiveSession:
             remedy = ': move on, and turn the tool' if stop.final_reason else ''
             raise DataError(f'{sample_summary(stop.result)}{remedy}')
         if is_new:
+            with self.lock:
+                joints = [*self.joints]
             try:
-                stop = self._stored(stop)
+                stop = self._store(self.files.add_stop, stop, self.config, joints)
             except InputError as error:
                 if is_requested:
                     raise
@@ -384,12 +386,6 @@ class LiveSession:
             self.to_evaluate.pop(stop.stamp, None)
 
     # the disk
-
-    def _stored(self, stop: Stop) -> Stop:
-        """Write a stop with the joint values of its time; return it as stored. InputError."""
-        with self.lock:
-            joints = [*self.joints]
-        return self._store(self.files.add_stop, stop, self.config, joints)
 
     def _store(self, write: Callable[..., Result], *args: Any) -> Result:
         """
