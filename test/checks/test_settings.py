@@ -233,7 +233,8 @@ def test_a_range_counted_the_wrong_way_is_named(name: str, seed: int) -> None:
         pipeline.calibrate(made.profiles, made.poses, flipped_range(made.config))
 
 
-@given(arrays(float, 12, elements=st.floats(0.1, 4.0)), st.floats(1.05, 4.0), st.integers(0, 11))
+# from 0.8: without a stop that is far worse than all others, the rest may be explained better
+@given(arrays(float, 12, elements=st.floats(0.8, 4.0)), st.floats(1.05, 4.0), st.integers(0, 11))
 def test_what_fits_the_same_stops_worse_is_no_better_explanation(q, worse, lost):
     """With more conditions a stop, a sign of 0.104 mm once explained better than one of 0.056."""
     assert stops_deviance(worse * q, 3) > stops_deviance(q, 3)
