@@ -111,3 +111,19 @@ def test_stacks_give_what_single_transforms_give() -> None:
         assert np.allclose(se3.log_rotation(T[..., :3, :3])[i, j],
                            se3.log_rotation(T[i, j, :3, :3]))
         assert np.allclose(se3.exp_rotation(vectors)[i, j], se3.exp_rotation(vectors[i, j]))
+
+
+@given(transforms, vectors, deltas())
+def test_points_move_with_their_frame_as_the_derivatives_say(T, point, delta) -> None:
+    before, delta = se3.apply(T, point[None])[0], 1e-6 * delta
+    moved = se3.apply(se3.perturb(T, delta), point[None])[0] - before
+    assert np.allclose(moved, se3.wrt_perturbation(before - T[:3, 3]) @ delta, rtol=0, atol=1e-9)
+
+
+def test_the_error_of_mapped_points_is_that_of_points_that_moved() -> None:
+    rng = np.random.default_rng(2)
+    levers, delta = rng.normal(size=(7, 3)), 1e-6 * rng.normal(size=6)
+    moved = se3.apply(se3.perturb(np.eye(4), delta), levers) - levers
+    covariance = np.outer(delta, delta)
+    assert np.allclose(se3.mapped_covariance(levers, covariance), moved.T @ moved / 7, rtol=1e-4)
+    assert se3.mapped_std(levers, covariance) ** 2 == pytest.approx((moved ** 2).sum() / 7)

@@ -23,12 +23,19 @@ from command import handeye, ROOT, succeeds
 from handeye_ros import pipeline, se3
 from handeye_ros.calibration import measured_points
 from handeye_ros.config import with_values
+from handeye_ros.data import Array
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.covariance import budget
-from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, covariance_parts
+from handeye_ros.estimation.covariance import (
+    budget,
+    ONE_WRONG,
+    POSE_ERROR,
+    PRIOR_ODDS_WRONG,
+    with_possibly_wrong_station,
+)
+from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, covariance_parts, Noise
 from handeye_ros.estimation.search import least_squares_fit
-from handeye_ros.estimation.solve import cover, solution_at
-from handeye_ros.simulate import FAULTS, simulate_samples
+from handeye_ros.estimation.solve import cover, map_solution, solution_at
+from handeye_ros.simulate import FAULTS, SCENARIOS, simulate_samples
 import numpy as np
 import pytest
 from streams import in_order
@@ -114,6 +121,37 @@ def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
     mine = there.problem.observations.station == 3
     assert (there.postfit_residuals[mine] ** 2).sum() == pytest.approx(1, abs=0.15)
     assert np.allclose(there.postfit_residuals[~mine], 0, atol=1e-3)
+
+
+@pytest.mark.parametrize('target', ['plate', 'wedge'])
+def test_a_station_that_may_be_wrong_adds_what_freeing_its_pose_changes(target: str) -> None:
+    first = solved(cell(replace(SCENARIOS[target], stations=(10, 10)), 0).problem)
+    found = with_possibly_wrong_station(map_solution(first.problem, first.estimate), dropped=0)
+    as_set = solution_at(found.problem, found.estimate, Noise())
+    A, r, station = as_set.jacobian, as_set.prefit_residuals, as_set.problem.observations.station
+    wrt_pose = as_set.whitening(as_set.linear.wrt_pose * POSE_ERROR)
+
+    def solved_with(K: Array) -> tuple[Array, Array, float]:
+        """Return X, its covariance and 2 log of the evidence, with more unknowns of columns K."""
+        J = np.hstack([A, K])
+        prior = np.append(as_set.prior_information, np.ones(K.shape[1]))
+        N = J.T @ J + np.diag(prior)
+        x = -np.linalg.solve(N, J.T @ r)
+        left = r + J @ x
+        return x[:6], np.linalg.inv(N)[:6, :6], -(
+            left @ left + x @ (prior * x) + np.linalg.slogdet(N)[1])
+    X, C, evidence = solved_with(np.zeros((len(r), 0)))
+    odds, added = [], []
+    for number in range(len(as_set.problem.poses)):
+        X_freed, C_freed, evidence_freed = solved_with(
+            np.where(station[:, None] == number, wrt_pose, 0.0))
+        odds.append(PRIOR_ODDS_WRONG * np.exp((evidence_freed - evidence) / 2))
+        added.append(np.outer(X_freed - X, X_freed - X) + C_freed - C)
+    share = np.array(odds) / (1 + np.sum(odds))
+    assert found.probability_wrong == pytest.approx(share.sum(), rel=1e-4)
+    expected, std = np.tensordot(share, added, 1), np.sqrt(np.diag(C))
+    assert np.abs((found.added_covariances[ONE_WRONG] - expected) / np.outer(std, std)).max() < (
+        1e-6 * share.sum())
 
 
 @pytest.mark.parametrize('target', ['plate', 'sphere'])
