@@ -361,7 +361,7 @@ class PageConfig(Section):
     port: int = setting(0, 'Port of the page for a browser; 0: no page.', 0, 65535)
     address: str = setting(
         '127.0.0.1', 'Address of the page: 127.0.0.1 for this machine alone, 0.0.0.0 for all that '
-        'can reach it; these need the token that is printed at the start.')
+        'can reach it; these need the token in the file named at the start.')
 
 
 @dataclass(frozen=True)
@@ -371,8 +371,8 @@ class Config(Section):
     name: str = setting('', 'Name of the calibration and of its folder; empty: the target type.')
     output_dir: str = setting(
         '', 'Folder of the folders of results and sessions, each called by the name; empty: '
-        '$ROS_HOME/handeye_ros (~/.ros/handeye_ros where ROS_HOME is not set) and the namespace '
-        'of the node, out of the command line.')
+        '$ROS_HOME/handeye_ros/NAMESPACE for the node (ROS_HOME is ~/.ros where it is not set), '
+        'the folder out for the command line.')
     calibration_type: str = setting(
         'eye_in_hand', 'Where the sensor is: on the flange (eye_in_hand) or fixed beside the '
         'robot (eye_on_base).', choices=('eye_in_hand', 'eye_on_base'))

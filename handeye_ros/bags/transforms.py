@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from handeye_ros import se3
 from handeye_ros.data import Array, TimedPose
@@ -96,7 +96,8 @@ class FlangeTracker:
 
     def restart(self) -> None:
         """Forget moving transforms, so that times may start again; static ones stay."""
-        self._links = {child: link for child, link in self._links.items() if link.static}
+        # copied, as another thread may add transforms meanwhile
+        self._links = {child: link for child, link in self._links.copy().items() if link.static}
         self._sent_until = -1
 
     def missing(self) -> str:
@@ -112,20 +113,22 @@ class FlangeTracker:
 
     def _chains(self) -> tuple[list[_Link], list[_Link]] | None:
         """Return the links from flange and base up to their common ancestor, None without one."""
-        chains = self._ancestors(self._flange), self._ancestors(self._base)
+        links = self._links  # which another thread may replace
+        chains = _ancestors(self._flange, links), _ancestors(self._base, links)
         if chains[0][-1] != chains[1][-1]:
             return None
         while all(chains) and chains[0][-1] == chains[1][-1]:
             chains = chains[0][:-1], chains[1][:-1]
-        to_flange, to_base = ([self._links[frame] for frame in chain] for chain in chains)
+        to_flange, to_base = ([links[frame] for frame in chain] for chain in chains)
         return to_flange, to_base
 
-    def _ancestors(self, frame: str) -> list[str]:
-        """Return a frame and its ancestors; stops at a loop."""
-        frames = [frame]
-        while frames[-1] in self._links and self._links[frames[-1]].parent not in frames:
-            frames.append(self._links[frames[-1]].parent)
-        return frames
+
+def _ancestors(frame: str, links: Mapping[str, _Link]) -> list[str]:
+    """Return a frame and its ancestors; stops at a loop."""
+    frames = [frame]
+    while frames[-1] in links and links[frames[-1]].parent not in frames:
+        frames.append(links[frames[-1]].parent)
+    return frames
 
 
 def _product(chain: list[_Link], stamp: int) -> Array | None:

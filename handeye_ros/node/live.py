@@ -10,8 +10,9 @@ From a message to ~/samples:
 2. The thread `worker` takes it from there (`evaluate_next`), has it evaluated in another process,
    writes it to the disk (SessionFiles in bags/session_files.py) and adds it to the session: what
    is not stored is not used.
-3. After each such piece of work the worker calls `publish_changes` (outputs.py), which publishes
-   ~/samples, and begins the review in another process (answer.py).
+3. After each such piece of work the worker calls `publish_changes` (node.py, then outputs.py),
+   which publishes ~/samples. When no stop waits, it begins the review in another process
+   (answer.py).
 
 Threads:
 - `drain` calls add_profile, add_poses and add_joints alone;
@@ -77,9 +78,6 @@ Result = TypeVar('Result')
 class LiveSession:
     """
     Samples of a running node, and what follows from them; the module says which thread does what.
-
-    The thread of the messages calls add_profile, add_poses and add_joints. Whoever wants a change
-    passes a method to call_on_worker. What the worker computes for long it passes to run_job.
 
     config: the current settings, those of the session
     files, folders: where the session is stored, and where results are

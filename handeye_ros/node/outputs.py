@@ -137,7 +137,7 @@ class Outputs:
                 return
             live, config, stamp = self._live, self._config, self._now()
             state, calibration = state_of(live), live.answer.calibration
-            self._log_attempt(live.attempt)
+            self._tell_attempt(live.attempt)
             samples, status = json.dumps(samples_message(state)), json.dumps(status_message(state))
             guidance = state['guidance']
             transform = calibration and transform_of(calibration, stamp)
@@ -156,7 +156,7 @@ class Outputs:
             for name, topic in self._latched_topics.items():
                 topic.publish_if_changed(*outputs[name])
 
-    def _log_attempt(self, attempt: Attempt | None) -> None:
+    def _tell_attempt(self, attempt: Attempt | None) -> None:
         """Log an attempt once, and publish the features of its sample in the sensor frame."""
         if attempt is None or attempt is self._logged_attempt:
             return

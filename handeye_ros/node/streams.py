@@ -181,7 +181,7 @@ class Streams:
                     most_read = max(map(self._read_messages, self._topics))
                     if time.monotonic() - last_look > LOOK_PERIOD:
                         last_look = time.monotonic()
-                        self._match_reliability()
+                        self._look_at_publishers()
                 except RCLError as error:  # also at its end
                     if self._node.context.ok():
                         self._node.get_logger().warning(
@@ -190,8 +190,8 @@ class Streams:
                 if most_read < MOST_AT_ONCE:
                     time.sleep(READ_PERIOD)
 
-    def _match_reliability(self) -> None:
-        """Subscribe again where the publishers are not as reliable as those before."""
+    def _look_at_publishers(self) -> None:
+        """Note the publishers; subscribe again where they are not as reliable as those before."""
         for topic in [topic for topic in self._topics if topic.key]:
             topic.publishers = self._node.get_publishers_info_by_topic(topic.name)
             offered = {info.qos_profile.reliability for info in topic.publishers}

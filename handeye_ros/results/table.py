@@ -179,7 +179,7 @@ def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield name, str(value)
 
 
-def error_sentence(errors: Errors, region: str) -> str:
+def error_sentence(errors: Errors, region: str = 'the field of view') -> str:
     """Return the errors against the truth in words; region: the points that are mapped."""
     return (f'error against truth.yaml: translation {errors.translation * 1e3:.3f} mm, rotation '
             f'{math.degrees(errors.rotation):.4f} degrees, mapped points '

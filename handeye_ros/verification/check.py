@@ -80,8 +80,7 @@ class Check:
     stamp: of the first sample (ns)
     stations: number of those compared
     verdict: unchanged, or the causes: target, sensor (it moved, or the robot's base did that is
-        fixed to the other), robot (its pose errors changed), with "or" between those that the
-        stops do not distinguish
+        fixed to the other), robot (its pose errors changed), clock, with "or" or "and"
     evidence: how many times as likely the recording is with a change as without
     odds: probability of each cause if something changed
     target_moved (m), target_turned (rad): the most likely move if the target is the cause

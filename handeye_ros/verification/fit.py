@@ -487,20 +487,21 @@ def fit_without_outliers(groups: Indices, fitted: Callable[[Indices], GroupFit[T
 
     None is left out where it would be too many, or where too few would be left.
     """
-    p, most = dict[int, float](), int(MOST_OUTLIERS * len(groups))
+    p_values, most = dict[int, float](), int(MOST_OUTLIERS * len(groups))
 
     def of_groups(_: object, used: Indices) -> tuple[T, Array, Indices]:
         fit = fitted(used)
         squares, freedom = _left_out_squares(fit, used)
-        p.update(zip(used.tolist(), chi2_sf(squares * freedom, freedom).tolist(), strict=True))
+        of_used = chi2_sf(squares * freedom, freedom)
+        p_values.update(zip(used.tolist(), of_used.tolist(), strict=True))
         return fit.result, squares, freedom
 
     with suppress(DataError):
         (result, *_), _, dropped = drop_outliers(
             groups, len(groups), len(groups) - most - 1, of_groups, lambda fit: fit[1:])
         if len(dropped) <= most:
-            return result, p, list(dropped)
-    return of_groups(None, groups)[0], p, []
+            return result, p_values, list(dropped)
+    return of_groups(None, groups)[0], p_values, []
 
 
 def _left_out_squares(fit: GroupFit[T], groups: Indices) -> tuple[Array, Indices]:

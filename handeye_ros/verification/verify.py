@@ -166,14 +166,14 @@ def _station_results(stations: StationSet, used: StationSet, fit: ShapeFit,
     return tuple(results)
 
 
-def _decide(fit: ShapeFit, quantities: Sequence[Quantity], stations: Sequence[StationResult],
+def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[StationResult],
             limits: VerifyConfig, smooth_std: float) -> tuple[str, tuple[str, ...]]:
     """
     Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences.
 
     smooth_std: 1 sigma (m) of the robot's smooth error, which more stops do not reduce.
     """
-    used = sum(station.used for station in stations)
+    used = sum(result.used for result in results)
 
     def remedy(size: float, largest: float) -> str:
         """Return what makes a size that is too large, but not hopelessly so, small enough."""
@@ -187,7 +187,7 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], stations: Sequence[St
     # the shape fits, but not in its size
     other_size = fit.error.p_explained < UNEXPLAINED_P < fit.scatter.p
     findings = [*_values_off(quantities, limits, remedy),
-                *_points_off(fit, stations, limits, other_size)]
+                *_points_off(fit, results, limits, other_size)]
     failed, undecided = ([sentence for outcome, sentence in findings if outcome == wanted]
                          for wanted in (VIOLATES, UNDECIDED))
     verdict = 'fail' if failed else 'undecided' if undecided else 'pass'
@@ -197,7 +197,7 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], stations: Sequence[St
             'this decides nothing: an error of the calibration would show only from '
             f'{mm(fit.error.detectable)} on ({fit.error.weakest_direction}), and the tolerance is '
             f'{mm(limits.tolerance)}{remedy(fit.error.detectable, limits.tolerance)}'))
-    return verdict, (*failed, *undecided, *_notes(fit, other_size, stations))
+    return verdict, (*failed, *undecided, *_notes(fit, other_size, results))
 
 
 def decision(deviation: float, U: float, tolerance: float) -> str:
@@ -233,18 +233,18 @@ def _values_off(quantities: Sequence[Quantity], limits: VerifyConfig,
                 f'{remedy(q.expanded, tolerance - abs(q.error))}')
 
 
-def _points_off(fit: ShapeFit, stations: Sequence[StationResult], limits: VerifyConfig,
+def _points_off(fit: ShapeFit, results: Sequence[StationResult], limits: VerifyConfig,
                 other_size: bool) -> Iterator[tuple[str, str]]:
     """
     Yield the decisions on points and calibration that do not conform, each with a sentence.
 
     other_size: whether another size of the artefact explains an error of the calibration as well.
     """
-    outside = [s for s in stations if s.used and COVERAGE_FACTOR * s.std <= limits.tolerance
+    outside = [s for s in results if s.used and COVERAGE_FACTOR * s.std <= limits.tolerance
                and s.distance - COVERAGE_FACTOR * s.std > limits.tolerance]
     if outside:
         worst = max(outside, key=lambda s: s.distance)
-        yield VIOLATES, (f'points of {len(outside)} of {len(stations)} stops lie up to '
+        yield VIOLATES, (f'points of {len(outside)} of {len(results)} stops lie up to '
                          f'{mm(worst.distance)} from the fit (the worst: {worst.name})')
     size, std = fit.error.largest, fit.error.largest_std
     outcome = decision(size, ONE_SIDED_95 * std, limits.tolerance)
@@ -255,15 +255,15 @@ def _points_off(fit: ShapeFit, stations: Sequence[StationResult], limits: Verify
     elif fit.error.p_chance <= SIGNIFICANCE and outcome != CONFORMS:
         yield UNDECIDED, (f'the points suggest {error}, which may exceed the tolerance: measure '
                           'at more stops')
-    contradicting = [s.name for s in stations if s.used and s.p * len(stations) < FALSE_ALARM]
+    contradicting = [s.name for s in results if s.used and s.p * len(results) < FALSE_ALARM]
     if contradicting:
         yield UNDECIDED, (f'{", ".join(contradicting)} contradict the others under every possible '
                           'calibration, and without them too little would be left: measure again')
 
 
-def _notes(fit: ShapeFit, other_size: bool, stations: Sequence[StationResult]) -> Iterator[str]:
+def _notes(fit: ShapeFit, other_size: bool, results: Sequence[StationResult]) -> Iterator[str]:
     """Yield the sentences that qualify a verdict."""
-    yield from (f'{s.name} is left out: {s.reason}' for s in stations if not s.used)
+    yield from (f'{s.name} is left out: {s.reason}' for s in results if not s.used)
     if fit.scatter.p < INCONSISTENT_P:
         yield ('the points disagree by more than calibration, noise.sensor and noise.robot_* '
                f'explain (p = {fit.scatter.p:.1g}): the calibration is worse than it claims, the '

@@ -79,6 +79,16 @@ def test_a_service_without_a_home_is_told_what_to_set(monkeypatch: pytest.Monkey
         pass
 
 
+def test_the_demo_of_the_readme_ends_with_the_answer_and_its_report(tmp_path: Path) -> None:
+    run = subprocess.run(
+        [sys.executable, ROOT / 'tools/demo.py', '--bag', ROOT / 'bags/plate', '--config',
+         ROOT / 'config/plate.yaml', '--out', tmp_path, '--rate', '8'], cwd=tmp_path,
+        capture_output=True, text=True, check=False, timeout=PATIENCE)
+    assert run.returncode == 0, run.stderr
+    assert 'error against truth.yaml: translation 0.0' in run.stdout
+    assert {'calibration.yaml', 'report.html'} <= {path.name for path in tmp_path.iterdir()}
+
+
 # -- replay
 
 
