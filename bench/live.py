@@ -10,8 +10,8 @@ Publishes profiles of 1280 points (15 kB, best effort) and poses at 125 Hz from 
 own, to an empty rclpy subscriber of both topics and to the node, one after the other. Prints for
 each rate what was lost, the processor time per profile and the resident memory, and their ratios.
 The robot moves all the time; with --stops it stands for 1 s of each 1.5 s, the stops are
-extracted, and the calibration is computed again and again meanwhile: for 30 s at least, as it needs
-six stops. Needs ROS; on a domain of its own (ROS_DOMAIN_ID).
+extracted, and the calibration is computed again and again meanwhile: for 30 s at least, as that
+needs six stops. Needs ROS; on a domain of its own (ROS_DOMAIN_ID).
 """
 from __future__ import annotations
 
