@@ -6,7 +6,8 @@ From profiles and poses to the hand-eye transform: the algorithm on one page.
 `gather` turns a recording into samples (what each stop of the robot shows), `answer_samples` the
 samples into an `Answer` in ten steps: a calibration, or a refusal. The command line, the node, the
 review of samples, the guidance and the report all read that answer. A function `require_...`
-raises a refusal (DataError) where what it names is missing, and else does nothing.
+raises a refusal (DataError) where what it names is missing, and else does nothing. In steps 3 and
+8, `with_estimated_clocks` and `with_possible_move` refuse too.
 """
 from __future__ import annotations
 

@@ -140,16 +140,19 @@ def require_tested(solution: Solution) -> None:
     Also if a sample is probably wrong, and without it too few conditions would remain or others
     may be wrong too.
     """
-    used, dropped = len(solution.used), len(solution.dropped_squares)
-    redundancy, needed = solution.redundancy, FEWEST_REDUNDANT * (1 + dropped) + bool(dropped)
-    if redundancy < needed:
+    used, dropped, redundancy = (
+        len(solution.used), len(solution.dropped_squares), solution.redundancy)
+
+    def needed(dropped: int) -> int:
+        return FEWEST_REDUNDANT * (1 + dropped) + (dropped > 0)
+    if redundancy < needed(dropped):
         why = f' ({dropped} of them contradict the others)' if dropped else ''
         raise UnexplainedError(
             f'{used + dropped} usable samples{why} give only {redundancy} redundant equations; at '
-            f'least {needed} are needed: take more samples at new poses', reason='few')
+            f'least {needed(dropped)} are needed: take more samples at new poses', reason='few')
     # if one more sample were dropped
     per_sample = int(solution.ranks.max())
-    missing = FEWEST_REDUNDANT * (2 + dropped) + 1 - (redundancy - per_sample)
+    missing = needed(dropped + 1) - (redundancy - per_sample)
     others_wrong_too = (solution.probability_wrong > SURELY_WRONG_P and dropped > 1
                         and solution.full_problem.ambiguous)
     if others_wrong_too or (solution.probability_wrong > LARGEST_P_WRONG and missing > 0):

@@ -78,9 +78,10 @@ def with_free_size_if_needed(solution: Solution) -> Solution:
     wrong = any(abs(with_free[name].value)
                 > max(FREED_FROM_SIGMAS * with_free[name].std, 2 * stated[name][1])
                 for name in lengths if name in with_free)
-    shows_scale = [abs(estimates['scale'].value) > FREED_FROM_SIGMAS * estimates['scale'].std
-                   for estimates in (with_stated, with_free) if 'scale' in estimates]
-    return free if wrong or shows_scale == [True, False] else solution
+    scale_seen, scale_seen_when_free = (
+        scale is not None and abs(scale.value) > FREED_FROM_SIGMAS * scale.std
+        for scale in (estimates.get('scale') for estimates in (with_stated, with_free)))
+    return free if wrong or (scale_seen and not scale_seen_when_free) else solution
 
 
 def scale_hypothesis(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypothesis]:
