@@ -68,18 +68,18 @@ def test_without_noise_all_estimators_find_the_truth(target: str) -> None:
 
 def test_the_first_row_is_the_answer_of_solve_and_none_depends_on_the_order(only) -> None:
     only('plate', 'plate', CHEN_RIGID)
-    made = cell('plate', 2)
-    ours, chen = compared(made, folds=18).rows
-    found = pipeline.solve(made.samples, (), made.config, 'laser')
+    simulated = cell('plate', 2)
+    ours, chen = compared(simulated, folds=18).rows
+    found = pipeline.solve(simulated.samples, (), simulated.config, 'laser')
     np.testing.assert_allclose(ours.T_flange_sensor, found.T_flange_sensor, rtol=0, atol=1e-12)
     assert ours.residual_rms == pytest.approx(found.quality.residual_rms, rel=1e-3)
-    errors = errors_against(found.T_flange_sensor, made.truth.T_flange_sensor)
+    errors = errors_against(found.T_flange_sensor, simulated.truth.T_flange_sensor)
     assert (ours.error_translation, ours.error_mapped_points) == (
         errors.translation, errors.mapped_points)
     assert ours.holdout_rms == pytest.approx(found.quality.holdout_rms, rel=0.05)
     assert chen.holdout_rms > chen.residual_rms
-    order = np.random.default_rng(0).permutation(len(made.samples))
-    shuffled = replace(made, samples=tuple(made.samples[i] for i in order))
+    order = np.random.default_rng(0).permutation(len(simulated.samples))
+    shuffled = replace(simulated, samples=tuple(simulated.samples[i] for i in order))
     for row, other in zip((ours, chen), compared(shuffled, folds=18).rows, strict=True):
         np.testing.assert_array_equal(row.T_flange_sensor, other.T_flange_sensor)
         assert row.holdout_rms == other.holdout_rms
@@ -87,11 +87,11 @@ def test_the_first_row_is_the_answer_of_solve_and_none_depends_on_the_order(only
 
 def test_stations_that_disagree_are_given_to_nobody(only) -> None:
     only('plate', 'plate', CHEN_RIGID)
-    made = cell('plate', 1)
-    wrong = replace(made.samples[4], T_base_flange=made.samples[4].T_base_flange
+    simulated = cell('plate', 1)
+    wrong = replace(simulated.samples[4], T_base_flange=simulated.samples[4].T_base_flange
                     @ se3.transform(np.eye(3), np.array([0.0, 0.004, 0.003])))
-    samples = (*made.samples[:4], wrong, *made.samples[5:])
-    comparison = compared(replace(made, samples=samples))
+    samples = (*simulated.samples[:4], wrong, *simulated.samples[5:])
+    comparison = compared(replace(simulated, samples=samples))
     assert (comparison.used, comparison.rejected) == (17, 1)
     assert mapped(by_name(comparison)[CHEN_RIGID]) < 5e-4
 

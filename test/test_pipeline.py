@@ -67,9 +67,9 @@ def beside(height: float, gap: float, width: float) -> Scenario:
     (beside(0.001, 0.012, 0.06), 1), (beside(0.002, 0.008, 0.01), 1)])
 def test_of_a_surface_beside_the_plate_all_stations_take_the_same(scenario, rejected):
     made = recorded(scenario, rate=6.0)
-    found = made.calibrate()
-    assert found.quality.samples_rejected <= rejected
-    assert made.error(found.T_flange_sensor) < 9e-5
+    calibration = made.calibrate()
+    assert calibration.quality.samples_rejected <= rejected
+    assert made.error(calibration.T_flange_sensor) < 9e-5
 
 
 @pytest.mark.parametrize(('name', 'where', 'fewest', 'worst'), [
@@ -89,9 +89,9 @@ def test_other_targets_are_enough_too(name: str, where: str, fewest: int, worst:
 
 def test_a_sphere_of_unknown_radius_is_measured() -> None:
     made = recorded('sphere', 1, target__radius=0.0)
-    found = made.calibrate()
-    assert found.target['radius'] == pytest.approx(0.04, abs=1e-4)
-    assert made.error(found.T_flange_sensor) < 6e-4
+    calibration = made.calibrate()
+    assert calibration.target['radius'] == pytest.approx(0.04, abs=1e-4)
+    assert made.error(calibration.T_flange_sensor) < 6e-4
 
 
 def test_the_place_of_the_target_is_found_up_to_the_names_of_its_edges() -> None:
@@ -111,10 +111,10 @@ def test_the_place_of_the_target_is_found_up_to_the_names_of_its_edges() -> None
 
 def test_the_edge_angle_can_be_left_free() -> None:
     made = recorded('plate', 2, target__edge_angle_free=True)
-    found = made.calibrate()
-    off = found.target['edge_angle'] - np.pi / 2
-    assert abs(off) < 4 * found.target['edge_angle_std'] < 0.02
-    assert made.error(found.T_flange_sensor) < 9e-5
+    calibration = made.calibrate()
+    off = calibration.target['edge_angle'] - np.pi / 2
+    assert abs(off) < 4 * calibration.target['edge_angle_std'] < 0.02
+    assert made.error(calibration.T_flange_sensor) < 9e-5
     assert answer('plate').target['edge_angle'] == pytest.approx(np.pi / 2, abs=2e-3)
 
 
@@ -145,8 +145,8 @@ def test_streams_may_be_generators_and_stay_as_they_are() -> None:
     for pose in made.poses:
         pose.translation.setflags(write=False)
         pose.quaternion.setflags(write=False)
-    found = made.calibrate(iter(made.profiles), iter(made.poses))
-    assert np.array_equal(found.T_flange_sensor, answer('plate_5_5').T_flange_sensor)
+    calibration = made.calibrate(iter(made.profiles), iter(made.poses))
+    assert np.array_equal(calibration.T_flange_sensor, answer('plate_5_5').T_flange_sensor)
 
 
 # -- what carries no answer
@@ -194,8 +194,8 @@ def test_profiles_without_any_noise_are_no_trouble(scene: str) -> None:
     believed = settings(base)
     made = recorded(quiet, 0, rate=5.0, **{key.replace('.', '__'): believed[key]
                                            for key in believed if key.startswith('noise')})
-    found = made.calibrate()
-    assert made.error(found.T_flange_sensor) < 2e-5
+    calibration = made.calibrate()
+    assert made.error(calibration.T_flange_sensor) < 2e-5
 
 
 # -- the real recording
@@ -206,12 +206,12 @@ def test_the_real_sphere_is_better_than_the_published_transform() -> None:
     from handeye_ros.bags import bag
     config = load(ROOT / 'config' / 'sphere.yaml')
     read = bag.read(REAL, config)
-    found = pipeline.calibrate(read.profiles, read.poses, config)
+    calibration = pipeline.calibrate(read.profiles, read.poses, config)
     # of the plain points: the robot's smooth error, of 0.2 mm, is in them
-    assert found.quality.residual_rms < 0.098e-3
-    assert found.quality.holdout_rms < 0.138e-3
-    assert found.quality.samples_used >= 13
-    assert found.quality.holdout_rms > found.quality.residual_rms
+    assert calibration.quality.residual_rms < 0.098e-3
+    assert calibration.quality.holdout_rms < 0.138e-3
+    assert calibration.quality.samples_used >= 13
+    assert calibration.quality.holdout_rms > calibration.quality.residual_rms
 
 
 def test_order_of_points_and_points_in_the_origin_are_no_matter() -> None:

@@ -75,13 +75,13 @@ def test_what_others_write_is_read(little_endian: bool, frame_id: str) -> None:
         50, 0.17)), rtol=1e-6)
     posed = pose_from_cdr(serialised(pose(frame_id=frame_id), POSE, little_endian))
     both = new(TF, [placed(frame_id), placed('other')])
-    found = transforms_from_cdr(serialised(both, TF, little_endian))
-    assert [child for child, _ in found] == [frame_id.lstrip('/'), 'other']
-    for one in (posed, *(other for _, other in found)):
+    transforms = transforms_from_cdr(serialised(both, TF, little_endian))
+    assert [child for child, _ in transforms] == [frame_id.lstrip('/'), 'other']
+    for one in (posed, *(other for _, other in transforms)):
         assert one.stamp == STAMP
         np.testing.assert_array_equal(one.translation, [1.0, -2.0, 3.0])
         np.testing.assert_allclose(one.quaternion, [0.0, -0.6, 0.0, 0.8], rtol=1e-15)
-    assert posed.parent_frame == frame_id.lstrip('/') and found[0][1].parent_frame == 'base'
+    assert posed.parent_frame == frame_id.lstrip('/') and transforms[0][1].parent_frame == 'base'
 
 
 def test_a_message_padded_to_a_word_is_read_and_one_with_more_behind_it_is_damaged() -> None:
@@ -105,8 +105,8 @@ def test_malformed_poses_are_refused_with_a_reason(position, quaternion, reason)
 
 def test_an_invalid_transform_does_not_affect_the_others() -> None:
     bad = placed('camera', (0.0, 0.0, 0.0, 0.0))
-    found = transforms_from_cdr(serialised(new(TF, [bad, placed('flange')]), TF))
-    assert [child for child, _ in found] == ['flange']
+    transforms = transforms_from_cdr(serialised(new(TF, [bad, placed('flange')]), TF))
+    assert [child for child, _ in transforms] == ['flange']
     with pytest.raises(UnusableMessageError, match='TransformStamped .* quaternion of length 0'):
         transforms_from_cdr(serialised(new(TF, [bad]), TF))
 

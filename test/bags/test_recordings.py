@@ -96,9 +96,9 @@ def test_the_bags_beside_the_code_hold_what_they_were_made_from(name):
     made = FILE_SCENES[scenario](rng) if name == 'tracker' else simulate(SCENARIOS[scenario], rng)
     T_true = made.T_flange_sensor if name == 'tracker' else made.truth.T_flange_sensor
     assert np.allclose(true_transform(BAGS / name), T_true, atol=1e-9)
-    found = bag.read(BAGS / name, Config())
-    assert not found.warnings
-    for raw, here in zip(found.profiles, made.profiles, strict=True):
+    recording = bag.read(BAGS / name, Config())
+    assert not recording.warnings
+    for raw, here in zip(recording.profiles, made.profiles, strict=True):
         there, points = raw.read(), here.points
         if len(there.points) != len(points):  # a cloud of scattered ones is read along the line
             points = points[np.isfinite(points).all(axis=1)]
@@ -106,7 +106,7 @@ def test_the_bags_beside_the_code_hold_what_they_were_made_from(name):
         assert there.stamp == here.stamp
         # single precision; another numpy may round a coordinate to the next step
         assert np.allclose(there.points, points, rtol=0, atol=2e-6, equal_nan=True)
-    for there, here in zip(found.poses, made.poses, strict=True):
+    for there, here in zip(recording.poses, made.poses, strict=True):
         assert there.stamp == here.stamp
         assert np.allclose(there.translation, here.translation, rtol=0, atol=1e-9)
         assert np.allclose(there.quaternion, here.quaternion, rtol=0, atol=1e-9)

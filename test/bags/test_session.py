@@ -71,9 +71,9 @@ def test_every_stop_is_a_file_that_stock_readers_read(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=3)
     folder = Path(live.path)
     assert folder.parent == tmp_path / 'sphere'
-    found = yaml.safe_load((folder / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
-    assert found['message_count'] == sum(file['message_count'] for file in found['files'])
-    assert found['relative_file_paths'] == [file.name for file in files_of(folder)] == [
+    content = yaml.safe_load((folder / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+    assert content['message_count'] == sum(file['message_count'] for file in content['files'])
+    assert content['relative_file_paths'] == [file.name for file in files_of(folder)] == [
         f'{folder.name}_{i}.mcap' for i in range(3)]
     with AnyReader([folder]) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
@@ -113,12 +113,12 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_command_line_gives_the_answer_of_the_node(whole: Path, tmp_path: Path) -> None:
     succeeds('solve', whole, '--out', tmp_path, cwd=tmp_path)
     answer = np.load(whole.parent / 'answer.npy')
-    found = read_calibration(tmp_path / 'calibration.yaml')
-    assert np.abs(found.T_flange_sensor - answer).max() < 1e-9
+    calibration = read_calibration(tmp_path / 'calibration.yaml')
+    assert np.abs(calibration.T_flange_sensor - answer).max() < 1e-9
     succeeds('solve', whole, '--set', 'samples.exclude=[]', '--out', tmp_path,
              cwd=tmp_path)
     n = read_calibration(tmp_path / 'calibration.yaml').quality.samples_used
-    assert n == found.quality.samples_used + 1
+    assert n == calibration.quality.samples_used + 1
 
 
 def test_a_sample_taken_again_is_reported_and_compared(whole: Path, tmp_path: Path) -> None:
@@ -130,10 +130,10 @@ def test_a_sample_taken_again_is_reported_and_compared(whole: Path, tmp_path: Pa
     assert handeye('solve', session, '--out', tmp_path, cwd=tmp_path).returncode == 0
     calibration = read_calibration(tmp_path / 'calibration.yaml')
     for bag in (session, None):
-        found = solved_recording(calibration, bag, tmp_path)
-        assert not found.refusal and not found.missing
-        assert sum(stop.used for stop in found.stops) == calibration.quality.samples_used
-        assert verdict(calibration, found, np.empty((0, 3)))[0]
+        recording = solved_recording(calibration, bag, tmp_path)
+        assert not recording.refusal and not recording.missing
+        assert sum(stop.used for stop in recording.stops) == calibration.quality.samples_used
+        assert verdict(calibration, recording, np.empty((0, 3)))[0]
     run = succeeds('compare', session, cwd=tmp_path)
     assert f'{calibration.quality.samples_used} samples' in run.stdout
 

@@ -29,12 +29,12 @@ X = np.linspace(-0.02, 0.02, 60)
 def batch(stamp: int, rows: int, *, first: int = 0, gocator: bool = False) -> bytes:
     """Return a message; the range tells which row it is, y is an encoder's (1 mm a row)."""
     number = np.arange(first, first + rows).repeat(len(X))
-    made = cloud({'x': np.tile(X, rows), 'y': 1e-3 * number, 'z': 0.2 + 1e-5 * number}, LAYOUT,
-                 12, height=rows)
+    message = cloud({'x': np.tile(X, rows), 'y': 1e-3 * number, 'z': 0.2 + 1e-5 * number}, LAYOUT,
+                    12, height=rows)
     height, width = (rows * len(X), 1) if gocator else (rows, len(X))
     if gocator:
-        made.height, made.width, made.row_step = rows * len(X), 1, 12
-    return bytes(STORE.serialize_cdr(cloud_message(made, stamp), CLOUD_TYPE))
+        message.height, message.width, message.row_step = rows * len(X), 1, 12
+    return bytes(STORE.serialize_cdr(cloud_message(message, stamp), CLOUD_TYPE))
 
 
 def profiles(messages: Sequence[bytes], config: ProfileConfig) -> list[RawProfile]:
@@ -68,10 +68,10 @@ def test_with_a_period_every_row_is_a_message_with_its_stamp(stamp: str, begin: 
 
 
 def test_rows_that_part_the_line_are_points() -> None:
-    made = cloud({'x': X, 'y': 0 * X, 'z': 0.2 + 0 * X}, LAYOUT, 12, height=4)
-    assert row_count(made, ProfileConfig()) == 1
-    assert row_count(made, ProfileConfig(rows='profiles')) == 4
-    assert points(made, ProfileConfig()).shape == (60, 2)
+    message = cloud({'x': X, 'y': 0 * X, 'z': 0.2 + 0 * X}, LAYOUT, 12, height=4)
+    assert row_count(message, ProfileConfig()) == 1
+    assert row_count(message, ProfileConfig(rows='profiles')) == 4
+    assert points(message, ProfileConfig()).shape == (60, 2)
     one, = profiles([batch(START, 1, gocator=True)], ProfileConfig())
     assert one.read().points.shape == (60, 2)
 

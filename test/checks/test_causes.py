@@ -79,13 +79,13 @@ def test_convention_errors_are_named(target, change, words):
 def test_convention_errors_are_named_in_a_sweep_whose_clocks_differ() -> None:
     sweep = SCENARIOS['plane_sweep']
     sweep = replace(sweep, sensor=replace(sweep.sensor, rate=10.0, columns=320, delay=-0.02))
-    made = simulate(sweep, np.random.default_rng(1))
+    recording = simulate(sweep, np.random.default_rng(1))
     T = se3.inverse(np.array([se3.from_quaternion(p.translation, p.quaternion)
-                              for p in made.poses]))
+                              for p in recording.poses]))
     poses = [replace(p, translation=translation, quaternion=q) for p, translation, q in zip(
-        made.poses, T[:, :3, 3], se3.quaternion(T), strict=True)]
+        recording.poses, T[:, :3, 3], se3.quaternion(T), strict=True)]
     with pytest.raises(DataError, match='inverse poses undone, .* profiles fit'):
-        pipeline.calibrate(made.profiles, poses, settings_of(sweep, sampling__mode='moving'))
+        pipeline.calibrate(recording.profiles, poses, settings_of(sweep, sampling__mode='moving'))
 
 
 @pytest.mark.parametrize('name', ['plate_real_robot', 'sphere_real_robot'])
@@ -153,13 +153,13 @@ def test_parts_with_neither_one_target_nor_one_transform_name_no_move(name: str)
 
 @pytest.mark.thorough
 def test_a_target_that_moved_is_no_other_surface() -> None:
-    made = simulate(SCENARIOS['plate'], np.random.default_rng(8))
-    config = settings_of(made.scenario)
-    middle = made.poses[len(made.poses) // 2].stamp
+    recording = simulate(SCENARIOS['plate'], np.random.default_rng(8))
+    config = settings_of(recording.scenario)
+    middle = recording.poses[len(recording.poses) // 2].stamp
     poses = [replace(pose, translation=pose.translation + (pose.stamp > middle) * np.array(
-        [1.8e-3, 1.44e-3, 1.92e-3])) for pose in made.poses]
+        [1.8e-3, 1.44e-3, 1.92e-3])) for pose in recording.poses]
     with pytest.raises(DataError, match='the target seems to have moved in base by about '):
-        pipeline.calibrate(made.profiles, poses, config)
+        pipeline.calibrate(recording.profiles, poses, config)
 
 
 def warnings_or_refusal(samples: list[Sample], config: Config) -> str:
@@ -263,10 +263,10 @@ def test_ends_of_the_floor_that_scatter_are_no_edges(monkeypatch: pytest.MonkeyP
     """With the wrong sign the floor between rail and plate is a face, off by centimetres."""
     monkeypatch.setitem(scenes.SCENES, 'railed', replace(scenes.SCENES['plate'], solids=railed))
     scenario = replace(SCENARIOS['plate'], stations=(14, 14), scene='railed')
-    made = simulate(scenario, np.random.default_rng(1))
+    recording = simulate(scenario, np.random.default_rng(1))
     config = flipped_range(settings_of(scenario, target__type='plate'))
     with pytest.raises(DataError, match='at several heights .* check profile.range_sign'):
-        pipeline.calibrate(made.profiles, made.poses, config)
+        pipeline.calibrate(recording.profiles, recording.poses, config)
 
 
 def clamped(scenario: Scenario, height: float, share: float = 1 / 3, lower: float = 1.0
@@ -298,14 +298,14 @@ def test_the_stops_that_show_another_surface_are_named_and_left_out(
     monkeypatch.setitem(scenes.SCENES, 'clamped', replace(
         scenes.SCENES[SCENARIOS[name].scene], solids=solids))
     scenario = replace(SCENARIOS[name], scene='clamped')
-    made = simulate(scenario, np.random.default_rng(seed))
+    recording = simulate(scenario, np.random.default_rng(seed))
     config = settings_of(scenario, target__type=name)
-    session = pipeline.gather(made.profiles, made.poses, config)
-    T_target_base = se3.inverse(made.truth.T_base_target)
+    session = pipeline.gather(recording.profiles, recording.poses, config)
+    T_target_base = se3.inverse(recording.truth.T_base_target)
     elsewhere, heights = [], []
     for stop in (stop for stop in session.stops if stop.sample):
         face = next(f for f in stop.sample.features if isinstance(f, FaceLine))
-        T = T_target_base @ stop.sample.T_base_flange @ made.truth.T_flange_sensor
+        T = T_target_base @ stop.sample.T_base_flange @ recording.truth.T_flange_sensor
         height = T[2, [0, 2]] @ face.centre + T[2, 3]
         if abs(height) > 1e-3:
             elsewhere.append(stop)
@@ -315,7 +315,7 @@ def test_the_stops_that_show_another_surface_are_named_and_left_out(
         [sentence] = answer.calibration.provenance['warnings']
         assert {report.stamp for report in answer.calibration.samples
                 if not report.used} >= {stop.sample.stamp for stop in elsewhere}
-        assert squared_error(answer.calibration, made.truth) < ONE_IN_100
+        assert squared_error(answer.calibration, recording.truth) < ONE_IN_100
     else:
         sentence = str(answer.refusal)
         assert answer.refusal.reason == 'surface'
@@ -330,21 +330,21 @@ def test_the_stops_that_show_another_surface_are_named_and_left_out(
 
 @pytest.mark.thorough
 def test_faces_that_end_where_the_sensor_is_blind_are_named_and_left_out() -> None:
-    made = simulate(SCENARIOS['line'], np.random.default_rng(5))
-    blind = np.zeros((len(made.profiles[0].points), 1), dtype=bool)
+    recording = simulate(SCENARIOS['line'], np.random.default_rng(5))
+    blind = np.zeros((len(recording.profiles[0].points), 1), dtype=bool)
     blind[793:844] = True
-    profiles = [replace(p, points=np.where(blind, np.nan, p.points)) for p in made.profiles]
-    found = pipeline.calibrate(profiles, made.poses, settings_of(made.scenario))
-    [told] = found.provenance['warnings']
+    profiles = [replace(p, points=np.where(blind, np.nan, p.points)) for p in recording.profiles]
+    calibration = pipeline.calibrate(profiles, recording.poses, settings_of(recording.scenario))
+    [told] = calibration.provenance['warnings']
     assert re.fullmatch('the stops [0-9, ]+ show the end of a face where the sensor .*', told)
-    assert squared_error(found, made.truth) < ONE_IN_100
+    assert squared_error(calibration, recording.truth) < ONE_IN_100
 
 
 def test_columns_between_plates_in_the_air_are_not_blind() -> None:
     scenario = SCENARIOS['plate_in_air']
-    made = simulate(scenario, np.random.default_rng(101))
+    recording = simulate(scenario, np.random.default_rng(101))
     with refused('uncertain'):
-        pipeline.calibrate(made.profiles, made.poses,
+        pipeline.calibrate(recording.profiles, recording.poses,
                            settings_of(scenario, limits__translation=5e-5))
 
 

@@ -64,10 +64,10 @@ def test_one_orientation_is_refused(name: str, where: str, frame: str, noise: bo
 @pytest.mark.parametrize(('motion', 'axis'), [('tilt_only', 0), ('yaw_only', 2)])
 def test_one_axis_is_refused_and_named(name, where, frame, motion, axis):
     for seed in range(3):
-        made = cell(scenario(name, motion, where), seed)
-        error = refusal(made)
+        simulated = cell(scenario(name, motion, where), seed)
+        error = refusal(simulated)
         assert error.reason == 'one_axis'
-        true_axis = made.truth.T_flange_sensor[:3, axis]
+        true_axis = simulated.truth.T_flange_sensor[:3, axis]
         assert_names(str(error), true_axis, frame)
         other = re.search(rf'about {frame} ([xyz]) or ([xyz])$', str(error))
         assert other and 'xyz'[int(np.argmax(np.abs(true_axis)))] not in other.groups()
@@ -75,11 +75,11 @@ def test_one_axis_is_refused_and_named(name, where, frame, motion, axis):
 
 @everywhere
 def test_one_orientation_per_edge_is_one_axis(where: str, frame: str) -> None:
-    made = cell(scenario('plate', 'one_orientation_per_edge', where))
-    error = refusal(made)
+    simulated = cell(scenario('plate', 'one_orientation_per_edge', where))
+    error = refusal(simulated)
     assert error.reason == 'one_axis'
-    poses = made.problem.poses
-    p = [s.label == 'p' for s in made.truth.stations]
+    poses = simulated.problem.poses
+    p = [s.label == 'p' for s in simulated.truth.stations]
     between = poses[p.index(True), :3, :3].T @ poses[p.index(False), :3, :3]
     turn = se3.log_rotation(between)
     assert_names(str(error), turn / np.linalg.norm(turn), frame)
@@ -89,21 +89,21 @@ def test_one_orientation_per_edge_is_one_axis(where: str, frame: str) -> None:
 @every_method
 @everywhere
 def test_tilts_of_one_degree_are_too_uncertain(name: str, where: str, frame: str) -> None:
-    made = cell(replace(scenario(name, 'general', where), tilt=math.radians(1)),
-                limits__rotation=0.01)
-    error = refusal(made)
+    simulated = cell(replace(scenario(name, 'general', where), tilt=math.radians(1)),
+                     limits__rotation=0.01)
+    error = refusal(simulated)
     assert error.reason in ('uncertain', 'one_axis', 'one_orientation')
     assert re.search(rf'\b{frame}\b', str(error)) and 'degrees' in str(error)
     if error.reason == 'uncertain':
-        turns, axes = rms_turns_and_axes(made.problem.poses)
+        turns, axes = rms_turns_and_axes(simulated.problem.poses)
         assert f'turn by only {np.degrees(turns[1]):.3g} degrees RMS about' in str(error)
         assert_names(str(error).split('RMS about')[1], axes[1], frame)
 
 
 @every_method
 def test_the_weakest_direction_is_reported_and_refused_where_it_is_too_uncertain(name):
-    made = cell(scenario(name), 2)
-    answer = made.solve()
+    simulated = cell(scenario(name), 2)
+    answer = simulated.solve()
     std, direction = worst_translation(answer.covariance)
     assert answer.quality.weakest_std == pytest.approx(std)
     assert_names(answer.quality.weakest_direction, direction, 'flange')
@@ -112,12 +112,12 @@ def test_the_weakest_direction_is_reported_and_refused_where_it_is_too_uncertain
     assert std >= np.sqrt(np.diag(answer.covariance)[:3]).max() * (1 - 1e-9)
 
     with refused('uncertain', f'position along.* {std * 1e3:.3g} mm') as caught:
-        made.solve(limits__translation=0.99 * std)
+        simulated.solve(limits__translation=0.99 * std)
     assert_names(str(caught.value), direction, 'flange')
-    assert made.solve(limits__translation=1.01 * std)
+    assert simulated.solve(limits__translation=1.01 * std)
     turn_std = float(np.sqrt(np.linalg.eigvalsh(answer.covariance[3:, 3:])[2]))
     with refused('uncertain', 'rotation about'):
-        made.solve(limits__rotation=0.99 * turn_std)
+        simulated.solve(limits__rotation=0.99 * turn_std)
 
 
 # -- too few samples
@@ -125,13 +125,13 @@ def test_the_weakest_direction_is_reported_and_refused_where_it_is_too_uncertain
 
 @every_method
 def test_too_few_samples_are_refused_with_what_became_of_the_rest(name: str) -> None:
-    made = cell(scenario(name))
-    few = made.samples[:TARGETS[name].min_samples - 1]
+    simulated = cell(scenario(name))
+    few = simulated.samples[:TARGETS[name].min_samples - 1]
     rejects = [Reject(i, reason) for i, reason in enumerate(['no edge', 'dark', 'no edge'])]
     with refused('few', f'^{len(few)} .*3 stops .*most often: no edge'):
-        pipeline.solve(few, rejects, made.config, 'laser')
+        pipeline.solve(few, rejects, simulated.config, 'laser')
     with refused('few', r'^0 usable samples \(1 stop gave none, '):
-        pipeline.solve([], rejects[:1], made.config, 'laser')
+        pipeline.solve([], rejects[:1], simulated.config, 'laser')
 
 
 # -- words
@@ -151,11 +151,11 @@ def test_directions_are_named_by_the_nearest_axis(direction: list[float], words:
 @pytest.mark.parametrize(('frame', 'key'), [
     ('flange', 'robot_effector_frame'), ('base', 'robot_base_frame')])
 def test_a_frame_of_the_robot_is_refused_by_its_key(frame: str, key: str) -> None:
-    made = cell('sphere')
+    simulated = cell('sphere')
     with pytest.raises(DataError, match=f'"{frame}", and {key} is the same'):
-        pipeline.solve(made.samples, [], made.config, frame)
-    other = replace(made.config, **{key: 'tool0'})
-    assert pipeline.solve(made.samples, [], other, frame).child_frame == frame
+        pipeline.solve(simulated.samples, [], simulated.config, frame)
+    other = replace(simulated.config, **{key: 'tool0'})
+    assert pipeline.solve(simulated.samples, [], other, frame).child_frame == frame
 
 
 @pytest.mark.parametrize('seed', [2, 3, 6, 7])
@@ -178,12 +178,12 @@ def test_an_answer_that_is_uncertain_by_millimetres_is_refused(seed: int) -> Non
 @pytest.mark.parametrize(('noise', 'angle'), [(0.0, 30), (3e-5, 30), (3e-5, 15), (3e-5, 45)])
 def test_a_plane_seen_at_one_angle_only_is_refused(noise: float, angle: int) -> None:
     """The way along the range and the plane's offset are an exact gauge, with any azimuths."""
-    made, rng = cell('plane'), np.random.default_rng(0)
-    X, plane = made.truth.T_flange_sensor, made.truth.T_base_target
+    simulated, rng = cell('plane'), np.random.default_rng(0)
+    X, plane = simulated.truth.T_flange_sensor, simulated.truth.T_base_target
     tilt, seen = se3.exp_rotation(np.array([math.radians(180 - angle), 0, 0])), []
-    for k, sample in enumerate(made.samples):
+    for k, sample in enumerate(simulated.samples):
         R = plane[:3, :3] @ se3.exp_rotation(
-            np.array([0, 0, 2 * math.pi * k / len(made.samples)])) @ tilt
+            np.array([0, 0, 2 * math.pi * k / len(simulated.samples)])) @ tilt
         R = R @ se3.exp_rotation(np.array([0, 0, rng.uniform(-0.4, 0.4)]))
         away = rng.uniform(0.16, 0.19)
         at = plane[:3, 3] + plane[:3, :2] @ rng.uniform(-0.05, 0.05, 2) - R[:, 2] * away
@@ -193,7 +193,7 @@ def test_a_plane_seen_at_one_angle_only_is_refused(noise: float, angle: int) -> 
         face = FaceLine(np.array([0, away + rng.normal(0, noise)]), along, 0.01, 1e-6)
         seen.append(replace(sample, T_base_flange=S @ se3.inverse(X), features=(face,)))
     with pytest.raises(DataError, match=f'see the plane at one angle .{angle} ') as caught:
-        made.solve(seen)
+        simulated.solve(seen)
     assert_names(str(caught.value), X[:3, 2], 'flange', 0.05)
 
 
@@ -221,10 +221,10 @@ def seen_at(sample: Sample, X: Array, place: Array) -> Sample:
 @pytest.mark.parametrize('seed', range(3))
 def test_a_target_always_at_one_place_of_the_view_is_refused(name, place, words, seed):
     """A sensor that is turned by half about that place sees the same."""
-    made, rng = cell(name, seed), np.random.default_rng(seed)
-    X = made.truth.T_flange_sensor
+    simulated, rng = cell(name, seed), np.random.default_rng(seed)
+    X = simulated.truth.T_flange_sensor
     with refused('views', f'{words}.*near, far, left, right'):
-        made.solve(seen_at(sample, X, np.array(place)) for sample in made.samples)
-    apart = made.solve(
-        seen_at(s, X, place + rng.uniform(-5e-3, 5e-3, 2)) for s in made.samples)
-    assert made.error(apart.T_flange_sensor) < 1e-3
+        simulated.solve(seen_at(sample, X, np.array(place)) for sample in simulated.samples)
+    apart = simulated.solve(
+        seen_at(s, X, place + rng.uniform(-5e-3, 5e-3, 2)) for s in simulated.samples)
+    assert simulated.error(apart.T_flange_sensor) < 1e-3

@@ -102,8 +102,8 @@ def test_a_wedge_beside_another_block_is_answered(monkeypatch, seed):
                    layout=Layout(no_return='omit'), stations=(18, 0))
     config = settings_of(cell)
     recording = simulate(cell, np.random.default_rng(seed))
-    found = pipeline.calibrate(recording.profiles, recording.poses, config)
-    assert squared_error(found, recording.truth) < ONE_IN_20
+    calibration = pipeline.calibrate(recording.profiles, recording.poses, config)
+    assert squared_error(calibration, recording.truth) < ONE_IN_20
 
 
 def test_what_no_setting_mends_is_not_blamed_on_one() -> None:

@@ -33,9 +33,9 @@ def solved(scenario: Scenario, seed: int, scale: float = 1.0, **changes: object
     """
     samples, truth = simulate_samples(scenario, np.random.default_rng(seed))
     config = settings_of(scenario, **({'noise__distortion': 0.0} | changes))
-    found = pipeline.solve(scaled(samples, scale), (), config, 'laser')
-    return found, float(np.linalg.norm(
-        se3.difference(found.T_flange_sensor, truth.T_flange_sensor)[:3]))
+    calibration = pipeline.solve(scaled(samples, scale), (), config, 'laser')
+    return calibration, float(np.linalg.norm(
+        se3.difference(calibration.T_flange_sensor, truth.T_flange_sensor)[:3]))
 
 
 @pytest.mark.thorough
@@ -163,6 +163,6 @@ def test_lengths_that_differ_little_are_named(seed: int) -> None:
 
 
 def test_a_scale_is_no_move_of_a_few_samples() -> None:
-    made = cell('line', 2)
+    simulated = cell('line', 2)
     with refused('scale'):
-        made.solve(scaled(made.samples, 1.005))
+        simulated.solve(scaled(simulated.samples, 1.005))

@@ -72,14 +72,14 @@ def trials(name: str) -> int:
 def test_the_stated_covariance_is_that_of_the_errors_and_good_samples_are_kept(name):
     squares, lost = [], []
     for seed in range(trials(name)):
-        made = cell(name, seed)
+        simulated = cell(name, seed)
         try:
-            answer = made.solve()
+            answer = simulated.solve()
         except DataError as error:
             assert error.reason == 'uncertain'
             continue
         lost.append(answer.quality.samples_rejected)
-        squares.append(squared_error(answer, made.truth) / 6)
+        squares.append(squared_error(answer, simulated.truth) / 6)
     assert len(squares) > 0.9 * trials(name)
     sigma = np.sqrt(2 / 6 / len(squares))  # of the mean of chi-squared over 6
     assert abs(np.mean(squares) - 1) < 3.5 * sigma
@@ -89,10 +89,10 @@ def test_the_stated_covariance_is_that_of_the_errors_and_good_samples_are_kept(n
 
 @every_method
 def test_the_left_out_rms_is_that_of_real_refits(name: str) -> None:
-    made = noisy(name)
-    ordered = in_order(made.samples)
+    simulated = noisy(name)
+    ordered = in_order(simulated.samples)
     answer = calibration_of(name)
-    solution = pipeline.answer_samples(ordered, (), made.config).require_solution()
+    solution = pipeline.answer_samples(ordered, (), simulated.config).require_solution()
     assert len(solution.used) == len(ordered) <= 20, 'each station is a fold of its own'
     measured = measured_points(ordered, solution.problem)
     squares, own = [], []
@@ -111,10 +111,10 @@ def test_the_left_out_rms_is_that_of_real_refits(name: str) -> None:
 
 def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
     """Move one pose: the residuals of its station agree on it, and weigh as one, not as many."""
-    made = exact_cell('plate')
-    solution = solved(made.problem)
-    moved = made.problem.poses.copy()
-    sigma = made.config.noise.robot_translation
+    simulated = exact_cell('plate')
+    solution = solved(simulated.problem)
+    moved = simulated.problem.poses.copy()
+    sigma = simulated.config.noise.robot_translation
     normal = solution.estimate.state[:16].reshape(4, 4)[:3, 2]
     moved[3] = se3.perturb(moved[3], np.append(sigma * normal, np.zeros(3)))
     there = solution_at(replace(solution.problem, poses=moved), solution.estimate, BLOCKS_AS_NOISE)
@@ -156,9 +156,9 @@ def test_a_station_that_may_be_wrong_adds_what_freeing_its_pose_changes(target: 
 
 @pytest.mark.parametrize('target', ['plate', 'sphere'])
 def test_the_parts_add_up_to_what_is_reported(target: str) -> None:
-    made = cell(target, 0)
-    config = settings_of(made.scenario)
-    solution = pipeline.answer_samples(made.samples, (), config).require_solution()
+    simulated = cell(target, 0)
+    config = settings_of(simulated.scenario)
+    solution = pipeline.answer_samples(simulated.samples, (), config).require_solution()
     *terms, total = budget(solution)
     assert {'sensor, white', 'poses, white', 'robot_smooth', 'best-fit transform'} <= {
         term.name for term in terms}
@@ -204,6 +204,6 @@ def test_the_region_that_is_stated_holds_what_serves_best(name: str) -> None:
     config = settings_of(scenario)
     for seed in range(20):
         samples, truth = simulate_samples(scenario, np.random.default_rng(seed))
-        found = pipeline.solve(samples, (), config, 'laser')
-        inside.append(squared_error(found, truth) < ONE_IN_20)
+        calibration = pipeline.solve(samples, (), config, 'laser')
+        inside.append(squared_error(calibration, truth) < ONE_IN_20)
     assert np.mean(inside) >= 0.9

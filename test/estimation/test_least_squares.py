@@ -78,11 +78,11 @@ def test_wrong_blocks_are_left_out_and_change_nothing(seed: int) -> None:
     good, wrong = np.arange(3, 20), np.isin(block, (0, 1, 2))
     b = b + 100.0 * wrong
     spoilt = System(lambda x: Rows(A @ x - b, lambda: A), np.add, block)
-    found = adjust(spoilt, np.zeros(4), fewest=4)
-    assert set(found.used.tolist()) <= set(good.tolist())
-    kept = np.isin(block, found.used)
-    assert np.abs(found.state - np.linalg.lstsq(A[kept], b[kept], rcond=None)[0]).max() < 1e-9
-    assert len(found.used) >= len(good) - 1
+    adjusted = adjust(spoilt, np.zeros(4), fewest=4)
+    assert set(adjusted.used.tolist()) <= set(good.tolist())
+    kept = np.isin(block, adjusted.used)
+    assert np.abs(adjusted.state - np.linalg.lstsq(A[kept], b[kept], rcond=None)[0]).max() < 1e-9
+    assert len(adjusted.used) >= len(good) - 1
 
 
 def test_no_more_blocks_are_dropped_than_can_be_spared() -> None:

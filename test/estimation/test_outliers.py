@@ -38,18 +38,18 @@ def assert_as_good(answer: Calibration, clean: Calibration) -> None:
 @pytest.mark.parametrize('size', [3e-3, 0.05])
 def test_stations_with_a_wrong_pose_are_left_out(name: str, size: float) -> None:
     for seed in range(2):
-        made = cell(name, seed)
+        simulated = cell(name, seed)
         rng = np.random.default_rng(seed)
-        bad = rng.permutation(len(made.samples))[:2]
-        steps = rng.normal(size=(len(made.samples), 6))
+        bad = rng.permutation(len(simulated.samples))[:2]
+        steps = rng.normal(size=(len(simulated.samples), 6))
         steps[:, :3] *= size / np.linalg.norm(steps[:, :3], axis=1)[:, None]
         # a plane does not see what moves along it: turn the poses too, by 1 degree
         steps[:, 3:] *= 0.02 / np.linalg.norm(steps[:, 3:], axis=1)[:, None]
-        samples = [moved(s, steps[i]) if i in bad else s for i, s in enumerate(made.samples)]
-        answer = made.solve(samples)
-        assert rejected(answer) >= {made.samples[i].stamp for i in bad}
+        samples = [moved(s, steps[i]) if i in bad else s for i, s in enumerate(simulated.samples)]
+        answer = simulated.solve(samples)
+        assert rejected(answer) >= {simulated.samples[i].stamp for i in bad}
         assert len(rejected(answer)) <= 3
-        clean = made.solve(s for s in made.samples if s.stamp not in rejected(answer))
+        clean = simulated.solve(s for s in simulated.samples if s.stamp not in rejected(answer))
         assert_as_good(answer, clean)
 
 
@@ -69,38 +69,38 @@ def to_a_second_plate(made: Cell, rng: np.random.Generator) -> Array:
         ('plate', 17, to_a_second_plate, 0.24),
         *((target, seed, aside, 0.28) for target in ('plate', 'sphere') for seed in range(6))))])
 def test_a_cluster_that_agrees_on_something_wrong_is_left_out(target, seed, step, share):
-    made, rng = cell(target, seed), np.random.default_rng(seed)
-    by = np.append(step(made, rng), np.zeros(3))
-    order = rng.permutation(len(made.samples))
-    bad = {made.samples[i].stamp for i in order[:int(share * len(made.samples))]}
-    answer = made.solve(moved(s, by) if s.stamp in bad else s for s in made.samples)
+    simulated, rng = cell(target, seed), np.random.default_rng(seed)
+    by = np.append(step(simulated, rng), np.zeros(3))
+    order = rng.permutation(len(simulated.samples))
+    bad = {simulated.samples[i].stamp for i in order[:int(share * len(simulated.samples))]}
+    answer = simulated.solve(moved(s, by) if s.stamp in bad else s for s in simulated.samples)
     assert rejected(answer) == bad
-    assert_as_good(answer, made.solve(s for s in made.samples if s.stamp not in bad))
+    assert_as_good(answer, simulated.solve(s for s in simulated.samples if s.stamp not in bad))
 
 
 def test_too_many_wrong_stations_are_refused() -> None:
-    made = cell('plate', 1)
+    simulated = cell('plate', 1)
     rng = np.random.default_rng(0)
     samples = [moved(s, np.append(rng.normal(size=3) * 8e-3, rng.normal(size=3) * 0.02))
-               if i % 2 else s for i, s in enumerate(made.samples)]
+               if i % 2 else s for i, s in enumerate(simulated.samples)]
     with pytest.raises(DataError, match='contradict'):
-        made.solve(samples)
+        simulated.solve(samples)
 
 
 @pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_edges_of_the_plate_that_are_not_ours_do_no_harm(seed: int) -> None:
-    made = cell('wrong_edges', seed)
-    answer = made.solve()
-    assert made.error(answer.T_flange_sensor) < 9e-5
+    simulated = cell('wrong_edges', seed)
+    answer = simulated.solve()
+    assert simulated.error(answer.T_flange_sensor) < 9e-5
     reports = {r.stamp: r for r in answer.samples}
-    for station, sample in zip(made.truth.stations, made.samples, strict=True):
+    for station, sample in zip(simulated.truth.stations, simulated.samples, strict=True):
         report = reports[sample.stamp]
         if station.label.endswith('2'):
             assert report.edge == '' and report.reason, 'told, though its face may be used'
         else:
             assert report.used and report.edge in ('p', 'q')
     sides = {(station.label, reports[s.stamp].edge)
-             for station, s in zip(made.truth.stations, made.samples, strict=True)
+             for station, s in zip(simulated.truth.stations, simulated.samples, strict=True)
              if len(station.label) == 1}
     assert len(sides) == 2, 'one name for each edge'
 
@@ -120,19 +120,19 @@ RANKS = {'plate': 3, 'line': 2, 'plane': 2, 'sphere': 3, 'wedge': 4}  # of one s
 
 
 def test_fewer_conditions_than_unknowns_leave_a_direction_free() -> None:
-    made = cell('plane', 0)
-    whole = solved(made.problem)
-    few = made.problem.subset(np.arange(4))
+    simulated = cell('plane', 0)
+    whole = solved(simulated.problem)
+    few = simulated.problem.subset(np.arange(4))
     covariance = solution_at(few, whole.estimate, BLOCKS_AS_NOISE).covariance
     assert np.linalg.eigvalsh(covariance)[-1] > 1.0, 'm^2: 8 conditions, 9 unknowns'
 
 
 @pytest.mark.parametrize(('name', 'rank'), RANKS.items())
 def test_a_station_says_as_much_as_its_target_shows(name: str, rank: int) -> None:
-    made = cell(name, 0)
-    solution = solved(made.problem)
+    simulated = cell(name, 0)
+    solution = solved(simulated.problem)
     assert (solution.ranks == rank).all()
-    assert solution.redundancy == rank * len(made.samples) - solution.jacobian.shape[1]
+    assert solution.redundancy == rank * len(simulated.samples) - solution.jacobian.shape[1]
 
 
 def wrong(sample: Sample, rng: np.random.Generator) -> Sample:
@@ -146,22 +146,22 @@ def wrong(sample: Sample, rng: np.random.Generator) -> Sample:
 def test_few_samples_with_wrong_ones_give_no_wrong_answer(name, stations, bad):
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        made = cell(replace(SCENARIOS[name], stations=stations), seed)
-        chosen = rng.permutation(len(made.samples))[:bad]
-        samples = [wrong(s, rng) if i in chosen else s for i, s in enumerate(made.samples)]
+        simulated = cell(replace(SCENARIOS[name], stations=stations), seed)
+        chosen = rng.permutation(len(simulated.samples))[:bad]
+        samples = [wrong(s, rng) if i in chosen else s for i, s in enumerate(simulated.samples)]
         try:
-            answer = made.solve(samples)
+            answer = simulated.solve(samples)
         except DataError:
             continue
-        assert squared_error(answer, made.truth) < 36
+        assert squared_error(answer, simulated.truth) < 36
 
 
 def test_what_is_left_after_dropping_must_judge() -> None:
-    made = cell(replace(SCENARIOS['plane'], stations=(7, 0)), 0)
+    simulated = cell(replace(SCENARIOS['plane'], stations=(7, 0)), 0)
     samples = [wrong(s, np.random.default_rng(1)) if i == 3 else s
-               for i, s in enumerate(made.samples)]
+               for i, s in enumerate(simulated.samples)]
     with pytest.raises(DataError, match='take more'):
-        made.solve(samples)
+        simulated.solve(samples)
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -180,16 +180,16 @@ def test_one_wrong_of_ten_stands_out_though_a_poor_robot_would_explain_it(seed: 
 
 def test_no_station_of_a_poor_robot_is_taken_for_wrong() -> None:
     poor = replace(SCENARIOS['plate'].robot, systematic=(3e-4, 1e-3))
-    made = cell(replace(SCENARIOS['plate'], stations=(5, 5), robot=poor), 0,
-                noise__robot_smooth=1.5e-4)
-    assert made.solve().quality.samples_rejected == 0
+    simulated = cell(replace(SCENARIOS['plate'], stations=(5, 5), robot=poor), 0,
+                     noise__robot_smooth=1.5e-4)
+    assert simulated.solve().quality.samples_rejected == 0
 
 
 def test_what_a_wrong_station_would_do_is_stated_of_few_and_next_to_nothing_of_many() -> None:
     grown = []
     for stations in ((3, 3), (9, 9)):
-        made = cell(replace(SCENARIOS['plate'], stations=stations), 0)
-        solution = with_systematic_errors(solved(made.problem))
+        simulated = cell(replace(SCENARIOS['plate'], stations=stations), 0)
+        solution = with_systematic_errors(solved(simulated.problem))
         without = replace(solution, added_covariances={})
         grown.append(np.diag(solution.transform_covariance)
                      / np.diag(without.transform_covariance))

@@ -43,10 +43,10 @@ def test_in_other_frames_the_answer_is_the_same(name: str, base: Array, flange: 
 
 @every_method
 def test_shuffled_samples_give_the_same_calibration_and_are_not_changed(name: str) -> None:
-    made, first = noisy(name), calibration_of(name)
+    simulated, first = noisy(name), calibration_of(name)
     # it sorts them by their stamps, so which shuffle it is does not matter
-    order = np.random.default_rng(6).permutation(len(made.samples))
-    second = made.solve(frozen(made.samples[k]) for k in order)
+    order = np.random.default_rng(6).permutation(len(simulated.samples))
+    second = simulated.solve(frozen(simulated.samples[k]) for k in order)
     assert apart(first.T_flange_sensor, second.T_flange_sensor) < 1e-9
     assert np.allclose(first.covariance, second.covariance, rtol=1e-6, atol=1e-18)
     assert first.samples == second.samples and first.target == second.target
@@ -64,13 +64,13 @@ def frozen(sample: Sample) -> Sample:
 
 
 def test_of_very_many_stations_all_count_though_some_tell_the_noise() -> None:
-    made = cell(replace(SCENARIOS['plate'], stations=(250, 250)), noise__robot_smooth=1e-4)
-    first = solved(made.problem)
+    simulated = cell(replace(SCENARIOS['plate'], stations=(250, 250)), noise__robot_smooth=1e-4)
+    first = solved(simulated.problem)
     whole, half = (map_solution(problem, first.estimate) for problem in (
         first.problem, first.problem.subset(np.arange(0, 500, 2))))
     std, of_half = (np.sqrt(np.diag(found.reported_covariance)[:6]) for found in (whole, half))
     assert (std < 0.9 * of_half).all() and (std > 0.6 * of_half).all()
-    off = se3.difference(whole.estimate.X, made.truth.T_flange_sensor)
+    off = se3.difference(whole.estimate.X, simulated.truth.T_flange_sensor)
     assert off @ np.linalg.solve(whole.transform_covariance, off) < ONE_IN_1000
 
 
@@ -79,13 +79,13 @@ def test_a_solve_that_diverges_reports_the_errors_of_any_other(seed: int) -> Non
     """A start that is off by metres and radians."""
     problem, at = noisy('sphere').problem, solution_of('sphere').estimate
     far = se3.perturb(at.X, np.random.default_rng(seed).normal(size=6))
-    found = map_solution(problem, replace(at, X=far))
-    assert apart(found.estimate.X, at.X) > 0.1, 'it has not found the answer'
-    of_a_cause = replace(found, added_covariances={'cause': 1e-6 * np.eye(6)})
-    more = of_a_cause.reported_covariance - found.reported_covariance
+    solution = map_solution(problem, replace(at, X=far))
+    assert apart(solution.estimate.X, at.X) > 0.1, 'it has not found the answer'
+    of_a_cause = replace(solution, added_covariances={'cause': 1e-6 * np.eye(6)})
+    more = of_a_cause.reported_covariance - solution.reported_covariance
     np.testing.assert_allclose(more[:6, :6], 1e-6 * np.eye(6), atol=1e-12)
-    beside = found.for_report.covariance[:6, :6]
-    assert np.linalg.eigvalsh(found.transform_covariance - beside).min() > -1e-9 * beside.max()
+    beside = solution.for_report.covariance[:6, :6]
+    assert np.linalg.eigvalsh(solution.transform_covariance - beside).min() > -1e-9 * beside.max()
 
 
 def numerical(problem: Problem, at: Estimate, h: float = 1e-6) -> Array:

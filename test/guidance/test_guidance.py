@@ -40,8 +40,8 @@ every_target = pytest.mark.parametrize('target', FEW)
 def made(request: pytest.FixtureRequest) -> tuple[Cell, Solution]:
     """Return a cell with few samples of each target, and the fit to them."""
     scenario = replace(SCENARIOS[request.param], stations=FEW[request.param])
-    found = cell(scenario, 1)
-    return found, solved(found.problem)
+    simulated = cell(scenario, 1)
+    return simulated, solved(simulated.problem)
 
 
 def answer(found: Cell, solution: Solution, refusal: DataError | None = None) -> Answer:
@@ -124,12 +124,12 @@ def test_it_is_the_same_in_another_base(made: tuple[Cell, Solution]) -> None:
 
 
 def test_eye_on_base_is_advised_too() -> None:
-    found = cell(replace(SCENARIOS['eye_on_base'], stations=(4, 4)), 1)
-    result = advice((found, solved(found.problem)))
+    simulated = cell(replace(SCENARIOS['eye_on_base'], stations=(4, 4)), 1)
+    result = advice((simulated, solved(simulated.problem)))
     assert result.next
-    first = found.samples[0].T_base_flange
+    first = simulated.samples[0].T_base_flange
     assert np.linalg.norm(result.next.T_base_flange[:3, 3] - first[:3, 3]) <= (
-        found.config.guidance.reach)
+        simulated.config.guidance.reach)
 
 
 def test_enough_is_said_with_its_reason(made: tuple[Cell, Solution]) -> None:
@@ -169,10 +169,10 @@ def test_a_sweep_goes_on_until_it_is_enough(made: tuple[Cell, Solution]) -> None
 @every_target
 @pytest.mark.parametrize('turn', [0.1, 0.9, 1.75])
 def test_before_there_is_an_answer_it_tells_moves_within_the_limits(target, turn):
-    found = cell(target, 2)
-    config = with_values(found.config, {'guidance.turn': turn}, 'test')
-    method, view = targets.target_for(config), learn_view(found.samples)
-    first = advise(found.samples[:1], config, Answer((), None, False, None, None))
+    simulated = cell(target, 2)
+    config = with_values(simulated.config, {'guidance.turn': turn}, 'test')
+    method, view = targets.target_for(config), learn_view(simulated.samples)
+    first = advise(simulated.samples[:1], config, Answer((), None, False, None, None))
     assert first.next is None and first.move is not None and not first.enough
     assert 'turn the sensor' in first.text and 'in view' in first.text
     assert ('beside the top' in first.text) == (target == 'sphere')
@@ -202,13 +202,13 @@ def test_a_sensor_that_is_not_roughly_known_is_not_aimed(made: tuple[Cell, Solut
 
 
 def test_the_view_holds_what_was_seen() -> None:
-    found = cell('plate', 0)
-    view, inner = learn_view(found.samples), learn_view(found.samples).inner()
-    points = np.concatenate([found.problem.observations.points])
+    simulated = cell('plate', 0)
+    view, inner = learn_view(simulated.samples), learn_view(simulated.samples).inner()
+    points = np.concatenate([simulated.problem.observations.points])
     assert (view.room(points) > -1e-12).all()
     assert (inner.offsets < view.offsets).all() and (inner.size < view.size).all()
     assert view.room(view.box[1] + view.size) < 0
-    wider = learn_view(found.samples, np.array([[np.nan, 0.1], [1.0, 0.2]]))
+    wider = learn_view(simulated.samples, np.array([[np.nan, 0.1], [1.0, 0.2]]))
     assert wider.box[1, 0] == 1.0
 
 

@@ -136,11 +136,11 @@ def test_lost_messages_are_told_until_many_have_come() -> None:
 
 @pytest.mark.thorough
 def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording() -> None:
-    made = simulate(SCENARIOS['small_plate_sweep'], np.random.default_rng(3))
-    config = settings_of(made.scenario, sampling__mode='moving')
-    live = fed(config, made)
+    recording = simulate(SCENARIOS['small_plate_sweep'], np.random.default_rng(3))
+    config = settings_of(recording.scenario, sampling__mode='moving')
+    live = fed(config, recording)
     text = computed(live)
-    offline = pipeline.calibrate(made.profiles, made.poses, config)
+    offline = pipeline.calibrate(recording.profiles, recording.poses, config)
     assert np.allclose(live.answer.calibration.T_flange_sensor, offline.T_flange_sensor, atol=1e-9)
     assert ' profiles used, ' in text
 
@@ -277,9 +277,9 @@ def test_settings_that_change_need_no_new_samples() -> None:
         changed(live, **{key: value})
         config = set_to(config, **{key: value})
         expected = pipeline.calibrate(SPHERE.profiles, SPHERE.poses, config)
-        found = live.answer.calibration
-        assert np.allclose(found.T_flange_sensor, expected.T_flange_sensor, atol=1e-12)
-        solved_with, name = found.provenance['config'], key.replace('__', '.')
+        calibration = live.answer.calibration
+        assert np.allclose(calibration.T_flange_sensor, expected.T_flange_sensor, atol=1e-12)
+        solved_with, name = calibration.provenance['config'], key.replace('__', '.')
         assert solved_with[name] == expected.provenance['config'][name]
     live.configure(set_to(live.config, time_offset_std=0.06))
     assert not live.to_evaluate, 'it changes no sample'
@@ -534,8 +534,8 @@ def test_of_two_answers_the_one_that_was_asked_for_last_stays(monkeypatch):
     for future, args in reversed(jobs):
         future.set_result(submit(*args).result())
     assert first.result(PATIENCE) != second.result(PATIENCE)
-    told = state_of(live)['calibration']
-    assert (told['state'], told['text']) == ('current', second.result())
+    status = state_of(live)['calibration']
+    assert (status['state'], status['text']) == ('current', second.result())
 
 
 def test_a_recomputation_whose_process_is_killed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -100,14 +100,14 @@ def calibrated(browser: Any, tmp_path: Path) -> int:
     path = tmp_path / 'plate' / 'calibration.yaml'
     assert str(path) in saved
     wait(browser, "document.getElementById('answer-x')", 'the figures')
-    found = read_calibration(path)
+    calibration = read_calibration(path)
     rows = browser.execute_script("return [...document.querySelectorAll('#figures tbody tr')]"
                                   '.map(r => [...r.cells].map(c => c.textContent))')
     # the page, the report and the command line say the same, figure by figure
-    assert rows[:6] == [list(row) for row in table.transform_rows(found)]
-    text = report.html(found, SolvedRecording(()))
+    assert rows[:6] == [list(row) for row in table.transform_rows(calibration)]
+    text = report.html(calibration, SolvedRecording(()))
     assert all(figure in text for row in rows[:6] for figure in row[1:3])
-    quality = found.quality
+    quality = calibration.quality
     assert rows[6:] == [['residual', f'{1e3 * quality.residual_rms:.3f}', '', 'mm'],
                         ['left out', f'{1e3 * quality.holdout_rms:.3f}', '', 'mm'],
                         ['samples used', str(quality.samples_used), '', '']]

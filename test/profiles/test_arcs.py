@@ -179,13 +179,13 @@ def test_what_repeats_is_not_averaged_away() -> None:
 
 
 def test_the_profiles_of_a_station_are_one_arc_and_a_stray_one_is_left_out() -> None:
-    found = [arc_features(wide(ball, seed), KNOWN) for seed in range(8)]
+    features = [arc_features(wide(ball, seed), KNOWN) for seed in range(8)]
     other = arc_features(wide(lambda x: ball(x, 0.02)), KNOWN)
-    arc, = combine(found)
-    with_other, = combine([*found, other])
+    arc, = combine(features)
+    with_other, = combine([*features, other])
     assert isinstance(arc, Arc) and isinstance(with_other, Arc)
     assert np.array_equal(arc.raw, with_other.raw)
-    assert np.median(arc.std) == pytest.approx(np.median(found[0][0].std) / 8 ** 0.5, rel=0.2)
+    assert np.median(arc.std) == pytest.approx(np.median(features[0][0].std) / 8 ** 0.5, rel=0.2)
 
 
 @pytest.mark.parametrize('stated', [0.01, 0.02, 0.2])

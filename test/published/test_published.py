@@ -50,27 +50,27 @@ def pairs(seed: int, noise: float = 0.0) -> tuple[Array, Array, Array]:
 
 def test_wu_takes_the_best_of_all_210_quadruples() -> None:
     _, camera, base = pairs(1, 3e-5)
-    found = wu2017.solve(camera, base)
-    assert len(found.costs) == comb(10, 4) == 210
-    assert np.isfinite(found.costs).all()
-    assert found.cost == found.costs.min()
-    four = list(found.quadruple)
-    np.testing.assert_allclose(se3.apply(found.matrix, base)[four], camera[four], atol=1e-9)
+    calibration = wu2017.solve(camera, base)
+    assert len(calibration.costs) == comb(10, 4) == 210
+    assert np.isfinite(calibration.costs).all()
+    assert calibration.cost == calibration.costs.min()
+    four = list(calibration.quadruple)
+    np.testing.assert_allclose(se3.apply(calibration.matrix, base)[four], camera[four], atol=1e-9)
     by_eq_4 = (np.vstack([camera[four].T, np.ones(4)])
                @ np.linalg.inv(np.vstack([base[four].T, np.ones(4)])))
-    np.testing.assert_allclose(found.matrix, by_eq_4, atol=1e-9)
+    np.testing.assert_allclose(calibration.matrix, by_eq_4, atol=1e-9)
     by_eq_5 = sum(np.linalg.norm(c - (by_eq_4 @ np.append(w, 1.0))[:3])
                   for c, w in zip(camera, base, strict=True))
-    assert found.cost == pytest.approx(by_eq_5)
+    assert calibration.cost == pytest.approx(by_eq_5)
 
 
 def test_four_points_in_one_plane_are_left_out() -> None:
     T, _, base = pairs(2)
     base[:9, 2] = 0.3
-    found = wu2017.solve(se3.apply(T, base), base)
-    assert np.isinf(found.costs).sum() == comb(9, 4)
-    assert 9 in found.quadruple
-    assert np.abs(se3.difference(found.T_camera_base, T)).max() < 1e-6
+    calibration = wu2017.solve(se3.apply(T, base), base)
+    assert np.isinf(calibration.costs).sum() == comb(9, 4)
+    assert 9 in calibration.quadruple
+    assert np.abs(se3.difference(calibration.T_camera_base, T)).max() < 1e-6
     base[9, 2] = 0.3
     with pytest.raises(SingularError, match='one plane'):
         wu2017.solve(se3.apply(T, base), base)
@@ -113,8 +113,8 @@ def test_the_patent_finds_the_truth_without_noise(seed: int, count: int) -> None
     X, poses, views, targets = cell_of(seed, count)
     for view, target in zip(views, targets, strict=True):
         assert np.abs(se3.difference(patent.target_pose(view, CAMERA), target)).max() < 1e-9
-    found = patent.solve(poses, views, CAMERA)
-    assert np.abs(se3.difference(found, X)).max() < 1e-6
+    calibration = patent.solve(poses, views, CAMERA)
+    assert np.abs(se3.difference(calibration, X)).max() < 1e-6
 
 
 def test_views_without_the_centre_are_refused() -> None:

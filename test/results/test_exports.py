@@ -76,12 +76,12 @@ def read_easy_handeye2(text: str) -> tuple[Array, str, str]:
              'robot_effector_frame': str, 'tracking_base_frame': str,
              'tracking_marker_frame': str, 'freehand_robot_movement': bool,
              'move_group_namespace': str, 'move_group': str}
-    found = yaml.full_load(text)
-    assert found.keys() == {'parameters', 'transform'}
-    report = found['parameters']
+    content = yaml.full_load(text)
+    assert content.keys() == {'parameters', 'transform'}
+    report = content['parameters']
     assert all(type(value) is known[key] for key, value in report.items())
     parent = {'eye_in_hand': 'robot_effector_frame', 'eye_on_base': 'robot_base_frame'}
-    T, _, _ = from_values({**found, 'parent_frame': '', 'child_frame': ''})
+    T, _, _ = from_values({**content, 'parent_frame': '', 'child_frame': ''})
     return T, report[parent[report['calibration_type']]], report['tracking_base_frame']
 
 
@@ -90,9 +90,9 @@ def read_matrix(text: str) -> tuple[Array, None, None]:
 
 
 def read_json(text: str) -> tuple[Array, str, str]:
-    found = json.loads(text)
-    T, parent, child = from_values(found)
-    np.testing.assert_allclose(found['matrix'], T, rtol=0, atol=1e-12)
+    content = json.loads(text)
+    T, parent, child = from_values(content)
+    np.testing.assert_allclose(content['matrix'], T, rtol=0, atol=1e-12)
     return T, parent, child
 
 

@@ -115,13 +115,13 @@ def from_table(tmp_path_factory):
 
 def test_the_answer_in_files_predicts_points_that_were_held_out(from_table):
     _, held, folder, result = from_table
-    arm, found = read_arm(folder / 'out'), read_calibration(folder / 'out/calibration.yaml')
-    ball = np.array([found.target['point_target'][axis] for axis in 'xyz'])
+    arm, calibration = read_arm(folder / 'out'), read_calibration(folder / 'out/calibration.yaml')
+    ball = np.array([calibration.target['point_target'][axis] for axis in 'xyz'])
     urdf = (folder / 'out/corrected.urdf').read_text()
     for T in (arm.forward(held.q), poses(urdf, [j.name for j in arm.joints], held.q, 'tool0')):
-        seen = se3.apply(se3.inverse(T @ found.T_flange_sensor), ball[None])[:, 0]
+        seen = se3.apply(se3.inverse(T @ calibration.T_flange_sensor), ball[None])[:, 0]
         assert bench.rms(seen - held.points) < 0.06
-    assert (found.parent_frame, found.method) == ('tool0', 'kinematics')
+    assert (calibration.parent_frame, calibration.method) == ('tool0', 'kinematics')
     assert 'offset, direction, position' in result
 
 
@@ -232,14 +232,14 @@ def test_the_truth_of_a_corrected_arm_is_of_its_flange_not_that_of_the_controlle
         done = succeeds(*words.split(), cwd=tmp_path)
     said = ' '.join(done.stdout.split())
     assert re.search('poses of the corrected arm in .*; with those of the controller it is', said)
-    told = re.search(r'truth.yaml: translation ([\d.]+) mm', said)
-    assert told and float(told[1]) < 0.2, 'against the flange of the controller: 1.1 mm'
+    match = re.search(r'truth.yaml: translation ([\d.]+) mm', said)
+    assert match and float(match[1]) < 0.2, 'against the flange of the controller: 1.1 mm'
     truth = yaml.safe_load((tmp_path / 'cell/truth.yaml').read_text())
     T_true = se3.from_values(truth['T_corrected_sensor'])
     for folder in ('arm', 'out'):
-        found = read_calibration(tmp_path / folder / 'calibration.yaml')
-        away = se3.difference(found.T_flange_sensor, T_true)
-        assert away @ np.linalg.solve(found.covariance, away) < ONE_IN_1000
+        calibration = read_calibration(tmp_path / folder / 'calibration.yaml')
+        away = se3.difference(calibration.T_flange_sensor, T_true)
+        assert away @ np.linalg.solve(calibration.covariance, away) < ONE_IN_1000
 
 
 @pytest.fixture(scope='module')
@@ -314,8 +314,8 @@ def test_a_solve_with_a_corrected_arm_is_as_uncertain_as_the_arm_makes_it(tmp_pa
     corrected = [replace(s, T_base_flange=T) for s, T in zip(
         samples, read_arm(tmp_path).forward(q), strict=True)]
     config = replace(config, kinematics=str(tmp_path / 'kinematics.yaml'))
-    found = pipeline.solve(corrected, (), config, 'laser')
-    assert squared_error(found, truth) < ONE_IN_1000
+    calibration = pipeline.solve(corrected, (), config, 'laser')
+    assert squared_error(calibration, truth) < ONE_IN_1000
     strict = replace(config, limits=replace(config.limits, translation=1e-6))
     with pytest.raises(DataError, match='most of that comes from the corrected arm'):
         pipeline.solve(corrected, (), strict, 'laser')

@@ -70,8 +70,8 @@ def test_frozen_speckle_of_a_face_does_not_average_out(count: int) -> None:
         frozen = np.convolve(rng.normal(size=COLUMNS + 4), np.ones(5) / 5 ** 0.5, 'valid') * NOISE
         points = [drawn(gap_up_to(-0.005), 100 * seed + k, NOISE / 6) + np.column_stack(
             [np.zeros(COLUMNS), frozen]) for k in range(count)]
-        found = [face_features(with_lost(p), Config()) for p in points]
-        line = combine(found)[0]
+        features = [face_features(with_lost(p), Config()) for p in points]
+        line = combine(features)[0]
         normal = np.array([-np.sin(0.1), np.cos(0.1)])
         offsets.append((line.centre - [0, face(0.0)]) @ normal / line.std)
         shares.append((line.points - [0, face(0.0)]) @ normal / line.points_std)

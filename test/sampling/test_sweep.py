@@ -56,14 +56,14 @@ def poses(times: Array, noise: float = 0.0, step: float = 0.0) -> list[TimedPose
 
 @pytest.mark.parametrize('rate', [30.0, 250.0])
 def test_noisy_rounded_poses_are_averaged_to_the_true_motion(rate: float) -> None:
-    found = trajectory_of(poses(np.arange(0.0, 10.0, 1 / rate), 2e-5, 1e-4), 0.5)
+    trajectory = trajectory_of(poses(np.arange(0.0, 10.0, 1 / rate), 2e-5, 1e-4), 0.5)
     times = np.random.default_rng(1).uniform(0.1, 9.8, 200)
     stamps = np.rint(times * NS).astype(np.int64)
-    at = found.at(stamps)
+    at = trajectory.at(stamps)
     T, twists = true_motion(times)
     assert at.inside.all()
     off = np.linalg.norm(at.T_base_flange[:, :3, 3] - T[:, :3, 3], axis=1)
-    usual = np.median(found.std(stamps)[:, 0])
+    usual = np.median(trajectory.std(stamps)[:, 0])
     assert off.max() < 1e-4 and np.sqrt((off ** 2).mean() / 3) < 2 * usual
     assert np.abs(at.twists - twists).max() < 5e-3
     assert se3.angle(at.T_base_flange[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2)).max() < 6e-5
@@ -74,21 +74,21 @@ def test_rare_poses_of_a_slow_robot_state_their_errors(seconds: float) -> None:
     # two poses and a half a second of a motion that takes five times as long
     rare = [replace(pose, stamp=5 * pose.stamp)
             for pose in poses(np.arange(0.0, seconds / 5, 0.08), 2e-5)]
-    found = trajectory_of(rare, 0.5)
+    trajectory = trajectory_of(rare, 0.5)
     times = np.linspace(0.1, seconds / 5 - 0.1, 200)
     stamps = np.rint(5 * times * NS).astype(np.int64)
     off = np.linalg.norm(
-        found.at(stamps).T_base_flange[:, :3, 3] - true_motion(times)[0][:, :3, 3], axis=1)
-    assert 2 * np.median(found.std(stamps)[:, 0]) > np.sqrt((off ** 2).mean() / 3)
+        trajectory.at(stamps).T_base_flange[:, :3, 3] - true_motion(times)[0][:, :3, 3], axis=1)
+    assert 2 * np.median(trajectory.std(stamps)[:, 0]) > np.sqrt((off ** 2).mean() / 3)
 
 
 def test_no_pose_is_reported_outside_of_the_poses_or_in_a_gap() -> None:
     times = np.arange(0.0, 10.0, 0.01)
-    found = trajectory_of(poses(times[(times < 4.0) | (times > 4.5)]), 0.5)
-    at = found.at(np.array([-0.1, 0.0, 3.9, 4.2, 4.6, 9.98, 10.1]) * NS)
+    trajectory = trajectory_of(poses(times[(times < 4.0) | (times > 4.5)]), 0.5)
+    at = trajectory.at(np.array([-0.1, 0.0, 3.9, 4.2, 4.6, 9.98, 10.1]) * NS)
     assert at.inside.tolist() == [False, True, True, False, True, True, False]
     assert np.isfinite(at.T_base_flange).all()
-    near_an_end = found.at(np.array([4.02, 4.5]) * NS - np.array([0, NS // 100]))
+    near_an_end = trajectory.at(np.array([4.02, 4.5]) * NS - np.array([0, NS // 100]))
     expected, _ = true_motion(np.array([4.0, 4.5]))
     off = near_an_end.T_base_flange[:, :3, 3] - expected[:, :3, 3]
     assert np.linalg.norm(off, axis=1).max() < 0.01 and not near_an_end.inside.any()
@@ -125,15 +125,15 @@ def config_of(scenario: Scenario, **values: object) -> Config:
       for values in (('wedge', 0.15), ('line', 0.02), ('plane', 0.0), ('plate', 0.3)))])
 def test_a_sweep_gives_transform_and_time_offset(target: str, offset: float, kind: str) -> None:
     scenario = replace(sweep(target, offset), calibration_type=kind)
-    made = simulate(scenario, np.random.default_rng(3))
+    recording = simulate(scenario, np.random.default_rng(3))
     config = config_of(scenario, time_offset=0.01)  # of the whole that is to be found
-    read = [replace(p, stamp=p.stamp + config.offset_ns) for p in made.profiles]
-    found = pipeline.calibrate(read, made.poses, config)
-    errors = errors_against(found.T_flange_sensor, made.truth.T_flange_sensor)
+    read = [replace(p, stamp=p.stamp + config.offset_ns) for p in recording.profiles]
+    calibration = pipeline.calibrate(read, recording.poses, config)
+    errors = errors_against(calibration.T_flange_sensor, recording.truth.T_flange_sensor)
     assert errors.mapped_points < 6e-5
-    assert found.time_offset is not None
-    off = found.time_offset.value - offset
-    assert abs(off) < 2e-4 and abs(off) < 4 * found.time_offset.std < 1e-3
+    assert calibration.time_offset is not None
+    off = calibration.time_offset.value - offset
+    assert abs(off) < 2e-4 and abs(off) < 4 * calibration.time_offset.std < 1e-3
 
 
 def test_clocks_that_drift_apart_are_no_move_of_the_sensor() -> None:
@@ -144,8 +144,8 @@ def test_clocks_that_drift_apart_are_no_move_of_the_sensor() -> None:
     found = pipeline.calibrate(late, made.poses, config_of(scenario))
     assert squared_error(found, made.truth) < 15
     assert abs(found.target['clock_drift'] + drift) < 4 * found.target['clock_drift_std'] < 1e-4
-    told = re.search(r'drift apart by (-[\d.]+) ms a minute', found.target['note'])
-    assert told and float(told[1]) == pytest.approx(-10.0, abs=1.0)
+    match = re.search(r'drift apart by (-[\d.]+) ms a minute', found.target['note'])
+    assert match and float(match[1]) == pytest.approx(-10.0, abs=1.0)
     in_the_middle = 0.02 - drift * (last - first) / 2 / NS
     assert found.time_offset.value == pytest.approx(in_the_middle, abs=3e-4)
     assert 'moved' not in ' '.join(found.provenance.get('warnings', ()))
@@ -153,43 +153,43 @@ def test_clocks_that_drift_apart_are_no_move_of_the_sensor() -> None:
 
 def test_a_wrong_radius_of_the_ball_of_a_sweep_is_told_as_it_was_configured() -> None:
     scenario = sweep('sphere', 0.02)
-    made, config = simulate(scenario, np.random.default_rng(3)), config_of(scenario)
+    recording, config = simulate(scenario, np.random.default_rng(3)), config_of(scenario)
     wrong = replace(config, target=replace(
         config.target, radius=config.target.radius + 6e-4, radius_std=1e-4))
-    found = pipeline.calibrate(made.profiles, made.poses, wrong)
-    assert f'not the configured {wrong.target.radius * 1e3:.3f}:' in found.target['note']
+    calibration = pipeline.calibrate(recording.profiles, recording.poses, wrong)
+    assert f'not the configured {wrong.target.radius * 1e3:.3f}:' in calibration.target['note']
 
 
 def test_what_jumps_in_the_middle_of_a_sweep_is_named() -> None:
     scenario = sweep('plane', 0.02)
-    made, config = simulate(scenario, np.random.default_rng(1)), config_of(scenario)
-    middle = (made.poses[0].stamp + made.poses[-1].stamp) // 2
+    recording, config = simulate(scenario, np.random.default_rng(1)), config_of(scenario)
+    middle = (recording.poses[0].stamp + recording.poses[-1].stamp) // 2
     late = [replace(p, stamp=p.stamp + (NS // 20 if p.stamp > middle else 0))
-            for p in made.profiles]
+            for p in recording.profiles]
     with pytest.raises(DataError, match='one of them jumped') as caught:
-        pipeline.calibrate(late, made.poses, config)
+        pipeline.calibrate(late, recording.poses, config)
     assert caught.value.reason == 'clocks_differ'
     shift = np.array([0.6e-3, 0.48e-3, 0.64e-3])
     moved = [replace(p, translation=p.translation + (p.stamp > middle) * shift)
-             for p in made.poses if abs(p.stamp - middle) > 0.4 * NS]
+             for p in recording.poses if abs(p.stamp - middle) > 0.4 * NS]
     with pytest.raises(DataError) as caught:
-        pipeline.calibrate(made.profiles, moved, config)
+        pipeline.calibrate(recording.profiles, moved, config)
     assert caught.value.reason == 'moved'
 
 
 @pytest.mark.parametrize('name', ['small_plate_sweep', 'sphere_sweep'])
 def test_a_sensor_that_slips_is_no_scale_and_no_error_of_the_robot(name: str) -> None:
     scenario, rng = SCENARIOS[name], np.random.default_rng(1)
-    made, way = simulate(scenario, rng), rng.normal(size=3)
-    slip = made.truth.T_flange_sensor[:3, :3] @ way / np.linalg.norm(way) * 1e-3
-    middle = (made.poses[0].stamp + made.poses[-1].stamp) // 2
+    recording, way = simulate(scenario, rng), rng.normal(size=3)
+    slip = recording.truth.T_flange_sensor[:3, :3] @ way / np.linalg.norm(way) * 1e-3
+    middle = (recording.poses[0].stamp + recording.poses[-1].stamp) // 2
     # the flange reported is that from which a sensor that had not slipped would see the same
     poses = [replace(p, translation=p.translation - (p.stamp > middle)
-                     * Rotation.from_quat(p.quaternion).apply(slip)) for p in made.poses]
+                     * Rotation.from_quat(p.quaternion).apply(slip)) for p in recording.poses]
     config = config_of(scenario)
-    found = pipeline.answer_session(pipeline.gather(made.profiles, poses, config), config)
-    said = str(found.refusal) if found.refusal else ' '.join(
-        found.calibration.provenance['warnings'])
+    answer = pipeline.answer_session(pipeline.gather(recording.profiles, poses, config), config)
+    said = str(answer.refusal) if answer.refusal else ' '.join(
+        answer.calibration.provenance['warnings'])
     assert 'the sensor seems to have moved' in said and 'length' not in said
 
 
@@ -212,19 +212,19 @@ def test_times_that_jump_are_no_move(name: str) -> None:
     made, config = simulate(scenario, np.random.default_rng(2)), config_of(scenario)
     last = made.poses[int(0.9 * len(made.poses))].stamp
     late = [replace(p, stamp=p.stamp + (15_000_000 if p.stamp > last else 0)) for p in made.poses]
-    found = pipeline.calibrate(made.profiles, late, config)
-    assert 'moved' not in ' '.join(found.provenance.get('warnings', ()))
+    calibration = pipeline.calibrate(made.profiles, late, config)
+    assert 'moved' not in ' '.join(calibration.provenance.get('warnings', ()))
 
 
 @pytest.mark.thorough
 def test_points_taken_one_after_the_other_are_no_move() -> None:
     scenario = SCENARIOS['plate_sweep']
-    made, config = simulate(scenario, np.random.default_rng(2)), config_of(scenario)
-    middle = len(made.profiles[0].points) // 2
+    recording, config = simulate(scenario, np.random.default_rng(2)), config_of(scenario)
+    middle = len(recording.profiles[0].points) // 2
     halves = [replace(one, points=np.concatenate([one.points[:middle], other.points[middle:]]))
-              for one, other in pairwise(made.profiles)]
-    found = pipeline.calibrate(halves, made.poses, config)
-    assert 'moved' not in ' '.join(found.provenance.get('warnings', ()))
+              for one, other in pairwise(recording.profiles)]
+    calibration = pipeline.calibrate(halves, recording.poses, config)
+    assert 'moved' not in ' '.join(calibration.provenance.get('warnings', ()))
 
 
 @pytest.mark.parametrize('seed', [2, pytest.param(1, marks=pytest.mark.thorough)])
@@ -236,9 +236,9 @@ def test_an_error_of_the_robot_that_is_smooth_in_time_is_no_move(seed: int) -> N
     away = CubicSpline(knots, rng.normal(0.0, 3e-5, (len(knots), 3)))(seconds)
     poses = [replace(pose, translation=pose.translation + error)
              for pose, error in zip(made.poses, away, strict=True)]
-    found = pipeline.calibrate(made.profiles, poses, config_of(scenario))
-    assert squared_error(found, made.truth) < 15
-    assert 'moved' not in ' '.join(found.provenance.get('warnings', ()))
+    calibration = pipeline.calibrate(made.profiles, poses, config_of(scenario))
+    assert squared_error(calibration, made.truth) < 15
+    assert 'moved' not in ' '.join(calibration.provenance.get('warnings', ()))
 
 
 def test_a_start_with_the_edges_of_another_plate_is_not_the_last(monkeypatch):
@@ -264,9 +264,9 @@ def test_profiles_in_gaps_between_the_poses_do_not_pull_the_time_offset() -> Non
              if not ((0 <= (pose.stamp - first) / NS - cuts)
                      & ((pose.stamp - first) / NS - cuts < 0.2)).any()]
     config = config_of(sweep('sphere', 0.02))
-    found = with_estimated_clocks(pipeline.gather(made.profiles, poses, config).samples, config)
-    assert 10 < len(found.rejects) < 0.2 * len(found.samples)
-    assert abs(found.samples[0].clock_values.offset - 0.02) < 5e-4
+    session = with_estimated_clocks(pipeline.gather(made.profiles, poses, config).samples, config)
+    assert 10 < len(session.rejects) < 0.2 * len(session.samples)
+    assert abs(session.samples[0].clock_values.offset - 0.02) < 5e-4
     answer = pipeline.calibrate(made.profiles, poses, config)
     delta = se3.difference(answer.T_flange_sensor, made.truth.T_flange_sensor)
     assert np.linalg.norm(delta[:3]) < 5e-5
@@ -275,22 +275,22 @@ def test_profiles_in_gaps_between_the_poses_do_not_pull_the_time_offset() -> Non
 
 def test_a_rotation_that_is_reported_late_and_an_exposure_are_part_of_the_model() -> None:
     scenario = sweep('plate', 0.02, rotation_lag=0.01, exposure=2e-3)
-    made = simulate(scenario, np.random.default_rng(4))
+    recording = simulate(scenario, np.random.default_rng(4))
     config = with_values(config_of(scenario), {'profile.exposure': 2e-3}, 'a test')
-    found = pipeline.calibrate(made.profiles, made.poses, config)
-    errors = errors_against(found.T_flange_sensor, made.truth.T_flange_sensor)
+    calibration = pipeline.calibrate(recording.profiles, recording.poses, config)
+    errors = errors_against(calibration.T_flange_sensor, recording.truth.T_flange_sensor)
     assert errors.mapped_points < 8e-5
-    assert found.time_offset is not None and abs(found.time_offset.value - 0.02) < 2e-4
-    lag, std = (found.target[key] for key in ('rotation_lag', 'rotation_lag_std'))
+    assert calibration.time_offset is not None and abs(calibration.time_offset.value - 0.02) < 2e-4
+    lag, std = (calibration.target[key] for key in ('rotation_lag', 'rotation_lag_std'))
     assert abs(lag - 0.01) < 4 * std < 1e-3
 
 
 @pytest.mark.thorough
 def test_jitter_of_the_stamps_is_noise_along_the_path() -> None:
     scenario = sweep('sphere', 0.02, stamp_jitter=1e-3)
-    made = simulate(scenario, np.random.default_rng(4))
+    recording = simulate(scenario, np.random.default_rng(4))
     config = with_values(config_of(scenario), {'clock_drift_std': 0.0}, 'a test')
-    found, isotropic = (pipeline.calibrate(made.profiles, made.poses, with_values(
+    found, isotropic = (pipeline.calibrate(recording.profiles, recording.poses, with_values(
         config, {'noise.stamps': std}, 'a test')) for std in (config.noise.stamps, 0.0))
     assert found.time_offset is not None and isotropic.time_offset is not None
     assert abs(found.time_offset.value - 0.02) < 3 * found.time_offset.std
@@ -336,14 +336,14 @@ def test_stamps_of_this_century_keep_their_nanoseconds() -> None:
 
 
 def test_a_sweep_that_is_too_short_or_has_no_poses_at_its_times_is_refused() -> None:
-    made, config = simulate(sweep('wedge', 0.02), np.random.default_rng(0)), replace(
+    recording, config = simulate(sweep('wedge', 0.02), np.random.default_rng(0)), replace(
         config_of(sweep('wedge', 0.02)), time_offset_std=0.1)
-    first = made.poses[0].stamp + 4 * NS
+    first = recording.poses[0].stamp + 4 * NS
     # with quaternions of another order the best offset is beyond the poses
     for seconds, words in (1.1, 'of 32 profiles have poses'), (0.8, 'of 0.8 s.* a longer sweep'):
-        inside = [pose for pose in made.poses if 0 <= pose.stamp - first <= seconds * NS]
+        inside = [pose for pose in recording.poses if 0 <= pose.stamp - first <= seconds * NS]
         few = [replace(inside[i], quaternion=np.roll(inside[i].quaternion, 1))
                for i in np.linspace(0, len(inside) - 1, 10).astype(int)]
-        profiles = [one for one in made.profiles if 0 <= one.stamp - first <= seconds * NS]
+        profiles = [one for one in recording.profiles if 0 <= one.stamp - first <= seconds * NS]
         with pytest.raises(DataError, match=words):
             pipeline.calibrate(profiles, few, config)

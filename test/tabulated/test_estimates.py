@@ -45,10 +45,10 @@ def test_points_are_as_sure_as_they_say(count: int, mean: float) -> None:
     squares, noise = [], []
     for seed in range(100):
         T, points = pairs(seed, count)
-        found = points.estimate()
-        squares.append(chi_squared(found, T))
-        noise.append(found.target['point_noise'])
-        assert found.used.sum() >= min(count, 4)
+        answer = points.estimate()
+        squares.append(chi_squared(answer, T))
+        noise.append(answer.target['point_noise'])
+        assert answer.used.sum() >= min(count, 4)
     assert np.mean(squares) == pytest.approx(mean, abs=0.25)
     assert np.mean(np.array(squares) < ONE_IN_100 / 6) >= 0.95
     assert np.median(noise) == pytest.approx(3e-5, rel=0.1)
@@ -58,10 +58,10 @@ def test_points_are_as_sure_as_they_say(count: int, mean: float) -> None:
 def test_wrong_points_are_left_out(count: int, wrong: int) -> None:
     for seed in range(5):
         T, points = pairs(seed, count, wrong)
-        found = answer_table(points)
-        assert np.flatnonzero(~found.used).tolist() == list(range(wrong))
-        assert found.residuals[:wrong].min() > 5 * found.residual_rms
-        assert found.residual_rms < found.holdout_rms < 1e-3
+        answer = answer_table(points)
+        assert np.flatnonzero(~answer.used).tolist() == list(range(wrong))
+        assert answer.residuals[:wrong].min() > 5 * answer.residual_rms
+        assert answer.residual_rms < answer.holdout_rms < 1e-3
 
 
 def test_points_in_another_order_are_refused() -> None:
@@ -95,9 +95,9 @@ def test_views_are_as_sure_as_they_say(on_base: bool, count: int) -> None:
     squares = []
     for seed in range(40):
         X, Z, poses = views(seed, (1e-4, 1e-3), count, on_base)
-        found = poses.estimate()
-        squares.append(chi_squared(found, X))
-        assert list(found.target['pose']['translation'].values()) == pytest.approx(
+        answer = poses.estimate()
+        squares.append(chi_squared(answer, X))
+        assert list(answer.target['pose']['translation'].values()) == pytest.approx(
             Z[:3, 3], abs=2e-3 if count == 20 else 1e-2)
     assert np.mean(squares) == pytest.approx(0.9, abs=0.3)
     assert np.mean(np.array(squares) < ONE_IN_100 / 6) >= 0.95
@@ -107,11 +107,11 @@ def test_a_wrong_view_is_left_out() -> None:
     X, _, poses = views(5, (3e-5, 1e-4))
     seen = poses.seen.copy()
     seen[4] = se3.perturb(seen[4], np.array([5e-3, 0, 0, 0, 0.02, 0]))
-    found = answer_table(replace(poses, seen=seen))
-    assert not found.used[4] and found.used.sum() >= 10
-    assert np.linalg.norm(se3.difference(found.X, X)[:3]) < 1e-3
-    assert found.residual_rms < found.holdout_rms < 1e-3
-    assert set(found.target) == {'pose', 'residual_angle', 'left_out_angle'}
+    answer = answer_table(replace(poses, seen=seen))
+    assert not answer.used[4] and answer.used.sum() >= 10
+    assert np.linalg.norm(se3.difference(answer.X, X)[:3]) < 1e-3
+    assert answer.residual_rms < answer.holdout_rms < 1e-3
+    assert set(answer.target) == {'pose', 'residual_angle', 'left_out_angle'}
 
 
 SENSOR = 3.7e-5

@@ -79,30 +79,30 @@ def test_solve_answers_near_the_truth_and_says_how_near(name, handeye, tmp_path)
         assert made.returncode == expected and (table in made.stdout or expected)
     run = handeye('solve', *given(name, folder), '--out', 'out')
     assert (run.returncode, run.stderr) == (0, '')
-    found = calibration_file.read_calibration(Path('out', 'calibration.yaml'))
+    calibration = calibration_file.read_calibration(Path('out', 'calibration.yaml'))
     T_true = true_transform(folder)
     assert T_true is not None
-    delta = se3.difference(found.T_flange_sensor, T_true)
-    assert delta @ np.linalg.solve(found.covariance, delta) < 25
-    assert (found.method, found.parent_frame, found.child_frame) == (
+    delta = se3.difference(calibration.T_flange_sensor, T_true)
+    assert delta @ np.linalg.solve(calibration.covariance, delta) < 25
+    assert (calibration.method, calibration.parent_frame, calibration.child_frame) == (
         target_of(name), 'base' if name in ('points', 'hand_eye_on_base') else 'flange',
         'laser' if 'tracker' in name else 'camera')
-    assert found.quality.residual_rms < found.quality.holdout_rms < 3e-4
-    lost = [sample for sample in found.samples if not sample.used]
+    assert calibration.quality.residual_rms < calibration.quality.holdout_rms < 3e-4
+    lost = [sample for sample in calibration.samples if not sample.used]
     # one profile of the sweep in fifty may be taken for one that contradicts the others
-    assert len(lost) <= len(found.samples) / 50
+    assert len(lost) <= len(calibration.samples) / 50
     assert all(sample.edge.startswith('swept') for sample in lost)
-    inputs = {entry['path']: entry['sha256'] for entry in found.provenance['inputs']}
+    inputs = {entry['path']: entry['sha256'] for entry in calibration.provenance['inputs']}
     assert str(folder / table) in inputs
-    assert len(inputs) == (2 if found.method == 'tracker' else 1)
+    assert len(inputs) == (2 if calibration.method == 'tracker' else 1)
     for path, digest in inputs.items():
         assert hashlib.sha256(Path(path).read_bytes()).hexdigest() == digest
     read = read_configured(name, folder)
-    errors = errors_against(found.T_flange_sensor, T_true, read.field())
+    errors = errors_against(calibration.T_flange_sensor, T_true, read.field())
     told = f'mapped points {errors.mapped_points * 1e3:.3f} mm RMS over {read.field_text}'
     assert told in run.stdout
-    found.provenance.pop('created')
-    assert equal(found, calibrate_table(read))
+    calibration.provenance.pop('created')
+    assert equal(calibration, calibrate_table(read))
 
 
 @pytest.mark.parametrize('name', EXACT)
@@ -116,8 +116,8 @@ def test_without_noise_all_find_the_truth(name: str, handeye: Run, tmp_path: Pat
         (folder / TABLES[target_of(name)]).write_text(next(iter(made.tables.values())))
     run = handeye('solve', *given(name, folder), '--out', 'out')
     assert run.returncode == 0, run.stderr
-    found = calibration_file.read_calibration(Path('out', 'calibration.yaml'))
-    answers = [('solve', found.T_flange_sensor)]
+    calibration = calibration_file.read_calibration(Path('out', 'calibration.yaml'))
+    answers = [('solve', calibration.T_flange_sensor)]
     if name != 'tracker':
         comparison = compare_files(read_configured(name, folder), made.T_flange_sensor, folds=0)
         assert comparison.refusal is None

@@ -32,19 +32,19 @@ def test_points_alone_need_no_face_lines() -> None:
 @pytest.mark.parametrize('use_face', [False, True])
 def test_a_bar_of_which_both_edges_are_in_sight(width: float, use_face: bool) -> None:
     bar = replace(LINE, target=PlateTarget(size=(0.2, width)))
-    made = recorded(bar, 2, target__use_face=use_face)
-    found = made.calibrate()
-    assert found.quality.samples_used >= 12
-    assert made.error(found.T_flange_sensor) < 3e-4
+    recording = recorded(bar, 2, target__use_face=use_face)
+    calibration = recording.calibrate()
+    assert calibration.quality.samples_used >= 12
+    assert recording.error(calibration.T_flange_sensor) < 3e-4
 
 
 @pytest.mark.thorough
 def test_stations_at_another_edge_are_left_out() -> None:
-    made = cell(replace(LINE, wrong_edges=2), 4)
-    found = made.solve()
-    wrong = {s.start for s in made.truth.stations if s.label == 'p2'}
-    assert {report.stamp for report in found.samples if not report.used} == wrong
-    assert made.error(found.T_flange_sensor) < 3e-4
+    simulated = cell(replace(LINE, wrong_edges=2), 4)
+    calibration = simulated.solve()
+    wrong = {s.start for s in simulated.truth.stations if s.label == 'p2'}
+    assert {report.stamp for report in calibration.samples if not report.used} == wrong
+    assert simulated.error(calibration.T_flange_sensor) < 3e-4
 
 
 @pytest.mark.thorough
@@ -52,17 +52,17 @@ def test_an_edge_between_two_faces_of_which_either_is_taken_with_its_other_end()
     """Neither all ends nor those of one side lie on one line; the best known ones do."""
     found = 0
     for seed in range(2):
-        made = cell(LINE, seed)
+        simulated = cell(LINE, seed)
         samples = []
-        for k, sample in enumerate(made.samples):
+        for k, sample in enumerate(simulated.samples):
             face, edge = sample.features
             inwards = -edge.direction * ([-1.0, 1.0] if k % 3 else [1.0, 1.0])
             ends = (replace(edge, direction=-inwards, std=4e-6, std_across=4e-6),
                     replace(edge, point=edge.point + 0.03 * inwards, direction=inwards))
             face = replace(face, centre=edge.point + 0.015 * inwards, direction=inwards)
             samples.append(replace(sample, features=(face, *ends)))
-        answer = made.solve(samples)
-        found += made.error(answer.T_flange_sensor) < 3e-4
+        answer = simulated.solve(samples)
+        found += simulated.error(answer.T_flange_sensor) < 3e-4
     assert found == 2
 
 
@@ -76,11 +76,11 @@ def test_the_edge_of_a_block_keeps_to_one_face(seed: int) -> None:
     slopes = [f.direction[1] for s in session.samples for f in s.features
               if isinstance(f, FaceLine)]
     assert min(slopes) < 0 < max(slopes)  # both are among them
-    found = pipeline.answer_session(session, config).require_calibration()
-    assert found.quality.samples_used >= 13
-    assert squared_error(found, made.truth) < ONE_IN_1000
+    answer = pipeline.answer_session(session, config).require_calibration()
+    assert answer.quality.samples_used >= 13
+    assert squared_error(answer, made.truth) < ONE_IN_1000
     points = made.calibrate(target__type='line', target__use_face=False)
-    assert np.trace(found.covariance[:3, :3]) < np.trace(points.covariance[:3, :3])
+    assert np.trace(answer.covariance[:3, :3]) < np.trace(points.covariance[:3, :3])
 
 
 def corner_samples(seed, only_open, count=24):
@@ -91,8 +91,8 @@ def corner_samples(seed, only_open, count=24):
     """
     rng = np.random.default_rng(seed)
     wide = replace(SCENARIOS['wedge'], sensor=SCENARIOS['sphere'].sensor, stations=(count, 0))
-    made, samples = cell(wide, seed, target__type='line'), []
-    for k, sample in enumerate(made.samples):
+    simulated, samples = cell(wide, seed, target__type='line'), []
+    for k, sample in enumerate(simulated.samples):
         a, b = sample.features if rng.random() < 0.5 else sample.features[::-1]
         along = np.linalg.solve(np.column_stack([a.direction, -b.direction]), b.centre - a.centre)
         corner = a.centre + along[0] * a.direction
@@ -102,7 +102,7 @@ def corner_samples(seed, only_open, count=24):
         reach = EdgePoint(corner - rng.uniform(0.015, 0.05) * out, -out, 3e-5, a.std, 'open')
         ends = [reach] if k < only_open else [roof, reach]
         samples.append(replace(sample, features=(a, *ends)))
-    return replace(made, samples=tuple(samples))
+    return replace(simulated, samples=tuple(samples))
 
 
 @pytest.mark.parametrize('only_open', [1, pytest.param(5, marks=pytest.mark.thorough)])
@@ -113,20 +113,20 @@ def test_a_corner_is_not_taken_for_the_reach_of_the_sensor(only_open: int) -> No
 
 
 def test_solved_as_a_plate_it_says_that_no_sample_shows_the_other_edge() -> None:
-    made = cell(LINE, 0, target__type='plate')
-    note = made.solve().target['note']
+    simulated = cell(LINE, 0, target__type='plate')
+    note = simulated.solve().target['note']
     assert re.match('no sample shows edge [pq] of the target: cross it too', note)
 
 
 @pytest.mark.parametrize('use_face', [True, False])
 def test_an_end_of_the_same_kind_on_the_other_side_of_the_face_is_no_edge(use_face: bool) -> None:
     """The other ends do not lie on one line."""
-    made = cell(replace(SCENARIOS['line'], stations=(9, 0)), 0, target__use_face=use_face)
+    simulated = cell(replace(SCENARIOS['line'], stations=(9, 0)), 0, target__use_face=use_face)
     rng, samples = np.random.default_rng(5), []
-    for sample in made.samples:
+    for sample in simulated.samples:
         edge = next(f for f in sample.features if isinstance(f, EdgePoint))
         other = replace(edge, direction=-edge.direction,
                         point=edge.point - edge.direction * rng.uniform(0.012, 0.05))
         samples.append(replace(sample, features=(*sample.features, other)))
-    found = made.solve(samples)
-    assert made.error(found.T_flange_sensor) < 1.5e-3
+    calibration = simulated.solve(samples)
+    assert simulated.error(calibration.T_flange_sensor) < 1.5e-3

@@ -40,10 +40,10 @@ def test_a_profile_without_an_edge_is_a_plane_and_no_face() -> None:
         'table': None, 'clutter': 0.002, 'clutter_gap': 0.003, 'clutter_width': 0.06}))])
 def test_one_surface_is_chosen_where_others_lie_beside(values: dict[str, float]) -> None:
     plate = SCENARIOS['plate']
-    made = recorded(replace(plate, target=replace(plate.target, **values)), 1, columns=640,
-                    target__type='plane')
-    found = made.calibrate()
-    assert made.error(found.T_flange_sensor) < 3e-4
+    recording = recorded(replace(plate, target=replace(plate.target, **values)), 1, columns=640,
+                         target__type='plane')
+    found = recording.calibrate()
+    assert recording.error(found.T_flange_sensor) < 3e-4
     assert 'samples show other surfaces too than the plane that was used' in found.target['note']
 
 
@@ -51,19 +51,19 @@ def test_one_surface_is_chosen_where_others_lie_beside(values: dict[str, float])
                                        for k in (1, 2, 3))])
 def test_a_plane_through_two_near_surfaces_is_no_answer(seed: int) -> None:
     """Of 24 stations some see only a table 3 mm below, and half of the others see it too."""
-    made = cell(replace(PLANE, stations=(24, 0)), seed, noise__robot_smooth=3e-4)
+    simulated = cell(replace(PLANE, stations=(24, 0)), seed, noise__robot_smooth=3e-4)
     rng = np.random.default_rng(seed)
     samples = []
-    for sample in made.samples:
+    for sample in simulated.samples:
         face, = sample.features
-        table = below(face, sample.T_base_flange @ made.truth.T_flange_sensor,
-                      made.truth.T_base_target, 3e-3)
+        table = below(face, sample.T_base_flange @ simulated.truth.T_flange_sensor,
+                      simulated.truth.T_base_target, 3e-3)
         beside = replace(table, spread=face.spread * rng.uniform(0.5, 2.0))
         seen = (table,) if rng.random() < 0.2 else (face, beside)[:rng.integers(1, 3)]
         samples.append(replace(sample, features=tuple(
             sorted(seen, key=lambda line: -line.spread))))
-    found = made.solve(samples)
-    assert made.error(found.T_flange_sensor) < 3e-4
+    calibration = simulated.solve(samples)
+    assert simulated.error(calibration.T_flange_sensor) < 3e-4
 
 
 def below(face: FaceLine, T_base_sensor: Array, T_base_target: Array, depth: float) -> FaceLine:

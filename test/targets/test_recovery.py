@@ -29,11 +29,11 @@ def vector(point: dict[str, float]) -> Array:
 @pytest.mark.parametrize('where', ['eye_in_hand', 'eye_on_base'])
 @pytest.mark.parametrize('seed', range(2))
 def test_without_noise_the_truth_is_found(scene, values, where, seed):
-    made = exact_cell(replace(SCENARIOS[scene], calibration_type=where), seed, **values)
-    found = made.solve()
-    off = se3.difference(found.T_flange_sensor, made.truth.T_flange_sensor)
+    simulated = exact_cell(replace(SCENARIOS[scene], calibration_type=where), seed, **values)
+    calibration = simulated.solve()
+    off = se3.difference(calibration.T_flange_sensor, simulated.truth.T_flange_sensor)
     assert np.abs(off).max() < 1e-6
-    target, T = found.target, made.truth.T_base_target
+    target, T = calibration.target, simulated.truth.T_base_target
     for axis, key in ((0, 'direction'), (2, 'normal')):
         if key in target:
             assert abs(np.array(target[key]) @ T[:3, axis]) == pytest.approx(1.0)
@@ -49,10 +49,10 @@ def test_without_noise_the_truth_is_found(scene, values, where, seed):
 
 
 def test_a_plane_of_which_yaw_leaves_the_position_open_is_refused() -> None:
-    made = cell(replace(SCENARIOS['plane'], motion='yaw_only'))
+    simulated = cell(replace(SCENARIOS['plane'], motion='yaw_only'))
     with pytest.raises(DataError, match=r'if it is the normal of the plane \(yaw only\) all of '
                        'the position.*tilt the tool by 15 degrees or more about flange'):
-        made.solve()
+        simulated.solve()
 
 
 DOCUMENT = Path(__file__).parents[2] / 'docs' / 'estimator.md'
@@ -91,8 +91,8 @@ def singular_values(name: str, motion: str) -> np.ndarray:
     target = name.split()[0]
     stations = (20, 20) if target == 'plate' else (40, 0)
     scenario = replace(SCENARIOS[target], motion=ROWS[motion], stations=stations)
-    made = exact_cell(scenario, **VALUES.get(name, {}))
-    problem, estimate = made.problem, at_truth(made)
+    simulated = exact_cell(scenario, **VALUES.get(name, {}))
+    problem, estimate = simulated.problem, at_truth(simulated)
     p = problem.points_in_base(estimate.X)
     observations = problem.target.reassign(problem.observations, p, estimate.state,
                                            problem.config)

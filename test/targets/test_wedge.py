@@ -33,12 +33,12 @@ def turned_about_z(sample: Sample) -> Sample:
 
 def test_turned_by_half_the_faces_change_sides() -> None:
     """With the sensor in the flange itself, a turned robot sees the same faces the other way."""
-    made = exact_cell(SCENARIOS['wedge'])
-    X = made.truth.T_flange_sensor
-    in_flange = [replace(s, T_base_flange=s.T_base_flange @ X) for s in made.samples]
+    simulated = exact_cell(SCENARIOS['wedge'])
+    X = simulated.truth.T_flange_sensor
+    in_flange = [replace(s, T_base_flange=s.T_base_flange @ X) for s in simulated.samples]
     mixed = [turned_about_z(s) if i % 2 else s for i, s in enumerate(in_flange)]
-    found = made.solve(mixed)
-    assert np.abs(se3.difference(found.T_flange_sensor, np.eye(4))).max() < 1e-6
+    calibration = simulated.solve(mixed)
+    assert np.abs(se3.difference(calibration.T_flange_sensor, np.eye(4))).max() < 1e-6
 
 
 def roof(bevel: float = 0.0, noise: float = 1e-5) -> np.ndarray:
@@ -78,9 +78,9 @@ def test_a_groove_beside_the_edge_is_another_corner() -> None:
 
 @pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_a_block_on_a_table_is_distinguished_from_the_groove_at_its_foot(seed: int) -> None:
-    made = cell('wedge', seed)
+    simulated = cell('wedge', seed)
     rng, samples = np.random.default_rng(seed), []
-    for k, sample in enumerate(made.samples):
+    for k, sample in enumerate(simulated.samples):
         left, right = sample.features
         # the table rises from the right face's far end: where its line has gone on for 40 mm
         foot = right.centre + 0.02 * right.direction
@@ -92,8 +92,8 @@ def test_a_block_on_a_table_is_distinguished_from_the_groove_at_its_foot(seed: i
         else:
             pairs = [groove, block] if rng.random() < 0.5 else [block, groove]
         samples.append(replace(sample, features=tuple(line for pair in pairs for line in pair)))
-    found = made.solve(samples)
-    assert made.error(found.T_flange_sensor) < 2e-4
+    calibration = simulated.solve(samples)
+    assert simulated.error(calibration.T_flange_sensor) < 2e-4
 
 
 def on_a_table(sample: Sample) -> Sample:
@@ -127,7 +127,7 @@ def stepped(scenario: Scenario) -> tuple[Solid, ...]:
 @pytest.mark.parametrize('seed', [3, 5])
 def test_a_step_along_the_edge_gives_no_answer_between_two_edges(seed, monkeypatch):
     monkeypatch.setitem(scenes.SCENES, 'stepped', replace(scenes.SCENES['wedge'], solids=stepped))
-    made = recorded(replace(SCENARIOS['wedge'], scene='stepped', stations=(18, 0),
-                            stated=(('target.type', 'wedge'),)), seed)
-    found = made.calibrate()
-    assert made.error(found.T_flange_sensor) < 3e-4
+    recording = recorded(replace(SCENARIOS['wedge'], scene='stepped', stations=(18, 0),
+                                 stated=(('target.type', 'wedge'),)), seed)
+    calibration = recording.calibrate()
+    assert recording.error(calibration.T_flange_sensor) < 3e-4

@@ -111,14 +111,14 @@ def sweep(target, calibrated, knot, delay, **values):
     base, routine = SCENARIOS[target], ROUTINES[target]
     scenario = replace(base, stations=(8, 0), sweep=Sweep(knot=knot), **values,
                        sensor=replace(base.sensor, columns=320, delay=delay))
-    made = simulate(scenario, np.random.default_rng(5))
+    recording = simulate(scenario, np.random.default_rng(5))
     config = settings_for(routine, with_values(Config(), settings(scenario) | {
         'sampling.mode': 'moving', 'time_offset': calibrated,
         'verify.radius': float(getattr(scenario.target, 'radius', 0.0))}, 'a test'), 1)
-    found = stated(made.truth.T_flange_sensor, target, {'config': flatten(config)},
+    found = stated(recording.truth.T_flange_sensor, target, {'config': flatten(config)},
                    ClockEstimate(calibrated, 2e-5))
-    stamped = [replace(p, stamp=p.stamp + round(calibrated * 1e9)) for p in made.profiles]
-    return pipeline.gather(stamped, made.poses, config).samples, found, config
+    stamped = [replace(p, stamp=p.stamp + round(calibrated * 1e9)) for p in recording.profiles]
+    return pipeline.gather(stamped, recording.poses, config).samples, found, config
 
 
 def swept(target, *given, **values):
