@@ -49,11 +49,11 @@ def test_points_are_mapped_as_well_as_asked_for(name: str, seeds: int) -> None:
     'plate_inf', 'plate_omit', 'plate_z_up', 'plate_x_reversed', 'plate_y_along_line',
     'eye_on_base', 'wrong_edges', 'bumped'])
 def test_surroundings_drivers_and_mounts_change_nothing(name: str) -> None:
-    made, found = recording(name), answer(name)
-    assert made.error(found.T_flange_sensor) < 9e-5
-    assert squared_error(found, made.truth) < 24
+    simulated, calibration = recording(name), answer(name)
+    assert simulated.error(calibration.T_flange_sensor) < 9e-5
+    assert squared_error(calibration, simulated.truth) < 24
     frames = ('base', 'laser') if name == 'eye_on_base' else ('flange', 'laser')
-    assert (found.parent_frame, found.child_frame) == frames
+    assert (calibration.parent_frame, calibration.child_frame) == frames
 
 
 def beside(height: float, gap: float, width: float) -> Scenario:
@@ -66,10 +66,10 @@ def beside(height: float, gap: float, width: float) -> Scenario:
     (FAULTS['neighbour lower, 3 mm'], 0), (FAULTS['neighbour higher, 3 mm'], 0),
     (beside(0.001, 0.012, 0.06), 1), (beside(0.002, 0.008, 0.01), 1)])
 def test_of_a_surface_beside_the_plate_all_stations_take_the_same(scenario, rejected):
-    made = recorded(scenario, rate=6.0)
-    calibration = made.calibrate()
+    simulated = recorded(scenario, rate=6.0)
+    calibration = simulated.calibrate()
     assert calibration.quality.samples_rejected <= rejected
-    assert made.error(calibration.T_flange_sensor) < 9e-5
+    assert simulated.error(calibration.T_flange_sensor) < 9e-5
 
 
 @pytest.mark.parametrize(('name', 'where', 'fewest', 'worst'), [
@@ -78,25 +78,26 @@ def test_of_a_surface_beside_the_plate_all_stations_take_the_same(scenario, reje
     ('plane', 'eye_in_hand', 14, 5e-4), ('plane', 'eye_on_base', 14, 5e-4),
     ('wedge', 'eye_in_hand', 12, 3e-4), ('groove', 'eye_in_hand', 12, 3e-4)])
 def test_other_targets_are_enough_too(name: str, where: str, fewest: int, worst: float) -> None:
-    made = recorded(replace(SCENARIOS[name], calibration_type=where), 1)
-    found = made.calibrate()
-    assert found.quality.samples_used >= fewest
-    assert made.error(found.T_flange_sensor) < worst
-    assert squared_error(found, made.truth) < 36
-    if 'face_angle' in found.target:
-        assert abs(found.target['face_angle'] - np.pi / 2) < 4 * found.target['face_angle_std']
+    simulated = recorded(replace(SCENARIOS[name], calibration_type=where), 1)
+    calibration = simulated.calibrate()
+    assert calibration.quality.samples_used >= fewest
+    assert simulated.error(calibration.T_flange_sensor) < worst
+    assert squared_error(calibration, simulated.truth) < 36
+    if 'face_angle' in calibration.target:
+        angle, std = (calibration.target[key] for key in ('face_angle', 'face_angle_std'))
+        assert abs(angle - np.pi / 2) < 4 * std
 
 
 def test_a_sphere_of_unknown_radius_is_measured() -> None:
-    made = recorded('sphere', 1, target__radius=0.0)
-    calibration = made.calibrate()
+    simulated = recorded('sphere', 1, target__radius=0.0)
+    calibration = simulated.calibrate()
     assert calibration.target['radius'] == pytest.approx(0.04, abs=1e-4)
-    assert made.error(calibration.T_flange_sensor) < 6e-4
+    assert simulated.error(calibration.T_flange_sensor) < 6e-4
 
 
 def test_the_place_of_the_target_is_found_up_to_the_names_of_its_edges() -> None:
-    found, truth = answer('plate'), recording('plate').truth.T_base_target
-    pose = found.target['pose']
+    calibration, truth = answer('plate'), recording('plate').truth.T_base_target
+    pose = calibration.target['pose']
     corner = [pose['translation'][axis] for axis in 'xyz']
     assert np.linalg.norm(corner - truth[:3, 3]) < 2e-3
     T = se3.from_quaternion(np.array(corner), np.array([pose['rotation'][k] for k in 'xyzw']))
@@ -104,17 +105,17 @@ def test_the_place_of_the_target_is_found_up_to_the_names_of_its_edges() -> None
     # the face lies where x and y are positive, so only one assignment of p and q is left
     assert T[:3, 0] @ truth[:3, 0] > 1 - 1e-4 and T[:3, 1] @ truth[:3, 1] > 1 - 1e-4
     labels = {s.start: s.label for s in recording('plate').truth.stations}
-    for report in found.samples:
+    for report in calibration.samples:
         start = max(start for start in labels if start <= report.stamp)
         assert report.edge == labels[start]
 
 
 def test_the_edge_angle_can_be_left_free() -> None:
-    made = recorded('plate', 2, target__edge_angle_free=True)
-    calibration = made.calibrate()
+    simulated = recorded('plate', 2, target__edge_angle_free=True)
+    calibration = simulated.calibrate()
     off = calibration.target['edge_angle'] - np.pi / 2
     assert abs(off) < 4 * calibration.target['edge_angle_std'] < 0.02
-    assert made.error(calibration.T_flange_sensor) < 9e-5
+    assert simulated.error(calibration.T_flange_sensor) < 9e-5
     assert answer('plate').target['edge_angle'] == pytest.approx(np.pi / 2, abs=2e-3)
 
 
@@ -123,29 +124,29 @@ def test_the_edge_angle_can_be_left_free() -> None:
 
 def test_every_station_is_accounted_for() -> None:
     for name in ('plate', 'bumped', 'sphere'):
-        found, made = answer(name), recording(name)
-        assert len(found.samples) == len(made.truth.stations)
-        used = [r for r in found.samples if r.used]
-        assert found.quality.samples_used == len(used)
-        assert found.quality.samples_rejected == len(found.samples) - len(used)
-        for report, station in zip(found.samples, made.truth.stations, strict=True):
+        calibration, simulated = answer(name), recording(name)
+        assert len(calibration.samples) == len(simulated.truth.stations)
+        used = [r for r in calibration.samples if r.used]
+        assert calibration.quality.samples_used == len(used)
+        assert calibration.quality.samples_rejected == len(calibration.samples) - len(used)
+        for report, station in zip(calibration.samples, simulated.truth.stations, strict=True):
             assert station.start <= report.stamp <= station.end
             assert (report.residual is not None) == report.used
             assert report.used or report.reason
         rms = np.sqrt(np.mean([r.residual ** 2 for r in used]))
-        assert found.quality.residual_rms == pytest.approx(rms, rel=0.3)
-        assert found.quality.residual_rms < found.quality.holdout_rms < 3 * (
-            found.quality.residual_rms)
+        assert calibration.quality.residual_rms == pytest.approx(rms, rel=0.3)
+        assert calibration.quality.residual_rms < calibration.quality.holdout_rms < 3 * (
+            calibration.quality.residual_rms)
 
 
 def test_streams_may_be_generators_and_stay_as_they_are() -> None:
-    made = recording('plate_5_5')
-    for item in made.profiles:
+    simulated = recording('plate_5_5')
+    for item in simulated.profiles:
         item.points.setflags(write=False)
-    for pose in made.poses:
+    for pose in simulated.poses:
         pose.translation.setflags(write=False)
         pose.quaternion.setflags(write=False)
-    calibration = made.calibrate(iter(made.profiles), iter(made.poses))
+    calibration = simulated.calibrate(iter(simulated.profiles), iter(simulated.poses))
     assert np.array_equal(calibration.T_flange_sensor, answer('plate_5_5').T_flange_sensor)
 
 
@@ -178,10 +179,10 @@ def in_millimetres(profiles, poses, spans):
     (in_motion, DataError, 'never stood still .* be sent while it stands'),
     (in_millimetres, DataError, None), (of_two_sensors, InputError, 'two frames')])
 def test_streams_without_an_answer_are_refused(change, error, words):
-    made = recording('plate_5_5')
-    spans = [(s.start, s.end) for s in made.truth.stations]
+    simulated = recording('plate_5_5')
+    spans = [(s.start, s.end) for s in simulated.truth.stations]
     with pytest.raises(error, match=words):
-        made.calibrate(*change(made.profiles, made.poses, spans))
+        simulated.calibrate(*change(simulated.profiles, simulated.poses, spans))
 
 
 @pytest.mark.parametrize('scene', ['plate', 'sphere'])
@@ -192,10 +193,10 @@ def test_profiles_without_any_noise_are_no_trouble(scene: str) -> None:
     quiet = replace(base, sensor=replace(base.sensor, **perfect),
                     robot=replace(base.robot, repeatability=(0.0, 0.0), jitter=0.0))
     believed = settings(base)
-    made = recorded(quiet, 0, rate=5.0, **{key.replace('.', '__'): believed[key]
-                                           for key in believed if key.startswith('noise')})
-    calibration = made.calibrate()
-    assert made.error(calibration.T_flange_sensor) < 2e-5
+    simulated = recorded(quiet, 0, rate=5.0, **{key.replace('.', '__'): believed[key]
+                                                for key in believed if key.startswith('noise')})
+    calibration = simulated.calibrate()
+    assert simulated.error(calibration.T_flange_sensor) < 2e-5
 
 
 # -- the real recording
@@ -215,16 +216,16 @@ def test_the_real_sphere_is_better_than_the_published_transform() -> None:
 
 
 def test_order_of_points_and_points_in_the_origin_are_no_matter() -> None:
-    made, rng = recorded('plate', 0, columns=640), np.random.default_rng(0)
-    shuffled = [replace(profile, points=rng.permutation(profile.points))
-                for profile in made.profiles]
+    simulated, rng = recorded('plate', 0, columns=640), np.random.default_rng(0)
+    profiles = simulated.profiles
+    shuffled = [replace(profile, points=rng.permutation(profile.points)) for profile in profiles]
     origin = [replace(profile, points=np.where(np.isnan(profile.points).any(axis=1)[:, None],
-                                               0.0, profile.points)) for profile in made.profiles]
+                                               0.0, profile.points)) for profile in profiles]
     assert any((profile.points == 0).all(axis=1).any() for profile in origin)
-    expected, in_no_order, with_origin = map(made.calibrate, (made.profiles, shuffled, origin))
+    expected, in_no_order, with_origin = map(simulated.calibrate, (profiles, shuffled, origin))
     assert np.array_equal(with_origin.T_flange_sensor, expected.T_flange_sensor)
     assert in_no_order.quality.samples_used == expected.quality.samples_used
-    assert made.error(in_no_order.T_flange_sensor) < 1e-4
+    assert simulated.error(in_no_order.T_flange_sensor) < 1e-4
 
 
 ORIGIN, NO_TURN = np.zeros(3), np.array([0.0, 0, 0, 1])

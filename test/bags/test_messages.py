@@ -48,8 +48,8 @@ def serialised(msg: object, kind: str = CLOUD, little_endian: bool = True) -> by
 def message(frame_id: str = 'laser') -> object:
     columns = {'x': np.linspace(-0.02, 0.02, 50), 'a long name': np.zeros(50),
                'z': np.full(50, 0.17)}
-    made = cloud(columns, {'x': (0, F32), 'a long name': (4, U8), 'z': (8, F32)}, 12)
-    return cloud_message(made, STAMP, frame_id)
+    message = cloud(columns, {'x': (0, F32), 'a long name': (4, U8), 'z': (8, F32)}, 12)
+    return cloud_message(message, STAMP, frame_id)
 
 
 QUATERNION = (0.0, 0.6, 0.0, -0.8)
@@ -143,16 +143,16 @@ def test_any_bytes_are_a_message_or_refused(junk: bytes, keep: int, known: bool)
 
 @pytest.mark.filterwarnings('error')
 def test_signalling_nan_is_no_return() -> None:
-    made = cloud({'x': X, 'z': X}, XZ, 12)
-    made.data.view('<u4')[2::3] = 0x7f800001
-    assert np.isnan(points(made)).all()
+    message = cloud({'x': X, 'z': X}, XZ, 12)
+    message.data.view('<u4')[2::3] = 0x7f800001
+    assert np.isnan(points(message)).all()
 
 
 @pytest.mark.parametrize('height', [1, 2])
 def test_a_row_step_that_was_left_unset_is_worked_out(height: int) -> None:
-    made = cloud({'x': X, 'z': Z}, XZ, 12, height=height)
-    made.row_step = 0
-    np.testing.assert_allclose(points(made), expected(X, Z), rtol=1e-6)
+    message = cloud({'x': X, 'z': Z}, XZ, 12, height=height)
+    message.row_step = 0
+    np.testing.assert_allclose(points(message), expected(X, Z), rtol=1e-6)
 
 
 @pytest.mark.parametrize(('changes', 'reason'), [
@@ -167,10 +167,10 @@ def test_a_row_step_that_was_left_unset_is_worked_out(height: int) -> None:
     ({'fields': [field('x', 0, 7, 3), field('z', 8)]}, 'are named "x" and hold one number'),
     ({'fields': [field('x', 0), field('x', 4), field('z', 8)]}, '2 fields are named "x"')])
 def test_malformed_clouds_are_refused_with_a_reason(changes, reason):
-    made = cloud({'x': X, 'z': Z}, XZ, 12)
-    vars(made).update(changes)
+    message = cloud({'x': X, 'z': Z}, XZ, 12)
+    vars(message).update(changes)
     with pytest.raises(UnusableMessageError, match=reason):
-        points(made)
+        points(message)
 
 
 @pytest.mark.parametrize(('factor', 'unit', 'words'), [
@@ -178,9 +178,9 @@ def test_malformed_clouds_are_refused_with_a_reason(changes, reason):
     (1e6, 'mm', '172 m, but profile.unit is m or mm'),
     (1.0, 'mm', 'larger than 0.172 mm: set profile.unit to m')])
 def test_a_wrong_unit_is_named(factor: float, unit: str, words: str) -> None:
-    made = cloud({'x': X * factor, 'z': np.full(6, 0.172 * factor)}, XZ, 12)
+    message = cloud({'x': X * factor, 'z': np.full(6, 0.172 * factor)}, XZ, 12)
     with pytest.raises(UnusableMessageError, match=words):
-        points(made, ProfileConfig(unit=unit))
+        points(message, ProfileConfig(unit=unit))
 
 
 layouts = st.fixed_dictionaries({
@@ -214,10 +214,10 @@ def test_clouds_of_any_layout_are_read_as_they_were_written(what, axes):
         columns[name][0] = 100
     columns[axes[0][-1]].sort()  # other orders, and the origin itself, are other tests'
     columns[axes[1][-1]][columns[axes[1][-1]] == 0] = 1
-    made = cloud(columns, layout, position + what['gaps'][3], height=what['height'],
-                 row_padding=what['row_padding'], bigendian=what['bigendian'])
+    message = cloud(columns, layout, position + what['gaps'][3], height=what['height'],
+                    row_padding=what['row_padding'], bigendian=what['bigendian'])
     signed = [columns[a[-1]].astype(float) * (-1 if a[0] == '-' else 1) for a in axes]
-    got = points(made, ProfileConfig(unit='mm', axes=axes))
+    got = points(message, ProfileConfig(unit='mm', axes=axes))
     np.testing.assert_allclose(got, expected(*signed) * 1e-3, rtol=1e-12)
 
 
@@ -230,10 +230,10 @@ garbage_fields = st.builds(field, st.sampled_from(['x', 'y', 'z', '', 'X']), siz
        row_step=sizes, data=st.binary(max_size=300), bigendian=st.booleans(),
        unit=st.sampled_from(['m', 'mm']))
 def test_garbage_in_a_cloud_is_refused_in_a_sentence(unit, bigendian, height, width, **content):
-    made = cloud({'x': X, 'z': Z}, XZ, 12)
-    vars(made).update(height=height, width=width, is_bigendian=bigendian, **content)
+    message = cloud({'x': X, 'z': Z}, XZ, 12)
+    vars(message).update(height=height, width=width, is_bigendian=bigendian, **content)
     try:
-        got = points(made, ProfileConfig(unit=unit))
+        got = points(message, ProfileConfig(unit=unit))
     except UnusableMessageError as error:
         assert str(error).startswith('PointCloud2 message not used: ')
     else:

@@ -159,10 +159,10 @@ def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
     state = state_of(other)
     assert [s['number'] for s in state['samples']][:5] == [1, 2, 3, 4, 6], 'no number comes twice'
     computed(other)
-    found = other.answer.calibration.T_flange_sensor
+    transform = other.answer.calibration.T_flange_sensor
     third = again(other)
     assert state_of(third)['calibration']['state'] == 'current', 'it is solved without being asked'
-    assert np.abs(third.answer.calibration.T_flange_sensor - found).max() < 1e-9
+    assert np.abs(third.answer.calibration.T_flange_sensor - transform).max() < 1e-9
 
 
 def test_a_restart_forgets_neither_the_frame_of_the_poses_nor_that_of_the_profiles(tmp_path):
@@ -181,19 +181,19 @@ def test_another_session_is_opened_with_what_it_excludes_or_not_at_all(tmp_path:
     before, text = Path(live.path), live.clear_samples()
     assert text.startswith('3 samples removed') and live.config.samples.exclude == ()
     changed(live, noise__sensor=4e-5)  # which is to be written
-    found, path = read_session(before), live.path
-    config = replace(live.config, samples=found.config.samples)
+    session_before, path = read_session(before), live.path
+    config = replace(live.config, samples=session_before.config.samples)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
     try:
         with pytest.raises(InputError, match='cannot write'):
-            live.open_session(found, config)
+            live.open_session(session_before, config)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert (live.path, sample_count(state_of(live)), live.config.samples.exclude) == (path, 0, ())
-    assert live.open_session(found, config) == (
+    assert live.open_session(session_before, config) == (
         f'continuing with 3 samples of {before}; noise.sensor is 4e-05 now, was '
-        f'{found.config.noise.sensor}')
+        f'{session_before.config.noise.sensor}')
     assert [s['number'] for s in state_of(live)['samples'] if s['excluded']] == [2]
     assert read_session(before).config == live.config
     live.files.close()
@@ -217,8 +217,8 @@ def test_last_is_the_newest_of_the_name_or_of_all(tmp_path: Path) -> None:
     assert settings_and_session(given, OutputFolders())[1] is None
     live = feed(stored(tmp_path), stops=1)
     live.files.close()
-    config, found = settings_and_session(given, OutputFolders())
-    assert found and found.path == Path(live.path)
+    config, opened = settings_and_session(given, OutputFolders())
+    assert opened and opened.path == Path(live.path)
     assert (config.target.type, config.target.radius) == ('sphere', SPHERE.config.target.radius)
     assert settings_and_session(given | {'name': 'other'}, OutputFolders())[1] is None
 

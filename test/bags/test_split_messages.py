@@ -38,12 +38,12 @@ def batch(stamp: int, rows: int, *, first: int = 0, gocator: bool = False) -> by
 
 
 def profiles(messages: Sequence[bytes], config: ProfileConfig) -> list[RawProfile]:
-    reader, found, before = ProfileReader(config), [], None
+    reader, read, before = ProfileReader(config), [], None
     for data in messages:
         whole = reader.take(data)
-        found += split(whole, before, config)
+        read += split(whole, before, config)
         before = whole.stamp
-    return found
+    return read
 
 
 @pytest.mark.parametrize(('stamp', 'begin'), [('first', 0.0), ('middle', -4.5), ('last', -9.0)])

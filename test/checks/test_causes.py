@@ -34,9 +34,9 @@ from scipy.spatial.transform import Rotation
 from streams import in_order
 
 
-def with_poses(made: Cell, change: Callable[[Array], Array]) -> list[Sample]:
-    changed = change(np.array([s.T_base_flange for s in made.samples]))
-    return [replace(s, T_base_flange=T) for s, T in zip(made.samples, changed, strict=True)]
+def with_poses(simulated: Cell, change: Callable[[Array], Array]) -> list[Sample]:
+    changed = change(np.array([s.T_base_flange for s in simulated.samples]))
+    return [replace(s, T_base_flange=T) for s, T in zip(simulated.samples, changed, strict=True)]
 
 
 def simulated(error: str) -> Callable[[Array], Array]:
@@ -69,10 +69,10 @@ def angles(values: Array) -> Rotation:
     ('plate', simulated('degrees'), 'angles in degrees are read as radians'),
     ('sphere', simulated('degrees'), 'angles in degrees are read as radians')])
 def test_convention_errors_are_named(target, change, words):
-    made = cell(target, 1)
+    simulated = cell(target, 1)
     with refused('convention', words):
-        made.solve(with_poses(made, change))
-    assert not orientations_scatter(made.problem.poses)
+        simulated.solve(with_poses(simulated, change))
+    assert not orientations_scatter(simulated.problem.poses)
 
 
 @pytest.mark.thorough
@@ -98,18 +98,18 @@ def test_a_robot_worse_than_stated_is_no_convention_error(name: str) -> None:
 @pytest.mark.parametrize('right', ['eye_in_hand', 'eye_on_base'])
 def test_the_wrong_calibration_type_names_the_key(target: str, right: str) -> None:
     wrong = 'eye_on_base' if right == 'eye_in_hand' else 'eye_in_hand'
-    made = cell(replace(SCENARIOS[target], calibration_type=right), 1)
+    simulated = cell(replace(SCENARIOS[target], calibration_type=right), 1)
     with pytest.raises(DataError, match=f'with calibration_type {right} or inverse'):
-        made.solve(calibration_type=wrong)
+        simulated.solve(calibration_type=wrong)
 
 
 @pytest.mark.parametrize(('seed', 'wrong'), [
     (1, lambda T: np.array([s.T_base_flange for s in cell('plate', 2).samples])),
     (3, lambda T: np.roll(T, 1, axis=0))], ids=['of another recording', 'of another sample'])
 def test_poses_that_fit_nothing_are_called_neither_moved_nor_a_convention(seed, wrong):
-    made = cell('plate', seed)
+    simulated = cell('plate', seed)
     with refused('misfit', 'contradict'):
-        made.solve(with_poses(made, wrong))
+        simulated.solve(with_poses(simulated, wrong))
 
 
 OTHER_TOOL = se3.perturb(np.eye(4), np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.2]))
@@ -134,21 +134,21 @@ def later(samples: tuple[Sample, ...], change: Callable[[Array], Array]) -> list
         'plane', 'line')),  # 7 of their 14 samples have few conditions to spare
     ('eye_on_base', lambda T: T @ OTHER_TOOL, 'the target moved in flange, or')])
 def test_what_moved_is_named(name: str, change: Callable[[Array], Array], words: str) -> None:
-    made = cell(name, 3)
+    simulated = cell(name, 3)
     with pytest.raises(DataError, match=words) as caught:
-        made.solve(later(made.samples, change))
+        simulated.solve(later(simulated.samples, change))
     parted = re.search(r'the first (\d+) samples .* the other (\d+),', str(caught.value))
     first, others = map(int, parted.groups())
-    n = len(made.samples)
+    n = len(simulated.samples)
     assert first + others == n and abs(first - n // 2) <= 2
 
 
 @pytest.mark.parametrize('name', ['plane', 'sphere'])
 def test_parts_with_neither_one_target_nor_one_transform_name_no_move(name: str) -> None:
     # as parts of a few samples with wrong poses fit, by chance
-    made = cell(name, 3)
+    simulated = cell(name, 3)
     with refused('misfit', 'contradict'):
-        made.solve(later(made.samples, lambda T: FAR @ T @ OTHER_TOOL))
+        simulated.solve(later(simulated.samples, lambda T: FAR @ T @ OTHER_TOOL))
 
 
 @pytest.mark.thorough
@@ -174,9 +174,9 @@ SLIGHT = se3.perturb(np.eye(4), np.array([4e-4, 0.0, 3e-4, 0.0, 0.0, 0.0]))
 @pytest.mark.parametrize(('change', 'what'), [
     (lambda T: T @ SLIGHT, 'sensor'), (lambda T: SLIGHT @ T, 'target')])
 def test_a_small_move_is_reported_with_its_moment(change, what):
-    made = cell('plate', 5)
-    samples = later(made.samples, change)
-    sentence = warnings_or_refusal(samples, made.config)
+    simulated = cell('plate', 5)
+    samples = later(simulated.samples, change)
+    sentence = warnings_or_refusal(samples, simulated.config)
     assert f'the first {len(samples) // 2} ' in sentence and f'the {what} ' in sentence
     size = re.search('by about ([0-9.]+) mm', sentence)
     assert size is None or float(size[1]) == pytest.approx(0.5, abs=0.3)
@@ -197,25 +197,25 @@ def test_a_small_move_is_reported_though_noise_and_scales_could_stand_for_it(see
     ('sphere', False), *(pytest.param(*values, marks=pytest.mark.thorough) for values in (
         ('sphere', True), ('wedge', False), ('wedge', True)))])
 def test_a_move_is_told_while_few_samples_lie_beyond_it(name: str, first: bool) -> None:
-    made = cell(name, 2)
+    simulated = cell(name, 2)
     rng = np.random.default_rng(1)
-    mixed = [replace(made.samples[k], stamp=stamp)
-             for stamp, k in enumerate(rng.permutation(len(made.samples))[:12])]
+    mixed = [replace(simulated.samples[k], stamp=stamp)
+             for stamp, k in enumerate(rng.permutation(len(simulated.samples))[:12])]
     bumped = se3.transform(np.eye(3), np.array([0.02, 0.0, 0.0]))
     beyond = mixed[:3] if first else mixed[-3:]
     samples = [replace(s, T_base_flange=bumped @ s.T_base_flange) if s in beyond else s
                for s in mixed]
     words = ('the first 3 of 12 samples contradict the 9 after them' if first else
              'the last 3 of 12 samples contradict the 9 before them')
-    assert words in warnings_or_refusal(samples, made.config)
-    answer = pipeline.answer_samples(samples, [], made.config, 'laser')
-    advice = advise(samples, made.config, answer)
+    assert words in warnings_or_refusal(samples, simulated.config)
+    answer = pipeline.answer_samples(samples, [], simulated.config, 'laser')
+    advice = advise(samples, simulated.config, answer)
     assert words in advice.why and not advice.enough
     # a single sample may be wrong for another reason, and so may others in any place
     apart = [replace(s, T_base_flange=bumped @ s.T_base_flange) if k in (1, 5, 9) else s
              for k, s in enumerate(mixed)]
-    assert 'moved' not in warnings_or_refusal(apart, made.config)
-    assert 'moved' not in warnings_or_refusal([*mixed[:9], samples[-1]], made.config)
+    assert 'moved' not in warnings_or_refusal(apart, simulated.config)
+    assert 'moved' not in warnings_or_refusal([*mixed[:9], samples[-1]], simulated.config)
 
 
 def test_outliers_at_one_end_are_told_of_however_many_samples() -> None:
@@ -227,13 +227,13 @@ def test_outliers_at_one_end_are_told_of_however_many_samples() -> None:
 
 @pytest.mark.parametrize(('name', 'seed'), [('plate', 2), ('sphere', 1)])
 def test_an_answer_that_warns_of_a_move_is_as_uncertain_as_the_move(name: str, seed: int) -> None:
-    made = cell(name, seed)
+    simulated = cell(name, seed)
     slightly = se3.perturb(np.eye(4), np.array([8e-5, 0.0, 6e-5, 0.0, 0.0, 0.0]))
-    answer = pipeline.answer_samples(later(made.samples, lambda T: T @ slightly), [],
-                                     made.config, 'laser')
+    answer = pipeline.answer_samples(later(simulated.samples, lambda T: T @ slightly), [],
+                                     simulated.config, 'laser')
     calibration = answer.require_calibration()
     assert 'moved' in calibration.provenance['warnings'][0]
-    away = se3.difference(calibration.T_flange_sensor, made.truth.T_flange_sensor)
+    away = se3.difference(calibration.T_flange_sensor, simulated.truth.T_flange_sensor)
     whole, move = calibration.covariance, answer.solution.added_covariances['possible move']
     assert away @ np.linalg.solve(whole, away) < chi2_isf(0.05, 6)
     assert away @ np.linalg.solve(whole - move, away) > chi2_isf(0.05, 6)
@@ -335,8 +335,8 @@ def test_faces_that_end_where_the_sensor_is_blind_are_named_and_left_out() -> No
     blind[793:844] = True
     profiles = [replace(p, points=np.where(blind, np.nan, p.points)) for p in recording.profiles]
     calibration = pipeline.calibrate(profiles, recording.poses, settings_of(recording.scenario))
-    [told] = calibration.provenance['warnings']
-    assert re.fullmatch('the stops [0-9, ]+ show the end of a face where the sensor .*', told)
+    [sentence] = calibration.provenance['warnings']
+    assert re.fullmatch('the stops [0-9, ]+ show the end of a face where the sensor .*', sentence)
     assert squared_error(calibration, recording.truth) < ONE_IN_100
 
 
@@ -354,9 +354,10 @@ def test_heights_of_edges_are_named_where_too_few_stops_show_the_target(monkeypa
     monkeypatch.setitem(scenes.SCENES, 'clamped', replace(
         scenes.SCENES['plate'], solids=partial(clamped, height=0.015, share=0.41)))
     scenario = replace(SCENARIOS['line'], scene='clamped')
-    made = simulate(scenario, np.random.default_rng(2))
+    simulated = simulate(scenario, np.random.default_rng(2))
     with refused('surface', 'agree on one plane, but not on the edges') as caught:
-        pipeline.calibrate(made.profiles, made.poses, settings_of(scenario, target__type='line'))
+        pipeline.calibrate(simulated.profiles, simulated.poses,
+                           settings_of(scenario, target__type='line'))
     listed = re.findall(r'(\d+\.\d) mm: stops ([\d, ]+)', str(caught.value))
     heights = [float(height) for height, _ in listed]  # of clamps, target and table
     assert heights == pytest.approx([40.0, 25.0, 0.0], abs=0.2)

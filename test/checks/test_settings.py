@@ -46,12 +46,12 @@ from recordings import scan, TYPES, with_messages
 
 
 @lru_cache
-def made(name: str) -> Recorded:
+def simulated(name: str) -> Recorded:
     return recorded(FAULTS[name], rate=8.0)
 
 
 def test_a_stored_stop_is_thinned_as_one_of_a_bag_is() -> None:
-    seen = made('sphere')
+    seen = simulated('sphere')
     whole = pipeline.gather(seen.profiles, seen.poses, seen.config).stops[0]
     stored = replace(whole, poses=(), profiles=(), reader=lambda config: whole)
     few, same = (thinned(stop, seen.config) for stop in (stored, whole))
@@ -69,7 +69,7 @@ def test_a_stored_stop_is_thinned_as_one_of_a_bag_is() -> None:
                                  ('wedge', 'sphere', 'wedge')))])
 def test_wrong_settings_are_named(name: str, wrong: dict[str, object], words: str) -> None:
     with pytest.raises(DataError, match=f'set {words}'):
-        made(name).calibrate(**wrong)
+        simulated(name).calibrate(**wrong)
 
 
 @pytest.mark.parametrize('seed', [23, pytest.param(24, marks=pytest.mark.thorough)])
@@ -109,15 +109,15 @@ def test_a_wedge_beside_another_block_is_answered(monkeypatch, seed):
 def test_what_no_setting_mends_is_not_blamed_on_one() -> None:
     poses = [replace(p, quaternion=se3.quaternion(se3.from_quaternion(
         np.zeros((1, 3)), np.random.default_rng(k // 20).normal(size=(1, 4))))[0])
-        for k, p in enumerate(made('baseline').poses)]
+        for k, p in enumerate(simulated('baseline').poses)]
     with pytest.raises(DataError) as caught:
-        made('baseline').calibrate(poses=poses)
+        simulated('baseline').calibrate(poses=poses)
     assert caught.value.reason != 'settings'
 
 
 @pytest.mark.thorough
 def test_right_settings_are_not_blamed() -> None:
-    cell = made('baseline')
+    cell = simulated('baseline')
     session = pipeline.gather(cell.profiles, cell.poses, cell.config)
     stamps = [sample.stamp for sample in session.samples]
     stated = fit_of_samples(session.samples, cell.config, stamps)
@@ -134,15 +134,16 @@ def test_the_stops_that_are_read_again_are_of_the_whole_recording(monkeypatch) -
 @lru_cache(maxsize=2)
 def at_20_hz(target: str) -> Recorded:
     scenario = replace(SCENARIOS[target], sensor=replace(SCENARIOS[target].sensor, rate=20.0))
-    made = simulate(scenario, np.random.default_rng(1))
-    return Recorded(scenario, made.profiles, made.poses, made.truth, settings_of(scenario))
+    simulated = simulate(scenario, np.random.default_rng(1))
+    return Recorded(scenario, simulated.profiles, simulated.poses, simulated.truth,
+                    settings_of(scenario))
 
 
 def solved_late(target: str, late: float, **values: object) -> Calibration:
     """Return the calibration from profiles that are stamped too late (s)."""
-    made = at_20_hz(target)
-    return made.calibrate([replace(p, stamp=p.stamp + round(late * NS)) for p in made.profiles],
-                          **values)
+    simulated = at_20_hz(target)
+    profiles = [replace(p, stamp=p.stamp + round(late * NS)) for p in simulated.profiles]
+    return simulated.calibrate(profiles, **values)
 
 
 @pytest.mark.thorough
@@ -165,11 +166,12 @@ def test_no_time_offset_is_advised_that_no_key_takes() -> None:
 
 @pytest.mark.thorough
 def test_clocks_are_not_blamed_for_what_else_is_wrong() -> None:
-    made = at_20_hz('plate')
-    wrong = [replace(p, quaternion=p.quaternion[[3, 0, 1, 2]]) for p in made.poses]
+    simulated = at_20_hz('plate')
+    wrong = [replace(p, quaternion=p.quaternion[[3, 0, 1, 2]]) for p in simulated.poses]
     with pytest.raises(DataError, match='quaternions read as w x y z'):
-        made.calibrate(poses=wrong)
-    require_same_clock(pipeline.gather(made.profiles, made.poses, made.config), made.config)
+        simulated.calibrate(poses=wrong)
+    session = pipeline.gather(simulated.profiles, simulated.poses, simulated.config)
+    require_same_clock(session, simulated.config)
 
 
 @pytest.mark.thorough
@@ -177,37 +179,37 @@ def test_clocks_are_not_blamed_for_what_else_is_wrong() -> None:
     (replace(FAULTS['wedge, joints and links 1 mm'], stations=(100, 0)), 1),
     (FAULTS['4 + 3, two bad'], 16)], ids=['one stop that ends early', 'few samples, two wrong'])
 def test_clocks_are_not_blamed_where_few_stops_end_early_or_are_wrong(scenario, seed):
-    made = simulate(scenario, np.random.default_rng(seed))
+    simulated = simulate(scenario, np.random.default_rng(seed))
     config = settings_of(scenario)
-    require_same_clock(pipeline.gather(made.profiles, made.poses, config), config)
+    require_same_clock(pipeline.gather(simulated.profiles, simulated.poses, config), config)
 
 
 @pytest.mark.filterwarnings('error')
 def test_the_clocks_of_one_stop_are_not_blamed() -> None:
-    made = at_20_hz('plate')
-    end = made.truth.stations[0].end
-    session = pipeline.gather([p for p in made.profiles if p.stamp < end],
-                              [p for p in made.poses if p.stamp < end], made.config)
+    simulated = at_20_hz('plate')
+    end = simulated.truth.stations[0].end
+    session = pipeline.gather([p for p in simulated.profiles if p.stamp < end],
+                              [p for p in simulated.poses if p.stamp < end], simulated.config)
     assert len(session.stops) == 1
-    require_same_clock(session, made.config)
+    require_same_clock(session, simulated.config)
 
 
 def test_clocks_are_compared_in_the_order_of_time_whatever_the_numbers_of_stops() -> None:
     """A sample that is taken while another stop waits for profiles has the smaller number."""
-    made, late = at_20_hz('plate'), round(2.2 * NS)
-    session = pipeline.gather([replace(p, stamp=p.stamp + late) for p in made.profiles],
-                              made.poses, made.config)
+    simulated, late = at_20_hz('plate'), round(2.2 * NS)
+    session = pipeline.gather([replace(p, stamp=p.stamp + late) for p in simulated.profiles],
+                              simulated.poses, simulated.config)
     for stop in session.stops:  # 1 and 2 exchanged, 3 and 4, ...
         session.add_stop(replace(stop, number=stop.number - 1 if stop.number % 2 == 0
                                  else stop.number + 1))
     with pytest.raises(DataError, match='2.[123] s late'):
-        require_same_clock(session, made.config)
+        require_same_clock(session, simulated.config)
 
 
 def test_clocks_are_not_blamed_for_profiles_that_shake_at_the_begin_or_end_of_stops() -> None:
     """They rest for shorter than the robot, but neither earlier nor later."""
-    made = at_20_hz('plate')
-    rng, stations = np.random.default_rng(0), made.truth.stations
+    simulated = at_20_hz('plate')
+    rng, stations = np.random.default_rng(0), simulated.truth.stations
 
     def shaken(profile: Profile) -> Profile:
         for k, at in enumerate(stations):
@@ -215,8 +217,8 @@ def test_clocks_are_not_blamed_for_profiles_that_shake_at_the_begin_or_end_of_st
             if 0 <= share <= 1 and (share < 0.4 if k % 3 else share > 0.6):
                 return replace(profile, points=profile.points + [0, rng.normal(0, 1e-3)])
         return profile
-    session = pipeline.gather(map(shaken, made.profiles), made.poses, made.config)
-    require_same_clock(session, made.config)
+    session = pipeline.gather(map(shaken, simulated.profiles), simulated.poses, simulated.config)
+    require_same_clock(session, simulated.config)
 
 
 def test_a_stop_half_of_whose_arcs_moved_is_no_sample() -> None:
@@ -228,9 +230,9 @@ def test_a_stop_half_of_whose_arcs_moved_is_no_sample() -> None:
     ('plate_z_up', 1), *(pytest.param(name, 0, marks=pytest.mark.thorough)
                          for name in ('plate', 'small_plate_sweep'))])
 def test_a_range_counted_the_wrong_way_is_named(name: str, seed: int) -> None:
-    made = recorded(name, seed, sampling__mode='moving' if SCENARIOS[name].sweep else 'still')
-    with pytest.raises(DataError, match=f'range_sign {made.config.profile.range_sign}, '):
-        pipeline.calibrate(made.profiles, made.poses, flipped_range(made.config))
+    simulated = recorded(name, seed, sampling__mode='moving' if SCENARIOS[name].sweep else 'still')
+    with pytest.raises(DataError, match=f'range_sign {simulated.config.profile.range_sign}, '):
+        pipeline.calibrate(simulated.profiles, simulated.poses, flipped_range(simulated.config))
 
 
 # from 0.8: without a stop that is far worse than all others, the rest may be explained better
@@ -243,13 +245,13 @@ def test_what_fits_the_same_stops_worse_is_no_better_explanation(q, worse, lost)
 
 def test_edges_that_are_less_certain_do_not_explain_more() -> None:
     """Waves of a face end it by chance with the wrong sign, at points of which little is known."""
-    made, rng = cell('plate'), np.random.default_rng(0)
+    simulated, rng = cell('plate'), np.random.default_rng(0)
 
     def read(error: float, stated: float) -> Fit:
         samples = [replace(s, features=tuple(
             replace(f, point=f.point + rng.normal(0, error) * f.direction, std=stated)
-            if isinstance(f, EdgePoint) else f for f in s.features)) for s in made.samples]
-        return fit_of_samples(samples, made.config, [s.stamp for s in samples])
+            if isinstance(f, EdgePoint) else f for f in s.features)) for s in simulated.samples]
+        return fit_of_samples(samples, simulated.config, [s.stamp for s in samples])
 
     waved, stray = read(6e-5, 2e-5), read(2e-4, 3e-4)
     assert stray.variance_factor < waved.variance_factor

@@ -53,14 +53,14 @@ def test_stations_with_a_wrong_pose_are_left_out(name: str, size: float) -> None
         assert_as_good(answer, clean)
 
 
-def aside(made: Cell, rng: np.random.Generator) -> Array:
+def aside(simulated: Cell, rng: np.random.Generator) -> Array:
     """Return a step of 5 mm."""
     step = rng.normal(size=3)
     return 5e-3 * step / np.linalg.norm(step)
 
 
-def to_a_second_plate(made: Cell, rng: np.random.Generator) -> Array:
-    return made.truth.T_base_target[:3, :3] @ [0.25, 0.05, 0.004]
+def to_a_second_plate(simulated: Cell, rng: np.random.Generator) -> Array:
+    return simulated.truth.T_base_target[:3, :3] @ [0.25, 0.05, 0.004]
 
 
 @pytest.mark.parametrize(('target', 'seed', 'step', 'share'), [
@@ -106,10 +106,11 @@ def test_edges_of_the_plate_that_are_not_ours_do_no_harm(seed: int) -> None:
 
 
 def test_all_four_edges_are_used_when_the_size_is_known() -> None:
-    made = cell('wrong_edges', 1, target__size=[0.2, 0.15])
+    simulated = cell('wrong_edges', 1, target__size=[0.2, 0.15])
     without = cell('wrong_edges', 1)
-    answer = made.solve()
-    labels = {s.stamp: t.label for s, t in zip(made.samples, made.truth.stations, strict=True)}
+    answer = simulated.solve()
+    stations = simulated.truth.stations
+    labels = {s.stamp: t.label for s, t in zip(simulated.samples, stations, strict=True)}
     used = {(labels[r.stamp], r.edge) for r in answer.samples}
     assert all(edge for _, edge in used) and len(used) == len(set(labels.values()))
     # the noise is estimated in both
@@ -166,16 +167,17 @@ def test_what_is_left_after_dropping_must_judge() -> None:
 
 @pytest.mark.parametrize('seed', range(3))
 def test_one_wrong_of_ten_stands_out_though_a_poor_robot_would_explain_it(seed: int) -> None:
-    made = cell(replace(SCENARIOS['plate'], stations=(5, 5)), seed)
+    simulated = cell(replace(SCENARIOS['plate'], stations=(5, 5)), seed)
     rng = np.random.default_rng(seed)
-    samples = [wrong(s, rng) if i == seed else s for i, s in enumerate(made.samples)]
-    answer = made.solve(samples)
+    samples = [wrong(s, rng) if i == seed else s for i, s in enumerate(simulated.samples)]
+    answer = simulated.solve(samples)
     assert [report.used for report in answer.samples] == [i != seed for i in range(10)]
     assert [report.stamp for report in answer.samples] == sorted(s.stamp for s in samples)
     report = answer.samples[seed]
     assert 'contradicts the other samples' in report.reason and report.residual is None
     assert answer.quality.samples_rejected == 1
-    assert errors_against(answer.T_flange_sensor, made.truth.T_flange_sensor).mapped_points < 2e-4
+    T_true = simulated.truth.T_flange_sensor
+    assert errors_against(answer.T_flange_sensor, T_true).mapped_points < 2e-4
 
 
 def test_no_station_of_a_poor_robot_is_taken_for_wrong() -> None:

@@ -36,22 +36,22 @@ ALL_BLOCKS = {key: getattr(getattr(Config(), part), name) for key in NO_DOUBTS
               for part, name in [key.split('__')]}
 
 
-def misjudged(made: Cell, factor: float) -> Cell:
+def misjudged(simulated: Cell, factor: float) -> Cell:
     """Return a cell whose settings state the robot's noise wrongly by a factor."""
-    noise = made.config.noise
-    return replace(made, config=set_to(
-        made.config, noise__robot_translation=factor * noise.robot_translation,
+    noise = simulated.config.noise
+    return replace(simulated, config=set_to(
+        simulated.config, noise__robot_translation=factor * noise.robot_translation,
         noise__robot_rotation=factor * noise.robot_rotation))
 
 
-def final(made: Cell) -> Solution:
-    first = solved(made.problem)
+def final(simulated: Cell) -> Solution:
+    first = solved(simulated.problem)
     return map_solution(first.problem, first.estimate)
 
 
-def squared(made: Cell) -> float:
+def squared(simulated: Cell) -> float:
     """Return the squared Mahalanobis error of a cell's answer."""
-    return squared_error(made.solve(), made.truth)
+    return squared_error(simulated.solve(), simulated.truth)
 
 
 # -- noise
@@ -79,9 +79,10 @@ def test_noise_that_was_stated_rightly_is_kept() -> None:
 def test_a_nuisance_parameter_without_error_costs_the_estimate_little() -> None:
     squares = np.zeros((2, 2))
     for seed in range(12):
-        made = cell('plate', seed)
-        for i, of in enumerate((made, replace(made, config=settings_of(made.scenario)))):
-            error = se3.difference(of.solve().T_flange_sensor, of.truth.T_flange_sensor)
+        simulated = cell('plate', seed)
+        doubting = replace(simulated, config=settings_of(simulated.scenario))
+        for i, each in enumerate((simulated, doubting)):
+            error = se3.difference(each.solve().T_flange_sensor, each.truth.T_flange_sensor)
             squares[i] += [error[:3] @ error[:3], error[3:] @ error[3:]]
     assert (np.sqrt(squares[1] / squares[0]) < 1.35).all()
 

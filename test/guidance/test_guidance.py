@@ -37,47 +37,47 @@ every_target = pytest.mark.parametrize('target', FEW)
 
 
 @pytest.fixture(scope='module', params=FEW)
-def made(request: pytest.FixtureRequest) -> tuple[Cell, Solution]:
+def few(request: pytest.FixtureRequest) -> tuple[Cell, Solution]:
     """Return a cell with few samples of each target, and the fit to them."""
     scenario = replace(SCENARIOS[request.param], stations=FEW[request.param])
     simulated = cell(scenario, 1)
     return simulated, solved(simulated.problem)
 
 
-def answer(found: Cell, solution: Solution, refusal: DataError | None = None) -> Answer:
-    return Answer(found.samples, solution, True, None, refusal)
+def answer(simulated: Cell, solution: Solution, refusal: DataError | None = None) -> Answer:
+    return Answer(simulated.samples, solution, True, None, refusal)
 
 
-def advice(made: tuple[Cell, Solution], failed_poses: tuple[Array, ...] = (),
+def advice(few: tuple[Cell, Solution], failed_poses: tuple[Array, ...] = (),
            refusal: DataError | None = None, **values: object) -> Advice:
     """Return the advice after the samples of a cell; values: settings, __ for the dot."""
-    found, solution = made
-    return advise(found.samples, set_to(found.config, **values),
-                  answer(found, solution, refusal), failed_poses=failed_poses)
+    simulated, solution = few
+    return advise(simulated.samples, set_to(simulated.config, **values),
+                  answer(simulated, solution, refusal), failed_poses=failed_poses)
 
 
-def test_the_feature_stays_in_view_where_it_is_said_to_be(made: tuple[Cell, Solution]) -> None:
-    proposal = advice(made).next
+def test_the_feature_stays_in_view_where_it_is_said_to_be(few: tuple[Cell, Solution]) -> None:
+    proposal = advice(few).next
     assert proposal is not None
-    found, solution = made
-    view = learn_view(found.samples)
+    simulated, solution = few
+    view = learn_view(simulated.samples)
     assert view.room(proposal.place) > 0
     # the place is on the target: some spot that was seen before is there again, or beside it
-    poses = [proposal.T_base_flange, *(s.T_base_flange for s in found.samples)]
+    poses = [proposal.T_base_flange, *(s.T_base_flange for s in simulated.samples)]
     places = [proposal.place,
-              *(anchor_of(solution.problem, i) for i in range(len(found.samples)))]
+              *(anchor_of(solution.problem, i) for i in range(len(simulated.samples)))]
     there, *spots = (se3.apply(T @ solution.estimate.X, np.insert(place, 1, 0.0))
                      for T, place in zip(poses, places, strict=True))
     assert min(np.linalg.norm(spot - there) for spot in spots) < 0.25 * view.size[0]
     # and the face is looked at from above
-    T = se3.inverse(found.truth.T_base_target) @ proposal.T_base_flange
-    T_target_sensor = T @ found.truth.T_flange_sensor
-    if found.scenario.scene in ('plate', 'line', 'plane'):
+    T = se3.inverse(simulated.truth.T_base_target) @ proposal.T_base_flange
+    T_target_sensor = T @ simulated.truth.T_flange_sensor
+    if simulated.scenario.scene in ('plate', 'line', 'plane'):
         assert T_target_sensor[2, 3] > 0 and T_target_sensor[2, 2] < -0.5
 
 
-def test_what_a_sample_brings_is_what_the_solver_then_says(made: tuple[Cell, Solution]) -> None:
-    _, solution = made
+def test_what_a_sample_brings_is_what_the_solver_then_says(few: tuple[Cell, Solution]) -> None:
+    _, solution = few
     observations, last = solution.problem.observations, len(solution.problem.poses) - 1
     fewer = replace(solution.problem,
                     observations=observations.select(observations.station != last))
@@ -86,11 +86,11 @@ def test_what_a_sample_brings_is_what_the_solver_then_says(made: tuple[Cell, Sol
     np.testing.assert_allclose(after, solution.covariance[:6, :6], rtol=1e-5, atol=1e-15)
 
 
-def test_the_limits_are_kept(made: tuple[Cell, Solution]) -> None:
-    found, solution = made
-    proposal = advice(made, guidance__reach=0.15, guidance__tilt=0.3, guidance__turn=0.8).next
+def test_the_limits_are_kept(few: tuple[Cell, Solution]) -> None:
+    simulated, solution = few
+    proposal = advice(few, guidance__reach=0.15, guidance__tilt=0.3, guidance__turn=0.8).next
     assert proposal is not None
-    first, T = found.samples[0].T_base_flange, proposal.T_base_flange
+    first, T = simulated.samples[0].T_base_flange, proposal.T_base_flange
     assert np.linalg.norm(T[:3, 3] - first[:3, 3]) <= 0.15
     R_first, R = ((pose @ solution.estimate.X)[:3, :3] for pose in (first, T))
     assert np.arccos(R_first[:, 2] @ R[:, 2]) <= 0.3 + 1e-9
@@ -98,27 +98,27 @@ def test_the_limits_are_kept(made: tuple[Cell, Solution]) -> None:
     assert abs(turns[0]) <= 0.8 and np.linalg.norm(tilts) <= 0.3 + 1e-9
 
 
-def test_limits_that_allow_nothing_are_reported(made: tuple[Cell, Solution]) -> None:
-    result = advice(made, guidance__reach=0.0, guidance__accuracy=1e-6)
+def test_limits_that_allow_nothing_are_reported(few: tuple[Cell, Solution]) -> None:
+    result = advice(few, guidance__reach=0.0, guidance__accuracy=1e-6)
     assert result.next is None and not result.enough
     assert 'widen them' in result.text
 
 
-def test_a_pose_at_which_nothing_was_taken_is_not_proposed_again(made):
-    first = advice(made).next
+def test_a_pose_at_which_nothing_was_taken_is_not_proposed_again(few):
+    first = advice(few).next
     assert first is not None
-    other = advice(made, failed_poses=(first.T_base_flange,)).next
+    other = advice(few, failed_poses=(first.T_base_flange,)).next
     assert other is not None
     T = se3.inverse(first.T_base_flange) @ other.T_base_flange
     assert (np.linalg.norm(T[:3, 3]) > REFUSED_DISTANCE[0]
             or se3.angle(T[:3, :3]) > REFUSED_DISTANCE[1])
 
 
-def test_it_is_the_same_in_another_base(made: tuple[Cell, Solution]) -> None:
-    found, _ = made
-    moved = replace(found, samples=tuple(
-        replace(s, T_base_flange=ANY_POSE @ s.T_base_flange) for s in found.samples))
-    here, there = advice(made).next, advice((moved, solved(moved.problem))).next
+def test_it_is_the_same_in_another_base(few: tuple[Cell, Solution]) -> None:
+    simulated, _ = few
+    moved = replace(simulated, samples=tuple(
+        replace(s, T_base_flange=ANY_POSE @ s.T_base_flange) for s in simulated.samples))
+    here, there = advice(few).next, advice((moved, solved(moved.problem))).next
     assert here and there
     np.testing.assert_allclose(there.std, here.std, rtol=1e-3)
 
@@ -132,18 +132,18 @@ def test_eye_on_base_is_advised_too() -> None:
         simulated.config.guidance.reach)
 
 
-def test_enough_is_said_with_its_reason(made: tuple[Cell, Solution]) -> None:
-    generous = advice(made, guidance__accuracy=0.05)
+def test_enough_is_said_with_its_reason(few: tuple[Cell, Solution]) -> None:
+    generous = advice(few, guidance__accuracy=0.05)
     assert generous.enough
     assert generous.why.startswith('enough: points in view are known to ')
-    strict = advice(made, guidance__accuracy=1e-6)
+    strict = advice(few, guidance__accuracy=1e-6)
     assert not strict.enough
     assert strict.sigmas[-1].std > strict.sigmas[-1].limit == 1e-6
 
 
-def test_the_words_lead_from_the_last_sample_to_the_pose(made: tuple[Cell, Solution]) -> None:
-    result = advice(made, guidance__accuracy=1e-6)
-    words, last = result.sentences[-1], made[0].samples[-1].T_base_flange
+def test_the_words_lead_from_the_last_sample_to_the_pose(few: tuple[Cell, Solution]) -> None:
+    result = advice(few, guidance__accuracy=1e-6)
+    words, last = result.sentences[-1], few[0].samples[-1].T_base_flange
     assert result.next is not None
     turn, moved = np.eye(3), re.search('move by (.*?) mm along base x, y, z', words)
     for degrees, axis in re.findall(r'([+-]\d+) degrees about flange ([xyz])', words):
@@ -153,15 +153,15 @@ def test_the_words_lead_from_the_last_sample_to_the_pose(made: tuple[Cell, Solut
     assert np.abs(off).max() < 0.02, 'mm and degrees are whole ones'
 
 
-def test_samples_whose_answer_is_refused_are_never_enough(made: tuple[Cell, Solution]) -> None:
-    result = advice(made, refusal=DataError('only 2 samples show an edge'),
+def test_samples_whose_answer_is_refused_are_never_enough(few: tuple[Cell, Solution]) -> None:
+    result = advice(few, refusal=DataError('only 2 samples show an edge'),
                     guidance__accuracy=0.05)
     assert not result.enough and result.why == 'only 2 samples show an edge'
     assert result.next
 
 
-def test_a_sweep_goes_on_until_it_is_enough(made: tuple[Cell, Solution]) -> None:
-    result = advice(made, guidance__accuracy=1e-6, sampling__mode='moving')
+def test_a_sweep_goes_on_until_it_is_enough(few: tuple[Cell, Solution]) -> None:
+    result = advice(few, guidance__accuracy=1e-6, sampling__mode='moving')
     assert not result.enough and result.next is None
     assert 'continue to sweep over' in result.sentences[-1]
 
@@ -193,11 +193,11 @@ def test_before_the_first_sample_it_tells_how_to_take_it() -> None:
     assert not result.enough
 
 
-def test_a_sensor_that_is_not_roughly_known_is_not_aimed(made: tuple[Cell, Solution]) -> None:
-    found, solution = made
+def test_a_sensor_that_is_not_roughly_known_is_not_aimed(few: tuple[Cell, Solution]) -> None:
+    simulated, solution = few
     vague = replace(solution, report=solution,
                     added_covariances={'a test': ROUGHLY_KNOWN ** 2 * 2 * np.eye(6)})
-    result = advice((found, vague))
+    result = advice((simulated, vague))
     assert result.next is None and result.move is not None
 
 
@@ -213,10 +213,11 @@ def test_the_view_holds_what_was_seen() -> None:
 
 
 def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() -> None:
-    found = cell(replace(SCENARIOS['plate'], stations=(15, 15)), 2)
-    config = with_values(found.config, {'guidance.accuracy': 1e-5, 'noise.robot_scale': 3e-3},
+    simulated = cell(replace(SCENARIOS['plate'], stations=(15, 15)), 2)
+    config = with_values(simulated.config, {'guidance.accuracy': 1e-5, 'noise.robot_scale': 3e-3},
                          'test')
-    result = advise(found.samples, config, pipeline.answer_samples(found.samples, (), config))
+    samples = simulated.samples
+    result = advise(samples, config, pipeline.answer_samples(samples, (), config))
     assert 'as configured (noise.robot_scale)' in result.why and result.enough
 
 
@@ -224,8 +225,8 @@ def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() 
     (15, 0.01, True), (15, 0.03, False), (14, 0.01, False)])
 def test_more_samples_that_bring_little_are_not_asked_for(count, gain, enough):
     cause = (CAUSES_BY_BLOCK['robot_smooth'], 0.875)
-    found, why = enough_and_why(4e-4, 3e-4, 4e-4 * (1 - gain), cause, count)
-    assert found == enough
+    simulated, why = enough_and_why(4e-4, 3e-4, 4e-4 * (1 - gain), cause, count)
+    assert simulated == enough
     assert 'known to 0.400 mm' in why and '0.350 mm is the robot' in why
     assert ('more samples bring little, a better robot' in why) == enough
     _, why = enough_and_why(4e-4, 3e-4, 4e-4 * (1 - gain), None, count)
@@ -248,9 +249,9 @@ def test_moves_tell_more_than_poses_at_random(target):
         solution = BENCH.solved(cell)
         return BENCH.sigma_of(solution, cell)
 
-    found = np.array([[sigma(seed, operator) for operator in BENCH.OPERATORS]
-                      for seed in range(3)])
-    moves, random = np.median(found, axis=0)
+    simulated = np.array([[sigma(seed, operator) for operator in BENCH.OPERATORS]
+                          for seed in range(3)])
+    moves, random = np.median(simulated, axis=0)
     assert moves < 0.7 * random
 
 

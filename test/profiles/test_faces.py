@@ -39,7 +39,7 @@ CONFIG = Config()
 TOWARDS = with_values(CONFIG, {'profile.range_sign': -1}, 'test')
 
 
-def found(points: Array, config: Config = CONFIG) -> tuple[FaceLine, list[EdgePoint]]:
+def line_and_edges(points: Array, config: Config = CONFIG) -> tuple[FaceLine, list[EdgePoint]]:
     """Return the face line and the edges of a profile, left to right."""
     line, *edges = face_features(points, config)
     assert isinstance(line, FaceLine)
@@ -71,7 +71,7 @@ def test_an_edge_is_found_where_it_is(shape, kind, tilt, mirrored):
         if mirrored:
             points = points * [-1, 1]
         side = 1 if mirrored else -1
-        line, (only,) = found(points)
+        line, (only,) = line_and_edges(points)
         assert_edge(only, -side * edge, face(edge, tilt_of_face), side, kind)
         assert abs(line.direction @ only.direction) == pytest.approx(1)
         assert (only.point - line.centre) @ only.direction > 0, 'the edge leads out of the face'
@@ -82,7 +82,7 @@ def test_the_normal_points_of_a_face_are_as_certain_as_they_say(tilt: float) -> 
     normal = np.array([-np.sin(tilt), np.cos(tilt)])
     single, together = [], []
     for seed in range(60):
-        line, _ = found(marked(gap_up_to(-0.005, tilt), seed))
+        line, _ = line_and_edges(marked(gap_up_to(-0.005, tilt), seed))
         single.append((line.points - [0, face(0.0, tilt)]) @ normal / line.points_std)
         ends = (line.points[[0, -1]] - line.centre) @ line.direction / line.spread
         assert np.allclose(np.abs(ends), 5 / 6 * 3 ** 0.5, rtol=0.05), 'shares of one length'
@@ -98,10 +98,10 @@ def test_the_normal_points_of_a_face_are_as_certain_as_they_say(tilt: float) -> 
 def test_of_a_step_the_side_nearer_to_the_sensor_is_the_face(config: Config) -> None:
     sign = config.profile.range_sign
     points = marked(step_up_to(0.002, drop=sign * 0.01))
-    line, (edge,) = found(points, config)
+    line, (edge,) = line_and_edges(points, config)
     assert_edge(edge, 0.002, face(0.002), -1, 'step')
     assert line.centre[0] > 0.002
-    line, (edge,) = found(marked(step_up_to(0.002, drop=-sign * 0.01)), config)
+    line, (edge,) = line_and_edges(marked(step_up_to(0.002, drop=-sign * 0.01)), config)
     assert_edge(edge, 0.002, face(0.002) - sign * 0.01, 1, 'step')
     assert line.centre[0] < 0.002
 
@@ -111,7 +111,7 @@ def test_of_a_step_the_side_nearer_to_the_sensor_is_the_face(config: Config) -> 
 def test_both_edges_of_a_profile_are_found(left: float, behind: float, kind: str) -> None:
     def height(x: Array) -> Array:
         return np.where(x > 0.008, np.nan, np.where(x > left, face(x), face(x) + behind))
-    line, (first, last) = found(marked(height))
+    line, (first, last) = line_and_edges(marked(height))
     assert_edge(first, left, face(left), -1, kind)
     assert_edge(last, 0.008, face(0.008), 1, 'gap')
     assert line.spread == pytest.approx((0.008 - left) / 12 ** 0.5 / np.cos(0.1), rel=0.02)
@@ -122,7 +122,7 @@ def test_lost_points_inside_the_face_are_no_edge() -> None:
     points[300:340, 1] = np.nan
     points[400:403, 1] = np.inf
     points[::9] = np.nan
-    _, (edge,) = found(points)
+    _, (edge,) = line_and_edges(points)
     assert edge.point[0] == pytest.approx(-0.012, abs=3 * PITCH)
 
 
@@ -133,7 +133,7 @@ def test_outliers_and_speckle_do_not_move_an_edge() -> None:
         wrong = rng.random(COLUMNS) < 0.05
         points[wrong, 1] += rng.uniform(-5e-3, 5e-3, wrong.sum())
         points[:, 1] += np.convolve(rng.normal(size=COLUMNS + 3), np.ones(4) / 2, 'valid') * NOISE
-        edges = found(points)[1]
+        edges = line_and_edges(points)[1]
         nearest = min(abs(edge.point[0] - 0.0021) for edge in edges)
         assert len(edges) == 1 and nearest < 6 * PITCH
 
@@ -142,7 +142,8 @@ def test_outliers_and_speckle_do_not_move_an_edge() -> None:
 def test_columns_may_run_backwards_and_a_mirror_mirrors(mirror: list[int], step: int) -> None:
     for shape, kind in EDGES:
         points = marked(shape(0.003))
-        (line, (edge,)), (line_m, (edge_m,)) = found(points), found(points[::step] * mirror)
+        line, (edge,) = line_and_edges(points)
+        line_m, (edge_m,) = line_and_edges(points[::step] * mirror)
         assert np.allclose(edge.point * mirror, edge_m.point)
         assert edge.ending == edge_m.ending == kind
         assert np.allclose(edge.direction * mirror, edge_m.direction)
@@ -158,7 +159,7 @@ def test_a_face_beside_a_parallel_one_is_whole_seen_from_either_side(gap, first,
     def height(x: Array) -> Array:
         return np.where(x > gap - 0.01, face(x), np.where(x < -0.01, face(x) - 0.001, np.nan))
     for seed in range(10):
-        line, (edge,) = found(marked(height, seed)[::step] * [step, 1])
+        line, (edge,) = line_and_edges(marked(height, seed)[::step] * [step, 1])
         assert line.spread == pytest.approx((last - first) / 12 ** 0.5 / np.cos(0.1), rel=0.06)
         inner = last if last < 0 else first
         assert edge.point[0] == pytest.approx(step * inner, abs=2 * PITCH)
@@ -167,7 +168,7 @@ def test_a_face_beside_a_parallel_one_is_whole_seen_from_either_side(gap, first,
 def test_a_driver_that_leaves_lost_points_out_gives_open_ends() -> None:
     points = marked(gap_up_to(0.0))
     points = points[np.isfinite(points).all(axis=1)]
-    _, edges = found(points)
+    _, edges = line_and_edges(points)
     assert [edge.ending for edge in edges] == ['open', 'open'], 'one of them is the border'
     assert edges[0].point[0] == pytest.approx(0, abs=PITCH)
 
@@ -211,7 +212,7 @@ def test_of_two_surfaces_side_by_side_the_nearer_is_the_face(slope: float) -> No
         lower = 0.17 + slope * x
         beyond = np.where(x > -0.0065, 0.175 + 4 * (x + 0.0065), lower - 0.003)  # foot, wall, top
         return np.where(x > -0.0065, np.where(x > -0.005, lower, beyond), beyond)
-    line, _ = found(marked(height))
+    line, _ = line_and_edges(marked(height))
     assert line.centre[0] < -0.0065, 'the lower one is longer, and ends in a step too'
 
 
@@ -230,7 +231,7 @@ def test_a_face_that_is_seen_bent_is_a_parabola_up_to_its_edge(bow: float) -> No
         return np.where(x > -0.012, face(x) + bow * (x / 0.02) ** 2, face(x) + 0.01)
     off, seeds = [], 40
     for seed in range(seeds):
-        line, (edge,) = found(marked(height, seed))
+        line, (edge,) = line_and_edges(marked(height, seed))
         x, z = edge.point
         assert abs(x + 0.012) < 2 * PITCH
         assert abs(z - height(max(x, -0.01199))) < 8 * edge.std_across and not edge.drop.any()
@@ -278,9 +279,9 @@ def test_a_bent_end_is_set_back_to_its_edge(shape: str, size: float) -> None:
     ends = 1 - np.sin(np.radians([45, 60, 75])) if shape == 'rounded' else [0.0] * 3
     samples = [Sample(k, np.eye(4), (LINE, ended(shape, size, size * end, k)))
                for k, end in enumerate([*ends] * 5)]
-    found = common_shape(samples)
-    assert found.size == pytest.approx(size, rel=3 * found.relative_std)
-    assert found.is_round == (shape == 'rounded') or size < 1e-3, 'few points show no shape'
+    common = common_shape(samples)
+    assert common.size == pytest.approx(size, rel=3 * common.relative_std)
+    assert common.is_round == (shape == 'rounded') or size < 1e-3, 'few points show no shape'
     edges = [s.features[1] for s in with_common_shape(samples)]
     places = np.array([edge.point[0] for edge in edges])
     shared = np.array([edge.shape_std for edge in edges])
@@ -351,5 +352,5 @@ def test_points_of_one_depth_below_an_edge_are_no_wall() -> None:
             z[last - away] = 0.17 + share * 1.5e-3
         return z
 
-    _, (edge, *_) = found(with_lost(drawn(ledge, noise=0.0)))
+    _, (edge, *_) = line_and_edges(with_lost(drawn(ledge, noise=0.0)))
     assert edge.ending == 'gap' and np.isfinite(edge.point).all()

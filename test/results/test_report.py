@@ -59,7 +59,7 @@ def calibration(solved: Path) -> Calibration:
 
 
 @pytest.fixture(scope='module')
-def found(calibration: Calibration) -> SolvedRecording:
+def recording(calibration: Calibration) -> SolvedRecording:
     return solved_recording(calibration, BAG)
 
 
@@ -106,29 +106,29 @@ def test_the_scene_is_drawn_and_turns(page: Any) -> None:
     assert painted > 3000 and after != before
 
 
-def test_what_was_not_used_is_shown_with_its_reason(calibration, found):
+def test_what_was_not_used_is_shown_with_its_reason(calibration, recording):
     reason = 'no edge <was> seen'
     stops = tuple(replace(stop, reason=reason) if stop.number == 3 else stop
-                  for stop in found.stops)
+                  for stop in recording.stops)
     samples = tuple(replace(s, used=False, reason=reason) if i == 2 else s
                     for i, s in enumerate(calibration.samples))
-    text = report.html(replace(calibration, samples=samples), replace(found, stops=stops))
+    text = report.html(replace(calibration, samples=samples), replace(recording, stops=stops))
     assert text.count('no edge &lt;was&gt; seen') == 3  # counted, below the profile, in the list
     assert 'Stop 3:\nnot used: no edge' in text
 
 
-def test_each_stop_agrees_as_the_file_says(calibration, found):
+def test_each_stop_agrees_as_the_file_says(calibration, recording):
     stated = {s.stamp: s.residual for s in calibration.samples}
-    shown = {stop.stamp: stop.agreement for stop in found.stops if stop.agreement}
+    shown = {stop.stamp: stop.agreement for stop in recording.stops if stop.agreement}
     assert {stamp: agreement.residual for stamp, agreement in shown.items()} == pytest.approx(
         stated)
     left_out = np.array([agreement.left_out for agreement in shown.values()])
     assert (left_out > list(stated.values())).all()
 
 
-def test_a_recording_that_says_something_else_is_reported(calibration, found):
+def test_a_recording_that_says_something_else_is_reported(calibration, recording):
     T = se3.perturb(calibration.T_flange_sensor, np.array([1e-3, 0, 0, 0, 0, 0]))
-    good, sentence = verdict(replace(calibration, T_flange_sensor=T), found, np.empty((0, 3)))
+    good, sentence = verdict(replace(calibration, T_flange_sensor=T), recording, np.empty((0, 3)))
     assert not good
     assert sentence.startswith('Do not rely on this calibration: the recording gives another '
                                'answer than the one saved, 1.000 mm')
@@ -156,8 +156,8 @@ def test_the_recording_is_found_from_another_folder_and_shown_only_unchanged(
     file = next(path for path in (tmp_path / 'bag').iterdir() if path.suffix == '.mcap')
     relative = named(f'bag/{file.name}')
     monkeypatch.chdir('/')
-    found = solved_recording(relative, None, tmp_path / 'out' / 'plate')
-    assert not found.missing and len(found.stops) == len(calibration.samples)
+    recording = solved_recording(relative, None, tmp_path / 'out' / 'plate')
+    assert not recording.missing and len(recording.stops) == len(calibration.samples)
     assert 'is not there' in solved_recording(relative, None, Path('/')).missing
     (tmp_path / 'plate.mcap').write_text('another')
     changed = solved_recording(named(str(tmp_path / 'plate.mcap')), None)
@@ -168,6 +168,6 @@ def test_a_calibration_from_files_has_a_report_too(calibration: Calibration) -> 
     result = {**config.flatten(config.Config()), 'target.type': 'points',
               'calibration_type': 'eye_on_base'}
     files = replace(calibration, provenance={**calibration.provenance, 'config': result})
-    found = solved_recording(files, None)
-    assert 'solved from files' in found.missing
-    assert 'id="scene"' in report.html(files, found)
+    recording = solved_recording(files, None)
+    assert 'solved from files' in recording.missing
+    assert 'id="scene"' in report.html(files, recording)

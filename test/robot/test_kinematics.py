@@ -230,9 +230,9 @@ def test_the_truth_of_a_corrected_arm_is_of_its_flange_not_that_of_the_controlle
                   'kinematics cell --urdf cell/robot.urdf --set target.type=sphere --out arm',
                   'solve cell --set target.type=sphere --kinematics arm --out out'):
         done = succeeds(*words.split(), cwd=tmp_path)
-    said = ' '.join(done.stdout.split())
-    assert re.search('poses of the corrected arm in .*; with those of the controller it is', said)
-    match = re.search(r'truth.yaml: translation ([\d.]+) mm', said)
+    shown = ' '.join(done.stdout.split())
+    assert re.search('poses of the corrected arm in .*; with those of the controller it is', shown)
+    match = re.search(r'truth.yaml: translation ([\d.]+) mm', shown)
     assert match and float(match[1]) < 0.2, 'against the flange of the controller: 1.1 mm'
     truth = yaml.safe_load((tmp_path / 'cell/truth.yaml').read_text())
     T_true = se3.from_values(truth['T_corrected_sensor'])

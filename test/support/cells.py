@@ -70,9 +70,9 @@ def cell(scenario: str | Scenario = 'plate', seed: int = 0, **values: object) ->
 
     values: settings, __ for the dot.
     """
-    made = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
-    samples, truth = simulate_samples(made, np.random.default_rng(seed))
-    return Cell(made, samples, truth, settings_of(made, **(NO_DOUBTS | values)))
+    chosen = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
+    samples, truth = simulate_samples(chosen, np.random.default_rng(seed))
+    return Cell(chosen, samples, truth, settings_of(chosen, **(NO_DOUBTS | values)))
 
 
 def set_to(config: Config, **values: object) -> Config:
@@ -95,10 +95,10 @@ def squared_error(found: Any, truth: Any) -> float:
 
 def exact(scenario: str | Scenario = 'plate') -> Scenario:
     """Return a scenario without any noise of sensor or robot, for samples of features."""
-    made = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
-    fine = {'columns': EXACT_COLUMNS} if made.scene in EDGED else {}
-    return replace(made, sensor=replace(made.sensor, noise=1e-12, **fine),
-                   robot=replace(made.robot, repeatability=(0.0, 0.0), systematic=(0.0, 0.0)))
+    chosen = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
+    fine = {'columns': EXACT_COLUMNS} if chosen.scene in EDGED else {}
+    return replace(chosen, sensor=replace(chosen.sensor, noise=1e-12, **fine),
+                   robot=replace(chosen.robot, repeatability=(0.0, 0.0), systematic=(0.0, 0.0)))
 
 
 def exact_cell(scenario: str | Scenario = 'plate', seed: int = 0, **values: object) -> Cell:
@@ -150,12 +150,13 @@ class Recorded:
 def recorded(scenario: str | Scenario = 'plate', seed: int = 0, rate: float = 10.0,
              columns: int | None = None, **values: object) -> Recorded:
     """Return a recording with fewer profiles and poses than the scenario's, to be quick."""
-    made = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
-    sensor = replace(made.sensor, rate=rate, thinning=3, columns=columns or made.sensor.columns)
-    made = replace(made, sensor=sensor, robot=replace(made.robot, rate=50.0))
-    simulated = simulate(made, np.random.default_rng(seed))
-    return Recorded(made, simulated.profiles, simulated.poses, simulated.truth,
-                    settings_of(made, **values))
+    chosen = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
+    columns = columns or chosen.sensor.columns
+    sensor = replace(chosen.sensor, rate=rate, thinning=3, columns=columns)
+    chosen = replace(chosen, sensor=sensor, robot=replace(chosen.robot, rate=50.0))
+    simulated = simulate(chosen, np.random.default_rng(seed))
+    return Recorded(chosen, simulated.profiles, simulated.poses, simulated.truth,
+                    settings_of(chosen, **values))
 
 
 every_method = pytest.mark.parametrize('name', targets.TARGETS)

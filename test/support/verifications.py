@@ -24,13 +24,13 @@ def stated(X, name='plate', provenance=None, offset=None, target=None):
 
 def measured(name, seed=0, **values):
     rng = np.random.default_rng(seed)
-    made = bench.SCENES[name](rng, **values)
-    return made, bench.calibration(made.T_flange_sensor, bench.covariance(rng))
+    artefact = bench.SCENES[name](rng, **values)
+    return artefact, bench.calibration(artefact.T_flange_sensor, bench.covariance(rng))
 
 
-def result(name, made, found, config=None, **stated):
+def result(name, artefact, calibration, config=None, **stated):
     routine, config = ROUTINES[name], config or Config(noise=bench.NOISE)
     config = replace(config, verify=replace(config.verify, **{
-        'lengths': made.lengths, 'radius': bench.RADIUS if 'ball' in name else 0.0,
-        'reference': made.reference, 'aim': bench.AIM if name == 'point' else 0.0} | stated))
-    return verify(routine, stations_of(routine, made.bags, found, config), found)
+        'lengths': artefact.lengths, 'radius': bench.RADIUS if 'ball' in name else 0.0,
+        'reference': artefact.reference, 'aim': bench.AIM if name == 'point' else 0.0} | stated))
+    return verify(routine, stations_of(routine, artefact.bags, calibration, config), calibration)

@@ -24,10 +24,10 @@ IN_HAND = Config()
 ON_BASE = with_values(IN_HAND, {'calibration_type': 'eye_on_base'}, 'test')
 
 
-def chi_squared(found: TableAnswer, T_true: Array) -> float:
+def chi_squared(answer: TableAnswer, T_true: Array) -> float:
     """Return the squared error over the covariance, 1 on average."""
-    delta = se3.difference(found.X, T_true)
-    return float(delta @ np.linalg.solve(found.covariance, delta) / 6)
+    delta = se3.difference(answer.X, T_true)
+    return float(delta @ np.linalg.solve(answer.covariance, delta) / 6)
 
 
 def pairs(seed: int, count: int = 10, wrong: int = 0) -> tuple[Array, PointPairs]:
@@ -128,10 +128,10 @@ def tracked(measured: jing2020.Readings) -> TableAnswer:
 
 def test_the_tracker_without_noise_finds_the_truth() -> None:
     """The block may be crooked; the ball and the faces are what was swept."""
-    found = tracked(session(1, skew=4.0))
-    np.testing.assert_allclose(se3.difference(found.X, T_flange_sensor), 0, atol=1e-9)
-    assert found.target['face_angle'] == pytest.approx(np.deg2rad(94.0))
-    assert found.target['radius'] == pytest.approx(0.01905)
+    answer = tracked(session(1, skew=4.0))
+    np.testing.assert_allclose(se3.difference(answer.X, T_flange_sensor), 0, atol=1e-9)
+    assert answer.target['face_angle'] == pytest.approx(np.deg2rad(94.0))
+    assert answer.target['radius'] == pytest.approx(0.01905)
 
 
 def test_the_tracker_is_as_sure_as_it_says() -> None:

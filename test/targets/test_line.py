@@ -19,12 +19,12 @@ LINE = SCENARIOS['line']
 
 
 def test_points_alone_need_no_face_lines() -> None:
-    made = cell(LINE, 1)
+    simulated = cell(LINE, 1)
     bare = [replace(s, features=tuple(f for f in s.features if isinstance(f, EdgePoint)))
-            for s in made.samples]
-    np.testing.assert_allclose(made.solve(bare).T_flange_sensor, made.solve().T_flange_sensor,
-                               atol=1e-9)
-    assert any(isinstance(f, FaceLine) for s in made.samples for f in s.features)
+            for s in simulated.samples]
+    np.testing.assert_allclose(simulated.solve(bare).T_flange_sensor,
+                               simulated.solve().T_flange_sensor, atol=1e-9)
+    assert any(isinstance(f, FaceLine) for s in simulated.samples for f in s.features)
 
 
 @pytest.mark.thorough
@@ -70,16 +70,17 @@ def test_an_edge_between_two_faces_of_which_either_is_taken_with_its_other_end()
 @pytest.mark.parametrize('seed', [1, 2])
 def test_the_edge_of_a_block_keeps_to_one_face(seed: int) -> None:
     """Of the two faces of the edge now the one, now the other is seen better."""
-    made = recorded(SCENARIOS['wedge'], seed)
-    config = with_values(made.config, {'target.type': 'line', 'target.use_face': True}, 'test')
-    session = pipeline.gather(made.profiles, made.poses, config)
+    simulated = recorded(SCENARIOS['wedge'], seed)
+    config = with_values(simulated.config,
+                         {'target.type': 'line', 'target.use_face': True}, 'test')
+    session = pipeline.gather(simulated.profiles, simulated.poses, config)
     slopes = [f.direction[1] for s in session.samples for f in s.features
               if isinstance(f, FaceLine)]
     assert min(slopes) < 0 < max(slopes)  # both are among them
     answer = pipeline.answer_session(session, config).require_calibration()
     assert answer.quality.samples_used >= 13
-    assert squared_error(answer, made.truth) < ONE_IN_1000
-    points = made.calibrate(target__type='line', target__use_face=False)
+    assert squared_error(answer, simulated.truth) < ONE_IN_1000
+    points = simulated.calibrate(target__type='line', target__use_face=False)
     assert np.trace(answer.covariance[:3, :3]) < np.trace(points.covariance[:3, :3])
 
 
@@ -108,8 +109,8 @@ def corner_samples(seed, only_open, count=24):
 @pytest.mark.parametrize('only_open', [1, pytest.param(5, marks=pytest.mark.thorough)])
 def test_a_corner_is_not_taken_for_the_reach_of_the_sensor(only_open: int) -> None:
     for seed in range(5):
-        made = corner_samples(seed, only_open)
-        assert made.error(made.solve().T_flange_sensor) < 5e-4
+        simulated = corner_samples(seed, only_open)
+        assert simulated.error(simulated.solve().T_flange_sensor) < 5e-4
 
 
 def test_solved_as_a_plate_it_says_that_no_sample_shows_the_other_edge() -> None:

@@ -35,16 +35,16 @@ class Calibrated(NamedTuple):
 @pytest.fixture(scope='module')
 def calibrated():
     """Return what was calibrated, for each kind of target."""
-    found = {}
+    by_kind = {}
     for kind in bench.TARGETS:
         rng = np.random.default_rng(7)
         scenario, config, X, T = bench.cell(kind, rng)
         solved = pipeline.solve(bench.samples(scenario, 18, X, T, rng), [], config, 'laser')
-        found[kind] = Calibrated(scenario, config, solved, X, T)
-    return found
+        by_kind[kind] = Calibrated(scenario, config, solved, X, T)
+    return by_kind
 
 
-def said(calibrated, kind, change, seed):
+def checked_after(calibrated, kind, change, seed):
     return bench.one_check(change, *calibrated[kind], np.random.default_rng(seed))
 
 
@@ -58,11 +58,11 @@ def checked(calibrated, kind, count=8, moved=(0.0, 0.0, 0.0), **scenario):
 
 @pytest.mark.parametrize('change', bench.TRUTH)
 def test_what_changed_is_named_and_nothing_else(calibrated, change):
-    found = [(kind, said(calibrated, kind, change, seed).verdict)
-             for kind in bench.TARGETS for seed in range(3)]
-    right = [bench.TRUTH[change] in verdict.split(' or ') for _, verdict in found]
+    verdicts = [(kind, checked_after(calibrated, kind, change, seed).verdict)
+                for kind in bench.TARGETS for seed in range(3)]
+    right = [bench.TRUTH[change] in verdict.split(' or ') for _, verdict in verdicts]
     least = {'unchanged': 1.0, 'joint 0.05': 0.8}.get(change, 0.95)  # as the bench measures
-    assert sum(right) >= least * len(found), found
+    assert sum(right) >= least * len(verdicts), verdicts
 
 
 def test_a_stop_that_is_left_out_has_its_number_among_all_stops(calibrated):
@@ -74,18 +74,19 @@ def test_a_stop_that_is_left_out_has_its_number_among_all_stops(calibrated):
     others = [Reject(sample.stamp, 'no edge') for sample in samples[:2]]
     assert check(samples[2:], solved, config, others).left_out == [9]
     passes = [sample.stamp for sample in samples[::4]]  # of a sweep, with four profiles in each
-    found = check(samples[2:], solved, config, others, passes)
-    assert found.left_out == [3] and found.sentence.endswith('profiles of the passes [3]')
+    result = check(samples[2:], solved, config, others, passes)
+    assert result.left_out == [3] and result.sentence.endswith('profiles of the passes [3]')
 
 
 def test_a_change_is_measured(calibrated):
-    found = said(calibrated, 'sphere', 'target', 0)
-    assert found.target_moved == pytest.approx(3e-4, rel=0.2)
-    assert 'the target, or the base of the robot, moved by up to 0.3' in found.sentence
-    found = said(calibrated, 'plate', 'sensor', 0)
-    assert found.sensor_moved == pytest.approx(3e-4, rel=0.3)
-    assert found.points_off > 2 * found.points_off_std
-    far = said(calibrated, 'plate', 'joint 0.2', 0)  # 0.7 mm at the flange, and no extrapolation
+    result = checked_after(calibrated, 'sphere', 'target', 0)
+    assert result.target_moved == pytest.approx(3e-4, rel=0.2)
+    assert 'the target, or the base of the robot, moved by up to 0.3' in result.sentence
+    result = checked_after(calibrated, 'plate', 'sensor', 0)
+    assert result.sensor_moved == pytest.approx(3e-4, rel=0.3)
+    assert result.points_off > 2 * result.points_off_std
+    # 0.7 mm at the flange, and no extrapolation
+    far = checked_after(calibrated, 'plate', 'joint 0.2', 0)
     assert far.points_off < 2e-3
 
 
@@ -112,7 +113,7 @@ def test_where_the_target_may_have_moved_unseen_is_said(calibrated):
 
 
 def test_the_edges_of_a_plate_show_a_move_in_each_direction(calibrated):
-    assert max(said(calibrated, 'plate', 'unchanged', 1).target_shows) < 5e-4
+    assert max(checked_after(calibrated, 'plate', 'unchanged', 1).target_shows) < 5e-4
 
 
 def test_target_and_sensor_that_stops_of_one_orientation_cannot_tell_apart_are_both_named(
@@ -134,9 +135,9 @@ def test_a_stop_that_contradicts_the_others_is_left_out(calibrated):
     seen = bench.samples(scenario, 8, X, T, np.random.default_rng(3))
     off = se3.perturb(seen[2].T_base_flange, np.array([0, 0, 1e-3, 0, 0, 0]))
     seen[2] = replace(seen[2], T_base_flange=off)
-    found = check(seen, solved, config)
-    assert (found.verdict, found.left_out, found.stations) == ('unchanged', [3], 7)
-    assert found.sentence.endswith('stops [3]')
+    result = check(seen, solved, config)
+    assert (result.verdict, result.left_out, result.stations) == ('unchanged', [3], 7)
+    assert result.sentence.endswith('stops [3]')
 
 
 def test_faces_seen_at_grazing_incidence_are_no_change(calibrated):
@@ -146,8 +147,8 @@ def test_faces_seen_at_grazing_incidence_are_no_change(calibrated):
         samples = pipeline.gather(made.profiles, made.poses, config).samples
         solved = pipeline.solve(samples[:18], [], config, 'laser')
         for some in (samples[:18], samples[18:]):  # its own stops, and others
-            found = check(some, solved, config)
-            assert (found.verdict, found.left_out) == ('unchanged', []), found.sentence
+            result = check(some, solved, config)
+            assert (result.verdict, result.left_out) == ('unchanged', []), result.sentence
 
 
 def with_state(calibration, state):

@@ -31,16 +31,17 @@ def of_lengths(*lengths):
     return Config(noise=bench.NOISE, verify=VerifyConfig(lengths=lengths))
 
 
-def with_features(made, change):
+def with_features(artefact, change):
     """Return an artefact of which other features are seen."""
-    return replace(made, bags=(tuple(replace(s, features=change(s)) for s in made.bags[0]),))
+    changed = tuple(replace(s, features=change(s)) for s in artefact.bags[0])
+    return replace(artefact, bags=(changed,))
 
 
-def with_poses(made, moves):
+def with_poses(artefact, moves):
     """Return an artefact with other poses; moves: twists by the numbers of the stops."""
     bag = tuple(replace(s, T_base_flange=se3.perturb(s.T_base_flange, np.array(moves[k])))
-                if k in moves else s for k, s in enumerate(made.bags[0]))
-    return replace(made, bags=(bag,))
+                if k in moves else s for k, s in enumerate(artefact.bags[0]))
+    return replace(artefact, bags=(bag,))
 
 
 @pytest.mark.thorough
@@ -64,25 +65,25 @@ def test_of_a_block_on_a_surface_plate_the_nearest_surface_is_taken():
                            target=PlateTarget(size, table=table, clutter=None))
         place = T @ se3.transform(np.eye(3), np.array([0, 0, z]))
         passes.append(bench.take(scenario, X, place, SCENES['plane'].stops(scenario, rng), rng))
-    made = bench.Artefact((), X, (0.025,), passes=tuple(passes))
-    found = bench.calibration(X, bench.covariance(rng))
+    artefact = bench.Artefact((), X, (0.025,), passes=tuple(passes))
+    calibration = bench.calibration(X, bench.covariance(rng))
     off = se3.perturb(X, np.array([1e-3, 0, 0, 0, 9e-3, 0]))
-    right, wrong = bench.runs(ROUTINES['step'], made, (
-        found, replace(found, T_flange_sensor=off)), 0.0)
+    right, wrong = bench.runs(ROUTINES['step'], artefact, (
+        calibration, replace(calibration, T_flange_sensor=off)), 0.0)
     assert right.verdict == 'pass' and abs(right.quantities[0].error) < 5e-5
     assert right.surface.startswith('recording 2: of 2 surfaces in sight it is the nearest')
     assert wrong.verdict == 'fail'
 
 
 def test_of_stops_that_share_no_surface_all_pieces_take_part():
-    made, found = measured('plane', count=5)
-    first, *others = made.bags[0]
+    artefact, calibration = measured('plane', count=5)
+    first, *others = artefact.bags[0]
     face = first.features[0]
     nearer = replace(face, centre=face.centre - [0, 0.02], points=face.points - [0, 0.02])
-    two = replace(made, bags=((replace(first, features=(face, nearer)), *others),))
+    two = replace(artefact, bags=((replace(first, features=(face, nearer)), *others),))
     moves = {3: [2e-2, 0, 1e-2, 0.05, 0, 0], 4: [0, -3e-2, 5e-2, 0, 0.05, 0]}
     try:  # so far from a plane, rounding decides which of the two is said
-        verdict = result('plane', with_poses(two, moves), found).verdict
+        verdict = result('plane', with_poses(two, moves), calibration).verdict
     except DataError as refusal:
         assert 'this is not what "plane" measures' in str(refusal)
     else:
@@ -90,16 +91,16 @@ def test_of_stops_that_share_no_surface_all_pieces_take_part():
 
 
 def test_a_region_without_the_artefact_is_named():
-    made, found = measured('sphere')
+    artefact, calibration = measured('sphere')
     config = with_values(Config(noise=bench.NOISE), {'verify.near': [9.0, 9.0, 9.0, 0.1]}, 'test')
     with pytest.raises(DataError, match='verify.near leaves nothing of the '):
-        result('sphere', made, found, config=config)
+        result('sphere', artefact, calibration, config=config)
 
 
 def test_what_does_not_belong_to_the_artefact_takes_no_part():
-    made, found = measured('sphere')
-    arcs = [(s, f) for s in made.bags[0] for f in s.features if isinstance(f, Arc)]
-    centre = np.mean([se3.apply(s.T_base_flange @ made.T_flange_sensor, np.insert(
+    artefact, calibration = measured('sphere')
+    arcs = [(s, f) for s in artefact.bags[0] for f in s.features if isinstance(f, Arc)]
+    centre = np.mean([se3.apply(s.T_base_flange @ artefact.T_flange_sensor, np.insert(
         arc.centre, 1, 0.0)[None])[0] for s, arc in arcs], axis=0)
     config = with_values(Config(noise=bench.NOISE), {
         'verify.near': [*map(float, centre), 0.03]}, 'test')
@@ -108,17 +109,17 @@ def test_what_does_not_belong_to_the_artefact_takes_no_part():
         arc = next(f for f in sample.features if isinstance(f, Arc))
         return replace(arc, points=arc.points + [0.05, 0], centre=arc.centre + [0.05, 0]), arc
 
-    assert result('sphere', with_features(made, with_another_ball), found, config=config
-                  ).fit.scatter == result('sphere', made, found).fit.scatter
-    made, found = measured('line')
+    assert result('sphere', with_features(artefact, with_another_ball), calibration, config=config
+                  ).fit.scatter == result('sphere', artefact, calibration).fit.scatter
+    artefact, calibration = measured('line')
 
     def with_another_edge(sample):
         face, edge = sample.features[:2]
         shift = np.random.default_rng(sample.stamp).uniform(0.004, 0.01, 2)
         return replace(edge, point=edge.point + shift), face, edge
 
-    assert result('line', with_features(made, with_another_edge), found
-                  ).fit.scatter == result('line', made, found).fit.scatter
+    assert result('line', with_features(artefact, with_another_edge), calibration
+                  ).fit.scatter == result('line', artefact, calibration).fit.scatter
 
 
 @pytest.mark.parametrize(('name', 'change', 'number', 'error'), [
@@ -126,18 +127,18 @@ def test_what_does_not_belong_to_the_artefact_takes_no_part():
     ('ball_bar', {'lengths': (0.1995,)}, 2, 5e-4),
     ('point', {'reference': (0.0, 0.0, 5e-4)}, 2, -5e-4)])
 def test_errors_of_the_artefact_are_measured(name, change, number, error):
-    made, found = measured(name)
+    artefact, calibration = measured(name)
     if name == 'point':
-        change = {'reference': tuple(np.add(made.reference, change['reference']))}
-    report = result(name, replace(made, **change), found)
+        change = {'reference': tuple(np.add(artefact.reference, change['reference']))}
+    report = result(name, replace(artefact, **change), calibration)
     assert report.verdict == 'fail'
     assert report.quantities[number].error == pytest.approx(error, abs=1e-4)
     assert report.quantities[number].name in report.reasons[0]
 
 
 def test_a_ball_of_another_size_is_measured_and_the_calibration_is_not_blamed():
-    made, found = measured('ball_bar')
-    report = result('ball_bar', made, found, radius=bench.RADIUS + 4e-4)
+    artefact, calibration = measured('ball_bar')
+    report = result('ball_bar', artefact, calibration, radius=bench.RADIUS + 4e-4)
     assert report.verdict == 'fail'
     assert report.quantities[0].value == pytest.approx(bench.RADIUS, abs=5e-5)
     assert 'check the nominal values' in ' '.join(report.reasons)
@@ -162,32 +163,33 @@ def test_a_protocol_says_what_an_inspector_asks_for():
 
 
 def test_what_could_not_have_shown_is_no_pass():
-    made, found = measured('plane')
-    first = made.bags[0][0]  # all with one orientation: a shift of the sensor shows nowhere
-    alike = replace(made, bags=(tuple(replace(first, stamp=k) for k in range(8)),))
-    along = found.T_flange_sensor[:3, 1]
+    artefact, calibration = measured('plane')
+    first = artefact.bags[0][0]  # all with one orientation: a shift of the sensor shows nowhere
+    alike = replace(artefact, bags=(tuple(replace(first, stamp=k) for k in range(8)),))
+    along = calibration.T_flange_sensor[:3, 1]
     spread = with_poses(alike, {k: [*2.5e-3 * k * along, 0, 0, 0] for k in range(8)})
-    assert result('plane', spread, found, tolerance=1e-2).verdict in ('insensitive', 'fail')
+    assert result('plane', spread, calibration, tolerance=1e-2).verdict in ('insensitive', 'fail')
     report = result('plane', *measured('plane', count=5))
     assert report.verdict == 'insensitive' and 'would show only from' in report.reasons[0]
-    made, found = measured('step', count=12)
-    shown = result('step', made, found).fit.error.detectable
-    assert result('step', made, found, tolerance=2.0 * shown).verdict == 'pass'
-    coarse = result('step', made, found, tolerance=0.8 * shown)
+    artefact, calibration = measured('step', count=12)
+    shown = result('step', artefact, calibration).fit.error.detectable
+    assert result('step', artefact, calibration, tolerance=2.0 * shown).verdict == 'pass'
+    coarse = result('step', artefact, calibration, tolerance=0.8 * shown)
     more = math.ceil(sum(stop.used for stop in coarse.per_station) / 0.8 ** 2)
     assert coarse.verdict == 'insensitive'
     assert f'measure at about {more} stops like these' in coarse.reasons[0]
-    made, found = measured('ball_bar')  # a tolerance below the uncertainty is no pass
-    assert result('ball_bar', made, found, tolerance=1e-5).verdict != 'pass'
+    artefact, calibration = measured('ball_bar')  # a tolerance below the uncertainty is no pass
+    assert result('ball_bar', artefact, calibration, tolerance=1e-5).verdict != 'pass'
 
 
 def test_the_calibration_s_claim_takes_no_part_in_the_decision():
-    made, found = measured('point')
-    judged = result('point', made, replace(found, covariance=1e4 * found.covariance))  # 3 mm
+    artefact, calibration = measured('point')
+    claiming_3_mm = replace(calibration, covariance=1e4 * calibration.covariance)
+    judged = result('point', artefact, claiming_3_mm)
     assert judged.verdict == 'pass' and judged.fit.claim_p > 0.5
     assert judged.quantities[0].claimed > 1e-3 > 1e-4 > judged.quantities[0].expanded
-    bold = replace(found, covariance=1e-6 * found.covariance)
-    off = replace(made, reference=tuple(np.add(made.reference, [0, 0, 1e-4])))
+    bold = replace(calibration, covariance=1e-6 * calibration.covariance)
+    off = replace(artefact, reference=tuple(np.add(artefact.reference, [0, 0, 1e-4])))
     judged = result('point', off, bold)
     assert judged.verdict == 'pass' and 'larger than the calibration claims' in judged.reasons[0]
     # the certificate's uncertainty is part of the measurement's
@@ -195,30 +197,30 @@ def test_the_calibration_s_claim_takes_no_part_in_the_decision():
 
 
 def test_stops_that_contradict_the_others_are_left_out_and_named_unless_they_are_many():
-    made, found = measured('line')
-    judged = result('line', with_poses(made, {4: [2e-3, 2e-3, 2e-3, 0, 0, 0]}), found)
-    assert judged.verdict == 'pass' and judged.stations == len(made.bags[0]) - 1
+    artefact, calibration = measured('line')
+    judged = result('line', with_poses(artefact, {4: [2e-3, 2e-3, 2e-3, 0, 0, 0]}), calibration)
+    assert judged.verdict == 'pass' and judged.stations == len(artefact.bags[0]) - 1
     assert [s.name for s in judged.per_station if not s.used] == ['stop 5 of recording 1']
     assert judged.reasons[0].startswith('stop 5 of recording 1 is left out')
-    half = with_poses(made, {k: [*[6e-5 * (k - 6)] * 3, 0, 0, 0] for k in range(0, 14, 2)}
+    half = with_poses(artefact, {k: [*[6e-5 * (k - 6)] * 3, 0, 0, 0] for k in range(0, 14, 2)}
                       | {5: [2e-3, 2e-3, 2e-3, 0, 0, 0]})  # no outliers, but a disagreement
     with pytest.raises(DataError, match='not what "line" measures'):
-        result('line', half, found)
+        result('line', half, calibration)
 
 
 def test_of_an_artefact_on_the_flange_the_truth_lies_in_the_stated_region():
     inside, away = 0, se3.transform(np.eye(3), np.array([1.0, 0.3, -0.5]))  # of the robot's base
     for seed in range(20):
-        made, found = measured('ball_bar', seed, robot=replace(
+        artefact, calibration = measured('ball_bar', seed, robot=replace(
             bench.ROBOT, repeatability=(0.0, 0.0)))
         rng, bags = np.random.default_rng(seed), []
-        for bag in made.bags:
+        for bag in artefact.bags:
             T = np.array([se3.inverse(s.T_base_flange @ se3.inverse(away)) for s in bag])
             T = se3.perturb(T, pose_error(bench.ROBOT, T, rng))
             bags.append([replace(s, T_base_flange=one) for s, one in zip(bag, T, strict=True)])
         inside += bench.within(result(
-            'ball_bar', replace(made, bags=bags), replace(
-                found, T_flange_sensor=away @ found.T_flange_sensor),
+            'ball_bar', replace(artefact, bags=bags), replace(
+                calibration, T_flange_sensor=away @ calibration.T_flange_sensor),
             Config(noise=bench.NOISE, calibration_type='eye_on_base')))
     assert inside >= 17  # fewer of a true 95 % region: p = 0.003
 
@@ -226,7 +228,7 @@ def test_of_an_artefact_on_the_flange_the_truth_lies_in_the_stated_region():
 def test_the_smooth_error_of_a_robot_is_part_of_the_uncertainty_and_blames_no_calibration():
     size, verdicts, inside = 1.5e-4, {0.0: [], 1.5e-4: []}, {0.0: [], 1.5e-4: []}
     for seed in range(8):
-        made, found = measured('point', seed)
+        artefact, calibration = measured('point', seed)
         rng = np.random.default_rng(seed)
         wave, phase = rng.normal(0, 2.5, (8, 6, 6)), rng.uniform(0, 2 * np.pi, (8, 6))
 
@@ -235,12 +237,12 @@ def test_the_smooth_error_of_a_robot_is_part_of_the_uncertainty_and_blames_no_ca
             error = np.sin(wave @ at + phase).sum(axis=0) / 2
             return se3.perturb(T, size * error / np.repeat([1.0, 0.3], 3))
 
-        made = replace(made, bags=tuple(
+        artefact = replace(artefact, bags=tuple(
             tuple(replace(s, T_base_flange=smooth(s.T_base_flange)) for s in bag)
-            for bag in made.bags))
+            for bag in artefact.bags))
         for stated in verdicts:
             try:
-                report = result('point', made, replace(found, target={
+                report = result('point', artefact, replace(calibration, target={
                     'robot_position_error': stated}))
             except DataError:  # not what "point" measures
                 verdicts[stated].append('refused')
@@ -256,30 +258,30 @@ def test_the_smooth_error_of_a_robot_is_part_of_the_uncertainty_and_blames_no_ca
 
 
 def test_an_angle_of_more_than_90_degrees_is_told_from_one_of_less():
-    made, found = measured('square')
+    artefact, calibration = measured('square')
     flat = [np.concatenate([se3.apply(
-        s.T_base_flange @ made.T_flange_sensor, np.insert(f.centre, 1, 0.0)[None])
-        for s in bag for f in s.features if isinstance(f, FaceLine)]) for bag in made.bags]
+        s.T_base_flange @ artefact.T_flange_sensor, np.insert(f.centre, 1, 0.0)[None])
+        for s in bag for f in s.features if isinstance(f, FaceLine)]) for bag in artefact.bags]
     normals = [np.linalg.svd(p - p.mean(axis=0), full_matrices=False)[2][2] for p in flat]
     turn = se3.exp_rotation(4e-3 * np.cross(*normals))
     errors = []
     for T in (se3.transform(turn, np.zeros(3)), se3.transform(turn.T, np.zeros(3))):
-        turned = tuple(replace(s, T_base_flange=T @ s.T_base_flange) for s in made.bags[0])
-        errors.append(result('square', replace(made, bags=(turned, made.bags[1])), found
-                             ).quantities[0].error)
+        turned = tuple(replace(s, T_base_flange=T @ s.T_base_flange) for s in artefact.bags[0])
+        turned_artefact = replace(artefact, bags=(turned, artefact.bags[1]))
+        errors.append(result('square', turned_artefact, calibration).quantities[0].error)
     assert sorted(errors) == pytest.approx([-4e-3, 4e-3], abs=3e-4)
 
 
 def test_what_cannot_be_verified_is_refused():
-    made, found = measured('sphere')
-    flat = with_features(made, lambda s: [FaceLine(
+    sphere, of_sphere = measured('sphere')
+    flat = with_features(sphere, lambda s: [FaceLine(
         f.points.mean(axis=0), np.array([1.0, 0.0]), 4e-3, 1e-5) for f in s.features
         if isinstance(f, Arc)])
     bar, of_bar = measured('ball_bar')
     plane, of_plane = measured('plane')
     bad = replace(of_plane, covariance=-of_plane.covariance)
     for name, given, calibration, error, words in (
-            ('plane', flat, found, DataError, 'not what "plane" measures'),
+            ('plane', flat, of_sphere, DataError, 'not what "plane" measures'),
             ('ball_bar', replace(bar, bags=(bar.bags[0],) * 2), of_bar, InputError,
              'the same stops'),
             ('plane', plane, bad, InputError, 'negative variance'),
@@ -295,9 +297,9 @@ def test_what_cannot_be_verified_is_refused():
             settings_for(routine_of(name), of_lengths(*lengths), bags)
 
 
-def teeth(made, found, lengths=()):
-    config = of_lengths(*(lengths or made.lengths))
-    return verify(ROUTINES['tooth'], bench.scanned(made, config), found)
+def teeth(artefact, calibration, lengths=()):
+    config = of_lengths(*(lengths or artefact.lengths))
+    return verify(ROUTINES['tooth'], bench.scanned(artefact, config), calibration)
 
 
 @pytest.mark.parametrize('lengths', [(0.004, 0.02), (0.0155, 0.005), (0.015, 0.0055)])
@@ -309,14 +311,14 @@ def test_teeth_of_another_gauge_never_pass(lengths):
 
 
 def test_passes_that_contradict_the_others_are_told():
-    made, found = measured('tooth', 1)
-    config = of_lengths(*made.lengths)
-    seen = bench.scanned(made, config)
+    artefact, calibration = measured('tooth', 1)
+    config = of_lengths(*artefact.lengths)
+    seen = bench.scanned(artefact, config)
     move = np.where(seen.recording_of_pose == 1, 6e-4, 0.0)[:, None] * [1, 1, 1, 0, 0, 0]
     off = replace(seen, problem=replace(
         seen.problem, poses=se3.perturb(seen.problem.poses, move)))
     for given, told in (seen, False), (off, True):
-        judged = verify(ROUTINES['tooth'], given, found)
+        judged = verify(ROUTINES['tooth'], given, calibration)
         assert told == (judged.verdict != 'pass')
         assert told == any(reason.startswith('stop 1 of recording 2 contradict the others')
                            for reason in judged.reasons)
@@ -324,25 +326,25 @@ def test_passes_that_contradict_the_others_are_told():
 
 @pytest.mark.parametrize('seed', (1, 2, 3))
 def test_an_artefact_that_moved_halfway_does_not_pass(seed):
-    made, found = measured('line', seed)
-    moved = with_poses(made, {k: [3e-4, 3e-4, 3e-4, 0, 0, 0] for k in range(7, 14)})
-    report = result('line', moved, found)
+    artefact, calibration = measured('line', seed)
+    moved = with_poses(artefact, {k: [3e-4, 3e-4, 3e-4, 0, 0, 0] for k in range(7, 14)})
+    report = result('line', moved, calibration)
     assert report.verdict != 'pass' and 'contradict the others' in ' '.join(report.reasons)
 
 
 def test_of_points_without_noise_none_is_an_outlier():
-    made = bench.tooth(np.random.default_rng(0), replace(bench.PLAIN, noise=0.0),
-                       replace(bench.ROBOT, repeatability=(0.0, 0.0)))
-    report = teeth(made, bench.calibration(made.T_flange_sensor, np.diag(bench.STD ** 2)))
+    artefact = bench.tooth(np.random.default_rng(0), replace(bench.PLAIN, noise=0.0),
+                           replace(bench.ROBOT, repeatability=(0.0, 0.0)))
+    report = teeth(artefact, bench.calibration(artefact.T_flange_sensor, np.diag(bench.STD ** 2)))
     assert report.verdict == 'pass' and max(abs(q.error) for q in report.quantities) < 1e-6
-    assert report.fit.scatter.points > 0.5 * len(made.passes) * 960
+    assert report.fit.scatter.points > 0.5 * len(artefact.passes) * 960
 
 
 @pytest.mark.parametrize('name', ('plane', 'square'))
 def test_steep_faces_disagree_no_more_than_their_doubtful_range(name):
     seen = []
     for seed in (1, 2, 3):  # the simulated sensor errs in range where light grazes
-        made, found = measured(name, seed, take=bench.take, tilt=np.radians(66.0))
-        bags = bench.stops_of(ROUTINES[name], made, Config(noise=bench.NOISE))
-        seen.append(result(name, replace(made, bags=tuple(bags)), found))
+        artefact, calibration = measured(name, seed, take=bench.take, tilt=np.radians(66.0))
+        bags = bench.stops_of(ROUTINES[name], artefact, Config(noise=bench.NOISE))
+        seen.append(result(name, replace(artefact, bags=tuple(bags)), calibration))
     assert all(one.fit.scatter.p > 1e-3 and one.verdict == 'pass' for one in seen)

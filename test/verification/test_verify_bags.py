@@ -29,7 +29,7 @@ WRONG = np.array([6e-4, -6e-4, 6e-4, 5e-3, 5e-3, 5e-3])  # 1 mm and 0.5 degrees
 QUICK = 'point', 'sphere', 'ball_bar'
 
 
-def said(*words, exit_code=0):
+def output_of(*words, exit_code=0):
     run = CliRunner().invoke(command(), list(map(str, words)))
     assert run.exit_code == exit_code, (run.output, run.exception)
     return run.output
@@ -66,9 +66,9 @@ def test_a_routine_on_bags_passes_the_right_calibration_and_fails_a_wrong_one(tm
     for T, exit_code in ((X, 0), (se3.perturb(X, WRONG), 1)):
         write_calibration(stated(T, provenance={'config': flatten(Config(noise=bench.NOISE))}),
                           tmp_path / 'calibration.yaml')
-        text = said('verify', name, *bags, '--calibration', tmp_path, '--out',  # or its file
-                    tmp_path / 'told.yaml', *options(name, made),
-                    exit_code=exit_code)
+        text = output_of('verify', name, *bags, '--calibration', tmp_path, '--out',  # or its file
+                         tmp_path / 'told.yaml', *options(name, made),
+                         exit_code=exit_code)
         results.append(yaml.safe_load((tmp_path / 'told.yaml').read_text()))
         assert text.startswith(f'{name}: {results[-1]["verdict"].upper()}')
     right, wrong = results
@@ -81,7 +81,7 @@ def test_a_routine_on_bags_passes_the_right_calibration_and_fails_a_wrong_one(tm
 
 def reported(folder, result):
     """Expect the result as a protocol."""
-    said('report', folder / 'told.yaml')
+    output_of('report', folder / 'told.yaml')
     page = (folder / 'told.html').read_text()
     assert f'sphere: FAIL, {result["stations"]} stations' in page and 'ISO 14253-1' in page
     assert all(reason in page for reason in result['reasons'])
@@ -115,16 +115,17 @@ def sweep(target, calibrated, knot, delay, **values):
     config = settings_for(routine, with_values(Config(), settings(scenario) | {
         'sampling.mode': 'moving', 'time_offset': calibrated,
         'verify.radius': float(getattr(scenario.target, 'radius', 0.0))}, 'a test'), 1)
-    found = stated(recording.truth.T_flange_sensor, target, {'config': flatten(config)},
-                   ClockEstimate(calibrated, 2e-5))
+    calibration = stated(recording.truth.T_flange_sensor, target, {'config': flatten(config)},
+                         ClockEstimate(calibrated, 2e-5))
     stamped = [replace(p, stamp=p.stamp + round(calibrated * 1e9)) for p in recording.profiles]
-    return pipeline.gather(stamped, recording.poses, config).samples, found, config
+    return pipeline.gather(stamped, recording.poses, config).samples, calibration, config
 
 
 def swept(target, *given, **values):
     """Return the verification of such a sweep."""
-    samples, found, config = sweep(target, *given, **values)
-    return verify(ROUTINES[target], stations_of(ROUTINES[target], [samples], found, config), found)
+    samples, calibration, config = sweep(target, *given, **values)
+    stations = stations_of(ROUTINES[target], [samples], calibration, config)
+    return verify(ROUTINES[target], stations, calibration)
 
 
 @pytest.mark.parametrize('target', ['sphere', 'line'])
@@ -140,7 +141,7 @@ def test_profiles_of_a_sweep_that_show_another_edge_do_not_refuse_it():
 
 
 def test_each_face_of_a_step_is_swept_by_itself():
-    samples, found, config = sweep('plane', 0.02, 0.9, -0.02)
-    seen = stations_of(ROUTINES['step'], [samples, samples], found, replace(
+    samples, calibration, config = sweep('plane', 0.02, 0.9, -0.02)
+    seen = stations_of(ROUTINES['step'], [samples, samples], calibration, replace(
         config, verify=replace(config.verify, lengths=(0.02,))))
     assert seen.counts[0] == seen.counts[1] > 10
