@@ -39,9 +39,8 @@ MOST_POINTS = 200_000  # measured points of which residuals are computed
 MOST_FOLDS = 20  # of the cross-validation
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
              'crosses the edge at too small an angle')
-CONTRADICTION_SIGMAS, NOTED_SIGMAS = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
+SURE_SIGMAS, NOTED_SIGMAS = 4.0, 3.0  # of a bend or a drift, and of a measure, to note them
 SMALLEST_BEND = 3e-5  # m, told
-PARTED_P = 0.01  # largest probability that random stations are the first, or the last, ones
 LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
 
 
@@ -245,12 +244,12 @@ def reported_parameters(solution: Solution) -> dict[str, Any]:
     for_report, report = solution.for_report, dict[str, Any]()
     estimates = block_estimates(for_report)
     for block in sorted(for_report.blocks, key=lambda block: block.count > 1):
-        if block.report and block.count == 1:
+        if block.reported_as and block.count == 1:
             estimate = estimates[block.name]
-            report |= {block.report: block.origin + estimate.value,
-                       f'{block.report}_std': estimate.std}
-        elif block.report:
-            report[block.report] = math.hypot(report.get(block.report, 0.0),
+            report |= {block.reported_as: block.origin + estimate.value,
+                       f'{block.reported_as}_std': estimate.std}
+        elif block.reported_as:
+            report[block.reported_as] = math.hypot(report.get(block.reported_as, 0.0),
                                               block.std * for_report.prior_scale(block))
     return report
 
@@ -269,7 +268,7 @@ def notes_of(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the remarks on an answer in words: clocks, laser, target, edges, surfaces."""
     yield from offset_notes(solution)
     bend = block_estimates(solution.for_report).get(LINE_BEND)
-    if bend and abs(bend.significance) > CONTRADICTION_SIGMAS and abs(bend.value) > SMALLEST_BEND:
+    if bend and abs(bend.significance) > SURE_SIGMAS and abs(bend.value) > SMALLEST_BEND:
         yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
                f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '
                'the transform is that of the plane which fits it best')
@@ -301,7 +300,7 @@ def offset_notes(solution: Solution) -> Iterator[str]:
     elif offset.std > 5e-4:  # s
         yield (f'sweep faster once: the time offset is known to {offset.std * 1e3:.1f} ms '
                f'only, that is {offset.std * 100:.2f} mm at 100 mm/s')
-    if drift and abs(drift.value) > max(CONTRADICTION_SIGMAS * drift.std, LARGE_DRIFT):
+    if drift and abs(drift.value) > max(SURE_SIGMAS * drift.std, LARGE_DRIFT):
         yield (f'the clocks of profiles and poses drift apart by {drift.value * 60e3:.1f} ms a '
                'minute, which was allowed for; the time offset is that of the middle of this '
                'recording: synchronise the clocks')
@@ -312,7 +311,7 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     target = solution.problem.target
     measures, stated_to_solver = map(target.stated_values, (config, solution.problem.config))
     estimates, reported = block_estimates(solution), block_estimates(solution.for_report)
-    names = target.parameter_names
+    names = target.parameter_names  # only the measures, the last of names and state, are read
     values = dict(zip(names, solution.estimate.state[-len(names):].tolist(), strict=True))
     stds = dict(zip(names, solution.target_std[-len(names):].tolist(), strict=True))
     freed = [name for name, (_, tolerance) in measures.items()
@@ -337,24 +336,6 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
             yield (f'the {name.replace("_", " ")} of the target is {value * scale:.3f} +- '
                    f'{std * scale:.3f} {unit}, not the configured {stated * scale:.3f}: the '
                    'answer uses the estimate')
-
-
-def outliers_at_one_end(solution: Solution) -> str:
-    """
-    Return in words that all stations that were dropped are the first, or the last, ones.
-
-    '' if they are not, or if wrong stations in a random order are so too with PARTED_P.
-    """
-    n, used = len(solution.full_problem.poses), solution.used
-    dropped = n - len(used)
-    if solution.problem.pose_model is not None or math.comb(n, dropped) < 2 / PARTED_P:
-        return ''
-    which, side = {0: ('last', 'before'), dropped: ('first', 'after')}.get(int(used[0]), ('', ''))
-    if not which or np.ptp(used) >= n - dropped:
-        return ''
-    return (f'the {which} {dropped} of {n} samples contradict the {n - dropped} {side} them: the '
-            'target or the sensor seems to have moved in between, or the tool or base of the '
-            'robot was switched: check that both are fixed firmly, and take all samples again')
 
 
 def lost_edges(solution: Solution) -> str:

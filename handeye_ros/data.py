@@ -143,7 +143,7 @@ class TimedPose:
     parent_frame: str = 'base'
 
     def __post_init__(self) -> None:
-        """Raise InputError for a stamp, or numbers, that are no pose."""
+        """Raise InputError for a stamp or arrays of another form (numbers: require_values)."""
         _require_stamp('pose', self.stamp)
         for name, size in (('translation', 3), ('quaternion', 4)):
             values = getattr(self, name)
@@ -300,7 +300,7 @@ class Sample:
     T_base_flange: (4, 4)
     profiles: how many it comes from
     flipped: features of the first profile with the opposite range sign, to detect a wrong setting;
-        None where they were not asked for
+        None where they were not asked for, () of a target without edges or where none are seen
     trajectory: trajectory of a moving robot (sampling.trajectory)
     clock_values: by which a moving robot has this pose at the stamp; 0 before they are known
     per_profile: samples of the single profiles of a pass, whose middle one this sample repeats

@@ -45,8 +45,6 @@ class HandeyeError(Exception):
 class InputError(HandeyeError):
     """Wrong usage, or input that cannot be read (exit code 2)."""
 
-    exit_code = 2
-
 
 def sentence_and_log(what: str, error: Exception) -> str:
     """Return the sentence of an exception; of one that is no refusal the log shows where."""
@@ -125,6 +123,11 @@ def mm(metres: float) -> str:
 def degrees(radians: float) -> str:
     """Return an angle in words."""
     return f'{math.degrees(radians):.3g} degrees' if radians < 1 else 'more than 57 degrees'
+
+
+def count_of(count: int, what: str) -> str:
+    """Return a number with its noun: `1 sample`, `2 samples`."""
+    return f'{count} {what}' if count == 1 else f'{count} {what}s'
 
 
 def without_numbers(sentence: str) -> str:

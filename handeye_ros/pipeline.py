@@ -6,8 +6,8 @@ From profiles and poses to the hand-eye transform: the algorithm on one page.
 `gather` turns a recording into samples (what each stop of the robot shows), `answer_samples` the
 samples into an `Answer` in ten steps: a calibration, or a refusal. The command line, the node, the
 review of samples, the guidance and the report all read that answer. A function `require_...`
-raises a refusal (DataError) where what it names is missing, and else does nothing. In steps 3 and
-8, `with_estimated_clocks` and `with_possible_move` refuse too.
+raises a refusal (DataError) where what it names is missing, and else does nothing; `with_...`
+returns a changed value, and may refuse too (`with_estimated_clocks`, `with_possible_move`).
 """
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class Answer:
         return self.calibration
 
     def require_solution(self) -> Solution:
-        """Return the solution, however uncertain; raises DataError where samples contradict it."""
+        """Return the solution, however uncertain; raises the refusal of steps 1 to 7."""
         if self.solution is None or not self.samples_agree:
             assert self.refusal is not None
             raise self.refusal
@@ -196,8 +196,9 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         require_steady_clocks(solution)
         require_one_scale(solution)
         samples_agree = True
-        # 8. Uncertainty: add that of a corrected arm and of a possible move. Refuse an answer that
-        # cannot be tested, has a twin turned by half, is too uncertain or ignores the edges seen.
+        # 8. Uncertainty: add that of a corrected arm and of a possible move. Refuse a sure move,
+        # or an answer that cannot be tested, has a twin turned by half, is too uncertain, or
+        # ignores the edges seen.
         if config.kinematics:
             solution = with_arm_errors(solution, Path(config.kinematics))
         require_tested(solution)

@@ -24,6 +24,7 @@ from handeye_ros.checks.hypotheses import (
 from handeye_ros.checks.moved import move_hypotheses
 from handeye_ros.checks.refusals import (
     contradiction,
+    FEW_TURNS,
     missing_motion,
     require_certain,
     rms_turns_and_axes,
@@ -38,7 +39,6 @@ from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.sampling.session import Session
 
-FEW_TURNS = 0.12  # rad RMS about the second axis: less may look like a move
 # variance factors, blocks as noise, above which the other range sign is tried; and (3 sigma) other
 # conventions, though the samples do not contradict the solution
 SIGN_TRIED, CONVENTION_TRIED = 0.6, 9.0
@@ -46,7 +46,7 @@ SIGN_TRIED, CONVENTION_TRIED = 0.6, 9.0
 
 def require_agreement(samples: Sequence[Sample], solution: Solution, baseline: Fit) -> None:
     """
-    Raise DataError for a solution that the samples contradict, or explain better otherwise.
+    Raise DataError for a solution that the samples contradict, or another assumption explains.
 
     samples: of the stations of the problem, in order; baseline: the fit of the solution.
     """

@@ -5,7 +5,8 @@ Whether sensor or target moved in the middle of a recording.
 
 If the samples fit no answer, each hypothesis is two parts of the recording, fitted separately. If
 they do, a move after station i is two more blocks of nuisance parameters, linearised at the
-answer, (14) of estimator.md. Two tests must agree. The Bayes factor: noise and scales are
+answer, (14) of estimator.md. It must be larger than the smooth error of the robot, and two tests
+must agree. The Bayes factor: noise and scales are
 estimated again with and without the move, since they absorb part of it otherwise. A permutation
 test: random orders of the stations must seldom show as clear a move, since robot errors that are
 not in the model look like moves in any order.
@@ -15,9 +16,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+import math
 
 from handeye_ros import se3
-from handeye_ros.calibration import outliers_at_one_end
 from handeye_ros.checks.hypotheses import (
     DECISIVE_EVIDENCE,
     FALSE_CAUSE_PROBABILITY,
@@ -51,6 +52,7 @@ SIZE_FACTORS = (1.0, 0.25)  # factors on MOVE_STD, of equal prior probability
 # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
 WARNING_EVIDENCE = 5.0
 LEAST_MOVE_SIGMAS = 3.0  # smallest move over the robot's smooth error
+PARTED_P = 0.01  # largest probability that random stations are the first, or the last, ones
 RANDOM_ORDERS, PARTS_EXCHANGED = 200, 40  # of the permutation test
 WARNING_P, REFUSAL_P = 0.1, 0.01  # largest p-value of the permutation test: to warn, to refuse
 
@@ -122,6 +124,27 @@ def _same_target(first: Solution, second: Solution) -> bool:
     return bool(increase < factor * chi2_isf(FALSE_CAUSE_PROBABILITY, first.unknowns - 6))
 
 
+# -- outliers at one end, though one answer fits the others
+
+
+def outliers_at_one_end(solution: Solution) -> str:
+    """
+    Return in words that all stations that were dropped are the first, or the last, ones.
+
+    '' if they are not, or if wrong stations in a random order are so too with PARTED_P.
+    """
+    n, used = len(solution.full_problem.poses), solution.used
+    dropped = n - len(used)
+    if solution.problem.pose_model is not None or math.comb(n, dropped) < 2 / PARTED_P:
+        return ''
+    which, side = {0: ('last', 'before'), dropped: ('first', 'after')}.get(int(used[0]), ('', ''))
+    if not which or np.ptp(used) >= n - dropped:
+        return ''
+    return (f'the {which} {dropped} of {n} samples contradict the {n - dropped} {side} them: the '
+            'target or the sensor seems to have moved in between, or the tool or base of the '
+            'robot was switched: check that both are fixed firmly, and take all samples again')
+
+
 # -- a small move, though one answer fits all samples
 
 
@@ -129,8 +152,8 @@ def with_possible_move(solution: Solution) -> tuple[Solution, str]:
     """
     Return a refined solution, and a warning on a move and its time, '' if there is none.
 
-    With a warning, the covariance covers the transform with that move as well. Raises DataError
-    (moved) where the evidence is decisive.
+    With a warning, the covariance covers the transform with that move as well, but where all
+    dropped stations are at one end. Raises DataError (moved) where the evidence is decisive.
     """
     if warning := outliers_at_one_end(solution):
         return solution, warning

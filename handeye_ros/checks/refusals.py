@@ -14,13 +14,12 @@ from collections.abc import Sequence
 from handeye_ros.calibration import lost_edges
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
-from handeye_ros.errors import DataError, degrees, mm
+from handeye_ros.errors import count_of, DataError, degrees, mm
 from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.noise import EDGES
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import axes_across, mount_frame, name_direction
-from handeye_ros.results.table import count_of
 from handeye_ros.se3 import mapped_covariance, worst_rotation, worst_translation
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -32,6 +31,9 @@ LARGEST_P_WRONG = 0.1  # largest probability that one of few samples is wrong
 SURELY_WRONG_P = 0.99
 STRAY_EDGES = 9.0  # variance factor of edges (3 sigma) above which they are of something else
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
+# rad RMS about the second axis: tilts by 12 degrees to both sides; less may look like a move
+FEW_TURNS = 0.12
+MISFIT_FACTOR, MISFIT_TIMES = 40.0, 4.0  # of a misfit: variance factor, residuals over the noise
 # residuals of a sensor turned by half, over those of the answer, that surely tell them apart
 TWIN_RATIO = 5.0
 SHOW_ALL_OF_THE_VIEW = (
@@ -123,7 +125,8 @@ def contradiction(solution: Solution) -> UnexplainedError | None:
             'trusted: check that target and sensor are fixed and that the laser crosses only the '
             'target', reason='misfit')
     times = rms / solution.expected_rms
-    if times > limits.scatter or (solution.variance_factor > 40.0 and times > 4.0):
+    if times > limits.scatter or (
+            solution.variance_factor > MISFIT_FACTOR and times > MISFIT_TIMES):
         beyond = f' (limits.scatter is {limits.scatter:g})' if times > limits.scatter else ''
         return UnexplainedError(
             f'the residuals of {mm(rms)} RMS are {times:.1f} times what the configured noise '
@@ -210,7 +213,7 @@ def missing_motion(solution: Solution, config: Config) -> str:
     if rotation_known and (views_alike := problem.target.views_alike(problem, solution.estimate)):
         return views_alike
     turns, axes = rms_turns_and_axes(solution.full_problem.poses)
-    if turns[1] > 0.12:  # rad RMS: tilts by 12 degrees to both sides
+    if turns[1] > FEW_TURNS:
         return SHOW_ALL_OF_THE_VIEW
     return (f'the poses turn by only {degrees(turns[1])} RMS about '
             f'{name_direction(axes[1], frame)}; tilt the tool about this axis by 15 degrees or '

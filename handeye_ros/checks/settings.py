@@ -32,7 +32,7 @@ def setting_hypotheses(session: Session, config: Config, baseline: Fit) -> Itera
     """Yield the hypotheses that other settings explain the stops of a session."""
     stops = evenly(stops_to_explain(session), MOST_STOPS)
     stamps = [stop.result.stamp for stop in stops]
-    few_profiles = [thinned(stop, config) for stop in stops]
+    few_profiles = [with_few_profiles(stop, config) for stop in stops]
     show_edge = {sample.stamp for stop in stops if (sample := stop.sample) and any(
         isinstance(feature, EdgePoint) for feature in sample.features)}
 
@@ -127,7 +127,7 @@ def with_settings(config: Config, values: Mapping[str, str]) -> Config:
     return with_assignments(config, [f'{key}={value}' for key, value in values.items()])
 
 
-def thinned(stop: Stop, config: Config) -> Stop:
+def with_few_profiles(stop: Stop, config: Config) -> Stop:
     """Return a stop with a few of its profiles."""
     stop = stop.load(config).trimmed(config)
     return replace(stop, profiles=tuple(evenly(stop.profiles, MOST_PROFILES)))

@@ -3,8 +3,8 @@
 """
 Whether some stops show something else than an edge of the target: their number and what they show.
 
-Two questions with one answer, NotOfTargetError, by which the pipeline leaves these stops out where
-the others carry an answer (pipeline.py).
+Two questions. Where the stops are known, both raise NotOfTargetError, by which the pipeline leaves
+them out where the others carry an answer (pipeline.py); else a plain DataError.
 
 Where the sensor is blind, as behind dirt on its window, faces seem to end: at columns that return
 nothing at any stop.
@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from handeye_ros.checks.hypotheses import fit_of_samples, stops_to_explain
-from handeye_ros.checks.settings import MOST_PROFILES, thinned, with_settings
+from handeye_ros.checks.settings import MOST_PROFILES, with_few_profiles, with_settings
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Reject, Sample
 from handeye_ros.errors import DataError
@@ -60,7 +60,7 @@ class NotOfTargetError(DataError):
 def require_no_blind_columns(session: Session, config: Config) -> None:
     """Raise NotOfTargetError where faces end at columns that return nothing at any stop."""
     stops = stops_to_explain(session)
-    profiles_of = [decoded(thinned(stop, config).profiles, config) for stop in stops]
+    profiles_of = [decoded(with_few_profiles(stop, config).profiles, config) for stop in stops]
     points = [profile.points for profiles in profiles_of for profile in profiles]
     if (sum(map(bool, profiles_of)) < target_for(config).min_samples  # too few to tell
             or len(set(map(len, points))) != 1):
@@ -134,7 +134,7 @@ def _heights_over_plane(stops: NDArray[np.object_], config: Config
     number of stops that agree. Without such a plane there are no heights, and none agrees.
     """
     as_plane = with_settings(config, {'target.type': 'plane'})
-    results = [result_of(thinned(stop, config), as_plane) for stop in stops]
+    results = [result_of(with_few_profiles(stop, config), as_plane) for stop in stops]
     fit = fit_of_samples([result for result in results if isinstance(result, Sample)], as_plane,
                          [result.stamp for result in results], all_starts=True)
     if not fit.believable or not fit.within_noise:

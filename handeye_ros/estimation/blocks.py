@@ -63,7 +63,7 @@ class ParameterBlock:
     pose_value: index of the value of the pose model that it is; None: of none
     value: (1,) of that parameter or value in the estimate it is linearised at, less the stated
     least_variance, largest_variance: bounds of tau^2
-    report: key in the answer, '' for none
+    reported_as: key in the answer, '' for none
     origin: added to the reported value of one parameter
     """
 
@@ -77,7 +77,7 @@ class ParameterBlock:
     value: Array | None = None
     least_variance: float = 0.0
     largest_variance: float = 400.0  # 20 times the sigma
-    report: str = ''
+    reported_as: str = ''
     origin: float = 0.0
 
     @property
@@ -123,8 +123,8 @@ def scale_twists(problem: Problem) -> Array:
 def robot_scale(linear: Linear) -> Blocks:
     """Yield the block of one scale error of all lengths of the robot."""
     std, twists = linear.problem.config.noise.robot_scale, scale_twists(linear.problem)
-    yield ParameterBlock('scale', linear.wrt_twists(twists) * std, std, twists, report='scale',
-                         origin=1.0)
+    yield ParameterBlock('scale', linear.wrt_twists(twists) * std, std, twists,
+                         reported_as='scale', origin=1.0)
 
 
 def wrt_smooth(wrt_pose: Array, smooth: Array, axes: Array = ROBOT_AXES) -> Array:
@@ -139,7 +139,7 @@ def wrt_smooth(wrt_pose: Array, smooth: Array, axes: Array = ROBOT_AXES) -> Arra
 
 
 def smooth_errors(name: str, linear: Linear, smooth: Array, std: float, axes: Array = ROBOT_AXES,
-                  best_fit: Callable[[Linear], Array] | None = None, report: str = ''
+                  best_fit: Callable[[Linear], Array] | None = None, reported_as: str = ''
                   ) -> ParameterBlock:
     """
     Return the block of smooth errors of the poses, one parameter for each axis and function.
@@ -148,14 +148,14 @@ def smooth_errors(name: str, linear: Linear, smooth: Array, std: float, axes: Ar
     """
     columns = wrt_smooth(linear.wrt_pose, smooth[linear.problem.observations.station], axes)
     twists = np.einsum('xa,nk->nxak', axes, smooth).reshape(len(smooth), 6, -1)
-    return ParameterBlock(name, columns * std, std, twists, best_fit, report=report)
+    return ParameterBlock(name, columns * std, std, twists, best_fit, reported_as=reported_as)
 
 
 def robot_smooth(linear: Linear) -> Blocks:
     """Yield the block of the robot's smooth errors, of position and rotation."""
     if std := linear.problem.config.noise.robot_smooth:
         yield smooth_errors('robot_smooth', linear, linear.problem.smooth_error_basis, std,
-                            best_fit=_motions_of_smooth, report='robot_position_error')
+                            best_fit=_motions_of_smooth, reported_as='robot_position_error')
 
 
 def _motions_of_smooth(linear: Linear) -> Array:
@@ -196,7 +196,7 @@ def sensor_distortion(linear: Linear) -> Blocks:
         wrt_x, wrt_z = (linear.wrt_point * std).T[:, :, None]
         yield ParameterBlock(
             f'distortion_{DEGREES[i]}', wrt_x * field[:, 0] + wrt_z * field[:, 1], std,
-            best_fit=partial(_motions_of_degree, i), report='distortion_error')
+            best_fit=partial(_motions_of_degree, i), reported_as='distortion_error')
 
 
 def _motions_of_degree(i: int, linear: Linear) -> Array:
@@ -209,7 +209,7 @@ def line_bend(linear: Linear) -> Blocks:
     std = linear.problem.config.noise.line_bend
     across = linear.jacobian[:, :3] @ linear.estimate.X[:3, 1]
     columns = across[:, None] * bent_line(linear.problem.observations.points) * std
-    yield ParameterBlock(LINE_BEND, columns, std, best_fit=_motion_of_bend, report=LINE_BEND)
+    yield ParameterBlock(LINE_BEND, columns, std, best_fit=_motion_of_bend, reported_as=LINE_BEND)
 
 
 def _motion_of_bend(linear: Linear) -> Array:
@@ -236,7 +236,7 @@ def pose_parameters(linear: Linear) -> Blocks:
         twists = problem.pose_twists[:, :, [k]]
         yield ParameterBlock(name, linear.wrt_twists(twists) * std, std, twists, pose_value=k,
                              value=problem.pose_values[[k]],
-                             least_variance=model.least_variance, report=name)
+                             least_variance=model.least_variance, reported_as=name)
 
 
 def with_columns(blocks: Sequence[ParameterBlock], first: int = 0

@@ -34,9 +34,9 @@ def _log_half_t(freedom: float, scale: float) -> Array:
         TRIED_VARIANCES / (freedom * scale ** 2)))
 
 
-# For the report: as configured in the mean square, and with some chance several times as much.
+# For the report: 1.3 times as configured in the mean square, and with some chance several times.
 REPORT_PRIOR = _log_half_t(3.0, 0.8)
-# The same for a block of one parameter, which says little about a scale. Not a Cauchy prior: a
+# Of one parameter, which says little about a scale: 1.8 times. Not a Cauchy prior: a
 # sigma would grow by half or more as samples are added that fit (see estimator.md).
 SINGLE_REPORT_PRIOR = _log_half_t(2.0, 0.8)
 # For the estimate: zero, unless the data show something.

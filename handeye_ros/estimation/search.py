@@ -16,6 +16,7 @@ A *robust* solution is that of `refined_robustly`: all stations, the outliers am
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import chain, islice
 
@@ -63,7 +64,7 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
     if start is not None:
         return without_outliers(refined_robustly(problem, start))
     starts = chain(problem.target.starts(problem, rng),
-                   subset_starts(problem, SUBSET_COUNT * subsets, rng))
+                   subset_starts(problem, SUBSET_COUNT if subsets else 0, rng))
     best = refined_robustly(problem, next(starts))
     while not is_convincing(best) and (following := next(starts, None)):
         best = min(best, refined_robustly(problem, following), key=loss)
@@ -72,13 +73,12 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
 
 def quick_solution(problem: Problem) -> Solution | None:
     """Return the solution from the first two starts, None if neither fits."""
-    try:
+    with suppress(HandeyeError):
         for start in islice(problem.target.starts(problem, np.random.default_rng(0)), 2):
-            robust = refined_robustly(problem, start)
-            if typical_square(station_squares(robust)) < LARGEST_SQUARE:
-                return without_outliers(robust)
-    except (HandeyeError, np.linalg.LinAlgError):
-        pass
+            with suppress(np.linalg.LinAlgError):
+                robust = refined_robustly(problem, start)
+                if typical_square(station_squares(robust)) < LARGEST_SQUARE:
+                    return without_outliers(robust)
     return None
 
 
@@ -115,6 +115,7 @@ def with_systematic_errors(agreed: Solution) -> Solution:
     """
     Return the solution with all nuisance blocks, from one without; further outliers dropped.
 
+    agreed: whose problems, stations and estimate are used, and nothing that is linearised there.
     With few stations, each may be wrong without being detected; the reported covariance includes
     this. With many, a part of them tells linearisation, noise and scales.
     """

@@ -65,9 +65,14 @@ class Solution:
     """
     The least squares at an estimate, (4), solved with one noise and one scale of each block.
 
+    It is made in three stages: robust (refined_robustly: all stations, blocks as noise), agreed
+    (without_outliers: the stations that agree), and MAP (with_systematic_errors: with blocks, and
+    a conservative one for the report).
+
     Of the stations used:
 
-    linear: their observations with the labels that these have, linearised
+    linear: their observations with the labels that these have, linearised before the last step;
+        estimate and postfit_residuals are after it
     blocks: their q nuisance parameters are in units of the configured sigmas
     prefit_residuals: (m,) whitened residuals with all parameters of blocks at 0
     jacobian: (m, u + q) whitened derivatives A by u unknowns (first six: X) and q parameters
@@ -83,7 +88,7 @@ class Solution:
 
     What is reported, (8), is the estimate of one solution with the covariance of another:
 
-    report: the latter, of a solution for the estimate: its own estimate moves too far
+    conservative: the latter, of a solution for the estimate: its own estimate moves too far
     added_covariances: (6, 6) by cause, added to the reported covariance of the transform, as by
         (10)
     """
@@ -101,7 +106,7 @@ class Solution:
     probability_wrong: float = 0.0
     added_covariances: Mapping[str, Array] = field(default_factory=dict)
     surely_wrong: tuple[int, ...] = ()
-    report: Solution | None = None
+    conservative: Solution | None = None
 
     @classmethod
     def of_linear(cls, linear: Linear, noise: Noise, blocks: tuple[ParameterBlock, ...]
@@ -252,7 +257,7 @@ class Solution:
     @property
     def for_report(self) -> Solution:
         """Return the solution for the report, itself without one."""
-        return self.report or self
+        return self.conservative or self
 
     @cached_property
     def reported_covariance(self) -> Array:
@@ -262,7 +267,7 @@ class Solution:
         It covers the errors of both the mount's transform and the best-fit transform.
         """
         reported = self.for_report.covariance[:self.unknowns, :self.unknowns].copy()
-        if self.report is None:
+        if self.conservative is None:
             return reported
         shift = self.shift_for_report
         reported[:6, :6] = cover(reported[:6, :6] + np.outer(shift, shift), self._best_fit)
@@ -458,8 +463,8 @@ class Minimum:
     """Where the least squares (4) converged, and noise and scales for the estimate and report."""
 
     linear: Linear
-    for_estimate: Noise
-    for_report: Noise
+    noise_of_estimate: Noise
+    noise_of_report: Noise
 
 
 def map_solution(problem: Problem, start: Estimate) -> Solution:
@@ -477,15 +482,16 @@ def solution_at_minimum(problem: Problem, minimum: Minimum, before: Solution | N
     """
     at = minimum.linear
     problem = problem.with_pose_values(at.problem.pose_values)
-    solution = solution_at(problem, at.estimate, minimum.for_estimate)
+    solution = solution_at(problem, at.estimate, minimum.noise_of_estimate)
     if len(problem.poses) > len(at.problem.poses):  # one step from the scales of the part
         at_report_scales = replace(solution, noise=replace(
-            minimum.for_estimate, block_variances=minimum.for_report.block_variances))
+            minimum.noise_of_estimate, block_variances=minimum.noise_of_report.block_variances))
         for_estimate, _ = at_report_scales.estimated_block_variances()
         solution = solution.with_variances(for_estimate)
-    noise, steps = (before.for_report.noise, 1) if before else (minimum.for_report, LAST_STEPS)
+    noise, steps = (before.for_report.noise, 1) if before else (
+        minimum.noise_of_report, LAST_STEPS)
     report = solution_at(replace(problem, long_errors=True), at.estimate, noise)
-    return replace(solution, report=report.with_scales_for_report(steps))
+    return replace(solution, conservative=report.with_scales_for_report(steps))
 
 
 def minimum_near(problem: Problem, start: Estimate) -> Minimum:

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from handeye_ros import se3, targets
-from handeye_ros.calibration import offset_notes, outliers_at_one_end
+from handeye_ros.calibration import offset_notes
+from handeye_ros.checks.moved import outliers_at_one_end
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.covariance import budget, CORRECTED_ARM

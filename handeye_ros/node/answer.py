@@ -17,14 +17,14 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 from handeye_ros import pipeline
 from handeye_ros.config import Config, flatten, recorded
 from handeye_ros.data import Array, Calibration, Sample
-from handeye_ros.errors import DataError, HandeyeError
+from handeye_ros.errors import count_of, DataError, HandeyeError
 from handeye_ros.guidance.advice import Advice, advise
 from handeye_ros.guidance.view import extremes
 from handeye_ros.output import folder_name
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import dated
 from handeye_ros.results.scene import Agreement
-from handeye_ros.results.table import count_of, transform_rows
+from handeye_ros.results.table import transform_rows
 from handeye_ros.review import agreements
 from handeye_ros.sampling.session import Session
 import numpy as np

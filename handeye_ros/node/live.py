@@ -46,6 +46,7 @@ from handeye_ros.bags.session_files import (
 from handeye_ros.config import Config, SamplesConfig
 from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
 from handeye_ros.errors import (
+    count_of,
     DataError,
     FeatureError,
     HandeyeError,
@@ -59,7 +60,7 @@ from handeye_ros.node.pool import Pool, PoolEndedError, trim_memory
 from handeye_ros.node.state import Attempt, MessageCount
 from handeye_ros.node.verification import LiveVerification
 from handeye_ros.results.scene import StopSnapshot
-from handeye_ros.results.table import count_of, sample_summary
+from handeye_ros.results.table import sample_summary
 from handeye_ros.sampling.features import features_of, result_of
 from handeye_ros.sampling.session import Session, silent_poses
 from handeye_ros.sampling.stops import Stop

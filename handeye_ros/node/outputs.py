@@ -24,7 +24,7 @@ from geometry_msgs.msg import (
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, NS
-from handeye_ros.errors import INSTALL_TF2
+from handeye_ros.errors import count_of, INSTALL_TF2
 from handeye_ros.frames import mount_poses, target_frame
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import (
@@ -48,7 +48,6 @@ from handeye_ros.results.scene import (
     SEEN_COLOUR,
     StopSnapshot,
 )
-from handeye_ros.results.table import count_of
 from handeye_ros.sampling.stops import Stop
 import numpy as np
 from numpy.typing import NDArray

@@ -70,8 +70,8 @@ class FaceEnd:
     near_sign: int
 
     @property
-    def marks_lost(self) -> bool:
-        """Return whether the driver keeps columns without a return: else the view has no ends."""
+    def has_lost_columns(self) -> bool:
+        """Return whether columns of this profile lack a return; else its ends are unknown."""
         return len(self.returns) < len(self.points)
 
     @cached_property
@@ -165,9 +165,11 @@ def edge_at(end: FaceEnd) -> EdgePoint:
     step    a lower surface
     shadow  a lower surface, with lost columns before it
     gap     lost columns up to the end of the view, or a nearer surface too far aside to hide more
-    open    nothing at all, of a driver that leaves lost columns out
+    open    nothing at all, in a profile without lost columns, as of a driver that leaves them out:
+            it may be the border, and the target decides (reassign)
 
-    It is none before a surface of the same height, before a nearer one, or at the border. The edge
+    It is none before a surface of the same height, before a nearer one, or at the border of a
+    profile with lost columns. The edge
     is at the crossing with the other face, at a wall seen in the tail, or else beyond the last
     point before the drop.
     """
@@ -189,7 +191,7 @@ def _require_room(end: FaceEnd) -> None:
     """Raise NoEdgeError where the end of the view may cut the face off."""
     last = end.segment.last
     room = min(last, len(end.points) - 1 - last) * end.pitch
-    if end.marks_lost and room < VIEW_MARGIN:
+    if end.has_lost_columns and room < VIEW_MARGIN:
         raise NoEdgeError(
             f'{room * 1e3:.1f} mm from the end of the view, where its edge may be cut off (move '
             f'it {VIEW_MARGIN * 1e3:.0f} mm or more into the view)')
@@ -297,7 +299,7 @@ def _ending(end: FaceEnd, next_surface: Segment | None, tail: NDArray[np.intp]) 
     height. Where nothing is seen even so, the face has ended before (gap).
     """
     if next_surface is None:
-        if not end.marks_lost:
+        if not end.has_lost_columns:
             return 'open'
         if end.missing(end.segment.last + 1, len(end.points)) >= GAP_COLUMNS:
             return 'gap'

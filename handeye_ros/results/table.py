@@ -19,7 +19,7 @@ from handeye_ros.data import (
     Sample,
     Term,
 )
-from handeye_ros.errors import without_numbers
+from handeye_ros.errors import count_of, without_numbers
 from handeye_ros.results.truth import Errors
 import numpy as np
 from rich import box
@@ -193,8 +193,3 @@ def sample_summary(sample: Sample | Reject) -> str:
     counts = Counter(feature.noun for feature in sample.features)
     seen = ', '.join(count_of(count, name) for name, count in counts.items())
     return f'{seen} from {count_of(sample.profiles, "profile")}'
-
-
-def count_of(count: int, what: str) -> str:
-    """Return a number with its noun: `1 sample`, `2 samples`."""
-    return f'{count} {what}' if count == 1 else f'{count} {what}s'

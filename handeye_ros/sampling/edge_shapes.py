@@ -15,7 +15,7 @@ SHARP_DEPTH = 2.5e-5  # largest depth of ends that count as sharp (m)
 # less, the sensor's field or the face is bent, or a driver that smooths bends a few by much more
 LEAST_SEEN = 0.1
 LARGEST_LOG_ODDS = 8.0  # largest log odds of one end against a shape
-SHAPE_STD = 0.2  # relative 1 sigma of a radius or a bevel's legs: it may be an ellipse
+SHAPE_STD = 0.2  # relative 1 sigma of a radius or a bevel's legs: it may be another curve
 SLANT_STD = 0.1  # 1 sigma of the log radius of one end: an oblique laser sees an ellipse
 OBLIQUE_STD = 0.03  # 1 sigma of an edge over the radius: an oblique laser sees an ellipse
 DEPTH_STD = 1.5e-5  # 1 sigma of the depth of an end (m)
@@ -41,7 +41,8 @@ def with_common_shape(samples: Sequence[Sample]) -> list[Sample]:
 
     All samples share the shape of rounded or bevelled ends, but one profile shows it only
     roughly, or not at all if a bevel returns no light. So the shape that is likeliest for all ends
-    together is used. Edges with a visible wall need no correction.
+    together is used. Edges with a visible wall need no correction. The samples of a session are as
+    measured, those of an answer moved: once, as a second time moves them again.
     """
     shape = common_shape(samples)
     return [replace(sample, features=tuple(_moved(f, shape) for f in sample.features))

@@ -222,8 +222,8 @@ def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
     lines = [line for line, agrees in zip(lines, agree, strict=True) if agrees]
     slope, centre = float(slopes[agree].mean()), np.array([x, heights[agree].mean()])
     spread = float(np.median([line.spread for line in lines]))
-    # the means of the bins over the profiles that have as many of them
-    bin_count = min(len(line.bins) for line in lines)
+    # the means of the bins over the profiles that have as many of them as most
+    bin_count = Counter(len(line.bins) for line in lines).most_common(1)[0][0]
     binned = [line for line in lines if len(line.bins) == bin_count]
     bins, n = np.array([line.bins for line in binned]), len(binned)
     across = (bins - centre) @ np.array([-slope, 1.0]) / np.hypot(1.0, slope)
@@ -232,7 +232,7 @@ def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
     combined = line_of_bins(centre, slope, spread, bins.mean(axis=0), white_var / n)
     # a robot that shakes moves all points of a profile alike
     scatter = heights[agree].std(ddof=1) / np.hypot(1.0, slope) if len(lines) > 1 else 0.0
-    common_var = max(float(scatter) ** 2 / n - combined.std ** 2, 0.0)
+    common_var = max(float(scatter) ** 2 / len(lines) - combined.std ** 2, 0.0)
     return replace(combined, std=float(np.sqrt(combined.std ** 2 + common_var)),
                    points_std=np.sqrt(combined.points_std ** 2 + common_var))
 

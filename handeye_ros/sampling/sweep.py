@@ -20,7 +20,8 @@ twist of the flange: one more column each. They need no start value: some of the
 from several offsets until one is good, then all. However long a sweep is, MOST_SAMPLES of its
 profiles make the answer.
 
-A sweep differs from stops in these places, found by Sample.moving and sampling.moving:
+A sweep differs from stops in these places, found by Sample.moving, sampling.moving and the
+PoseModel of the problem:
 
 - profiles: fewer points of a line or arc are kept (lines.py, arcs.py)
 - stops.py cuts it by time, into passes; features.py combines no profiles; passes_expanded (here)
@@ -28,11 +29,11 @@ A sweep differs from stops in these places, found by Sample.moving and sampling.
 - estimation: problem_with_clocks (here) adds the three unknowns; fewer profiles than stops are
   enough (Problem.enough)
 - session.py: a pass is never a duplicate, nor taken early; guidance advises to sweep on
-- checks: other settings and clocks are not tried (causes.py); with the other sign of the range or
-  other poses the clocks are searched anew (hypotheses.py, conventions.py); a move must be larger
-  than the smooth error of the robot (moved.py); edges may scatter (refusals.py, require_edges);
-  profiles dropped at one end tell of no move (calibration.py); a pass agrees if most of its
-  profiles do (review.py)
+- checks: other settings and clocks, and a scale of an answer that fits, are not tried (causes.py);
+  with the other sign of the range or other poses the clocks are searched anew (hypotheses.py,
+  conventions.py); a move must be larger than the smooth error of the robot (moved.py); edges may
+  scatter (refusals.py, require_edges); profiles dropped at one end tell of no move (moved.py);
+  a pass agrees if most of its profiles do (review.py)
 - verification: a gauge is measured in passes (stations.py); a sweep also checks a calibration
   (check.py)
 """
@@ -151,7 +152,7 @@ def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
     shifts, turns = np.hsplit(np.eye(6), 2)
     for name, axes, std in (('tracking_position', shifts, position_std),
                             ('tracking_rotation', turns, position_std / TURN_LENGTH)):
-        yield smooth_errors(name, linear, basis, std, axes, report=f'{name}_error')
+        yield smooth_errors(name, linear, basis, std, axes, reported_as=f'{name}_error')
     exposure = linear.problem.config.profile.exposure
     if exposure:
         # a profile averages over the exposure, and shows a face only while the face is seen: an

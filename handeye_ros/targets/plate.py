@@ -197,7 +197,7 @@ class Plate(ProfileTarget):
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the target's pose and edge angle as plain values."""
         return {'pose': se3.transform_values(state[:16].reshape(4, 4)),
-                'edge_angle': float(state[ANGLE]), 'edge_angle_std': float(std[8])}
+                'edge_angle': float(state[ANGLE]), 'edge_angle_std': float(std[-1])}
 
     def describe_strays(self, observations: Observations, p: Array, state: Array, config: Config
                         ) -> str:

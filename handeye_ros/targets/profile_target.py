@@ -208,14 +208,14 @@ def ends_of_faces(linear: Linear) -> Blocks:
     """
     Yield the blocks of the ends of faces: set-back, its change with the tilt, and shape.
 
-    The set-back is one per kind and way of ending, of kind 0 for points of several conditions; the
+    The set-back is one per kind and way of ending, of the first kind for several conditions; the
     shape is how far the true one deviates from that seen in profiles.
     """
     obs, kinds = linear.problem.observations, linear.problem.target.kinds
     std, end = linear.problem.config.target.setback_std, obs.ending > 0
-    _, feature, count = np.unique(obs.station * (1 + obs.feature.max(initial=0)) + obs.feature,
-                                  return_inverse=True, return_counts=True)
-    kind = np.where(count[feature] > 1, 0, obs.kind)  # conditions of one point share its edge
+    _, first, feature = np.unique(obs.station * (1 + obs.feature.max(initial=0)) + obs.feature,
+                                  return_index=True, return_inverse=True)
+    kind = obs.kind[first][feature]  # conditions of one point share its edge
     # derivatives by outward moves, scaled to unit length per feature
     by_move = out_of_face(linear)
     length = np.sqrt(np.bincount(feature, by_move ** 2))[feature]
@@ -223,7 +223,8 @@ def ends_of_faces(linear: Linear) -> Blocks:
     for k, e in sorted({*zip(kind[end].tolist(), obs.ending[end].tolist(), strict=True)}):
         rows = (kind == k) & (obs.ending == e)
         name = f'setback_{kinds[k]}_{ENDINGS[e - 1]}'
-        yield ParameterBlock(name, np.where(rows, outwards, 0.0)[:, None] * std, std, report=name)
+        columns = np.where(rows, outwards, 0.0)[:, None] * std
+        yield ParameterBlock(name, columns, std, reported_as=name)
     # the visible part of a bevel or a blurred step depends on the tilt
     slope = np.divide(obs.outward[:, 1], np.abs(obs.outward[:, 0]), out=np.zeros(len(obs)),
                       where=obs.outward[:, 0] != 0)
@@ -253,7 +254,7 @@ def flatness(linear: Linear) -> Blocks:
                     for i in faces), strict=True)
     for (degree, share), columns in zip(FLATNESS_SHARES.items(), heights, strict=True):
         yield ParameterBlock(f'flatness_{degree}', np.hstack(columns) * (std * share), std * share,
-                             report='flatness_error')
+                             reported_as='flatness_error')
 
 
 def grazing(linear: Linear) -> Blocks:

@@ -114,7 +114,7 @@ class Sphere(ProfileTarget):
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the sphere's centre and radius as plain values."""
         return {'centre': xyz(state[:16].reshape(4, 4)[:3, 3]), 'radius': float(state[16]),
-                'radius_std': float(std[3])}
+                'radius_std': float(std[-1])}
 
 
 SPHERE = Sphere()

@@ -138,7 +138,7 @@ class Wedge(ProfileTarget):
         between = float(np.arccos(np.clip(normals[0] @ normals[1], -1.0, 1.0)))
         return {'point': xyz(T[:3, 3]), 'direction': T[:3, 0].tolist(),
                 'normal_1': normals[0].tolist(), 'normal_2': normals[1].tolist(),
-                'face_angle': between, 'face_angle_std': float(std[5])}
+                'face_angle': between, 'face_angle_std': float(std[-1])}
 
 
 WEDGE = Wedge()

@@ -11,8 +11,8 @@ from types import SimpleNamespace
 
 from cells import Cell, cell, ONE_IN_100, refused, settings_of, squared_error
 from handeye_ros import pipeline, se3
-from handeye_ros.calibration import outliers_at_one_end
 from handeye_ros.checks.conventions import orientations_scatter
+from handeye_ros.checks.moved import outliers_at_one_end
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import Array, FaceLine, Sample
 from handeye_ros.errors import DataError

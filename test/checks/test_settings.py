@@ -23,7 +23,7 @@ from handeye_ros.checks.hypotheses import (
     refuse_by_best,
     stops_deviance,
 )
-from handeye_ros.checks.settings import setting_hypotheses, thinned
+from handeye_ros.checks.settings import setting_hypotheses, with_few_profiles
 from handeye_ros.config import flipped_range
 from handeye_ros.data import Calibration, EdgePoint, NS, Profile
 from handeye_ros.errors import DataError, HandeyeError
@@ -54,7 +54,7 @@ def test_a_stored_stop_is_thinned_as_one_of_a_bag_is() -> None:
     seen = simulated('sphere')
     whole = pipeline.gather(seen.profiles, seen.poses, seen.config).stops[0]
     stored = replace(whole, poses=(), profiles=(), reader=lambda config: whole)
-    few, same = (thinned(stop, seen.config) for stop in (stored, whole))
+    few, same = (with_few_profiles(stop, seen.config) for stop in (stored, whole))
     assert few.profiles == same.profiles and len(few.profiles) < len(whole.profiles)
 
 
