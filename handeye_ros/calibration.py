@@ -250,7 +250,7 @@ def reported_parameters(solution: Solution) -> dict[str, Any]:
                        f'{block.reported_as}_std': estimate.std}
         elif block.reported_as:
             report[block.reported_as] = math.hypot(report.get(block.reported_as, 0.0),
-                                              block.std * for_report.prior_scale(block))
+                                                   block.std * for_report.prior_scale(block))
     return report
 
 

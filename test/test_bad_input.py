@@ -25,15 +25,15 @@ BASE = replace(BASE, robot=replace(BASE.robot, dwell=0.8, move=0.4, rate=50.0),
                sensor=replace(BASE.sensor, columns=640, rate=15.0))
 
 
-def made(path, change=lambda profiles, poses: (profiles, poses), **differs):
+def bag_of(path, change=lambda profiles, poses: (profiles, poses), **differs):
     recording = simulate.simulate(replace(BASE, **differs), np.random.default_rng(11))
     bag_write.write(path, *change(recording.profiles, recording.poses))
     return path
 
 
 @pytest.fixture(scope='module')
-def good(tmp_path_factory):
-    return made(tmp_path_factory.mktemp('good') / 'bag')
+def good_bag(tmp_path_factory):
+    return bag_of(tmp_path_factory.mktemp('good') / 'bag')
 
 
 @pytest.fixture
@@ -42,10 +42,10 @@ def solve(tmp_path):
     def run(bag, *arguments):
         folder = tmp_path / 'work'
         folder.mkdir()
-        done = handeye('solve', bag, '--config', PLATE, *arguments, cwd=folder)
-        if done.returncode != 0:
+        process = handeye('solve', bag, '--config', PLATE, *arguments, cwd=folder)
+        if process.returncode != 0:
             assert list(folder.iterdir()) == []
-        return done
+        return process
     return run
 
 
@@ -61,27 +61,27 @@ def stamps_since_boot(profiles, poses):
     ({'empty': True}, 3, ('no edge of a face in the profile', 'with the laser across the target')),
     ({'motion': 'one_orientation'}, 3, ('one orientation', 'tilt the tool'))])
 def test_recordings_without_an_answer_are_refused(tmp_path, solve, how, code, words):
-    assert_refused(solve(made(tmp_path / 'bag', **how)), code, *words)
+    assert_refused(solve(bag_of(tmp_path / 'bag', **how)), code, *words)
 
 
 @pytest.mark.parametrize(('assignment', 'words'), [
     ('target.tipe=plate', ('unknown key "target.tipe"', 'did you mean "target.type"?')),
     ('target.radius=20 furlong', ('target.radius',))])
-def test_settings_that_do_not_fit_are_named(good, solve, assignment, words):
-    assert_refused(solve(good, '--set', assignment), 2, *words)
+def test_settings_that_do_not_fit_are_named(good_bag, solve, assignment, words):
+    assert_refused(solve(good_bag, '--set', assignment), 2, *words)
 
 
-def test_places_that_cannot_be_written_are_named(good, tmp_path, solve):
+def test_places_that_cannot_be_written_are_named(good_bag, tmp_path, solve):
     (tmp_path / 'file').write_text('')
     place = tmp_path / 'file' / 'out'
-    run = handeye('solve', good, '--config', PLATE, '--out', place, cwd=tmp_path)
+    run = handeye('solve', good_bag, '--config', PLATE, '--out', place, cwd=tmp_path)
     assert_refused(run, 2, 'cannot write', 'choose another place')
     assert_refused(handeye('simulate', 'plate', '/proc/bag', cwd=tmp_path), 2, 'cannot write')
     assert [path.name for path in tmp_path.iterdir()] == ['file']
 
 
 def test_a_damaged_truth_is_named(tmp_path, solve):
-    bag = made(tmp_path / 'bag')
+    bag = bag_of(tmp_path / 'bag')
     (bag / 'truth.yaml').write_text('T_flange_sensor: 7')
     assert_refused(solve(bag), 2, 'truth.yaml')
 

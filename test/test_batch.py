@@ -67,8 +67,8 @@ def test_each_job_costs_itself_and_is_computed_once(tmp_path):
     assert rows['good5']['std_x'] == CALIBRATION.covariance[0, 0] ** 0.5
     assert rows['good5']['residual_rms'] == CALIBRATION.quality.residual_rms
     (tmp_path / 'good3.mcap').write_text('laser 3.0')
-    again = {job.label for job in jobs if unchanged(job, out) is None}
-    assert again == {'good3', 'killing', 'crashing'}
+    computed_again = {job.label for job in jobs if unchanged(job, out) is None}
+    assert computed_again == {'good3', 'killing', 'crashing'}
     write_table([*rows.values()], out)
     with (out / 'results.csv').open() as stream:
         assert [row['label'] for row in csv.DictReader(stream)] == sorted(rows)
@@ -136,8 +136,7 @@ def test_recordings_and_foreign_files_are_never_replaced_by_results(tmp_path, mo
     for folder in ('cells/cell.1', 'cells/cell.2'):
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / 'metadata.yaml').touch()
-    assert [job.label for job in jobs_of([str(tmp_path / 'cells')], SOLVE)] == [
-        'cell.1', 'cell.2']
+    assert [job.label for job in jobs_of([str(tmp_path / 'cells')], SOLVE)] == ['cell.1', 'cell.2']
     for labels in (('../keep',), ('.',), (str(tmp_path),), ('a', 'a/b'), ('a', 'a')):
         (tmp_path / 'jobs.csv').write_text('bag,label\n' + ''.join(f'x,{a}\n' for a in labels))
         with pytest.raises(InputError, match='no folder of its own'):
@@ -155,10 +154,10 @@ def test_an_interrupt_says_how_far_it_came_and_a_second_run_goes_on(tmp_path):
         while not list(tmp_path.glob('out/*/job.json')) and process.poll() is None:
             time.sleep(0.05)
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all of them
-        said = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130 and 'Traceback' not in ''.join(said), said
+        output = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130 and 'Traceback' not in ''.join(output), output
     done = len(list(tmp_path.glob('out/*/job.json')))
-    assert f'{done} of 200 done; run again to continue' in said[1]
+    assert f'{done} of 200 done; run again to continue' in output[1]
     assert 0 < done < 200 and len(list(tmp_path.glob('out/*/calibration.yaml'))) == done
 
 
@@ -178,9 +177,9 @@ def test_only_an_unchanged_whole_result_is_not_computed_again(tmp_path):
     (tmp_path / 'a.mcap').write_text('laser 1.0')
     job, out = Job(str(tmp_path / 'a.mcap'), 'a', 'solve'), tmp_path / 'out'
     run(job, out, pretended)
-    said = handeye('batch', 'a.mcap', '--out', 'out', '--scheduler', 'tcp://127.0.0.1:9',
-                   cwd=tmp_path)  # that does not exist, and is not asked
-    assert said.returncode == 0 and '0 computed' in said.stdout, said
+    completed = handeye('batch', 'a.mcap', '--out', 'out', '--scheduler', 'tcp://127.0.0.1:9',
+                        cwd=tmp_path)  # that does not exist, and is not asked
+    assert completed.returncode == 0 and '0 computed' in completed.stdout, completed
     assert unchanged(job, out)['x'] == 1.0
     assert unchanged(replace(job, words=('--set=a=1',)), out) is None
     arm = replace(job, words=(f'--set=kinematics={tmp_path / "arm.yaml"}',))

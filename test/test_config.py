@@ -61,15 +61,15 @@ def test_values_put_in_come_out_again(values: dict[str, object]) -> None:
     flat = flatten(config)
     assert {key: flat[key] for key in values} == values
     assert with_values(Config(), flat, 'test') == config == from_provenance(flat)
-    rest, given = flatten(Config()), set(values)
+    rest, keys_put_in = flatten(Config()), set(values)
     if values.get('noise.robot_class'):
-        given.add('noise.robot_smooth')  # which the class states
-    assert {k: v for k, v in flat.items() if k not in given} == {
-        k: v for k, v in rest.items() if k not in given}
+        keys_put_in.add('noise.robot_smooth')  # which the class states
+    assert {k: v for k, v in flat.items() if k not in keys_put_in} == {
+        k: v for k, v in rest.items() if k not in keys_put_in}
 
 
 @pytest.mark.parametrize('parameter', KEYS.values(), ids=lambda p: p.key)
-def test_every_default_passes_its_limits_and_every_number_has_a_range_with_ends(parameter):
+def test_defaults_pass_their_limits_and_ranges_have_ends(parameter):
     key, values = parameter.key, flatten(Config())  # without those that must be set
     assert all(flatten(with_values(Config(), {k: values[k]}, 'test'))[k] == values[k]
                for k in {key} & values.keys())
@@ -188,10 +188,10 @@ def test_a_configuration_made_in_code_is_checked_too(make, named):
 
 
 def test_a_configuration_can_be_made_in_code() -> None:
-    made = Config(target=TargetConfig(type='plate', size=[np.float64(0.2), 1]))  # type: ignore
-    assert made == with_values(
+    config = Config(target=TargetConfig(type='plate', size=[np.float64(0.2), 1]))  # type: ignore
+    assert config == with_values(
         Config(), {'target.type': 'plate', 'target.size': [0.2, 1.0]}, 'test')
-    assert [type(length) for length in made.target.size] == [float, float]
+    assert [type(length) for length in config.target.size] == [float, float]
 
 
 @pytest.mark.parametrize(('text', 'key', 'value'), [

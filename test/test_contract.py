@@ -33,16 +33,15 @@ def section(title: str) -> str:
 
 
 def names(text: str) -> list[str]:
-    found = re.findall(r'`([^`]+)`', text)
-    assert found
-    return found
+    quoted = re.findall(r'`([^`]+)`', text)
+    assert quoted
+    return quoted
 
 
 def test_the_verbs_are_those_listed() -> None:
-    there = typer.main.get_command(command()).commands  # type: ignore[attr-defined]
-    verbs = {name.removeprefix('handeye ') for name in names(section(
-        'Verbs of the command line'))}
-    assert verbs == set(there)
+    commands = typer.main.get_command(command()).commands  # type: ignore[attr-defined]
+    verbs = {name.removeprefix('handeye ') for name in names(section('Verbs of the command line'))}
+    assert verbs == set(commands)
 
 
 def test_the_executables_are_those_listed() -> None:

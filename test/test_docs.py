@@ -49,21 +49,21 @@ def commands(page: Path) -> Iterator[str]:
 def words(command: str, program: str) -> list[str]:
     for placeholder, real in STANDS_FOR.items():
         command = command.replace(placeholder, real)
-    found = shlex.split(command)
-    return found[found.index(program) + 1:]
+    arguments = shlex.split(command)
+    return arguments[arguments.index(program) + 1:]
 
 
-def of(program: str) -> dict[Path, list[str]]:
+def commands_of(program: str) -> dict[Path, list[str]]:
     """Return the commands of a program on each page that has some, each once."""
-    found = {page: [text for text in dict.fromkeys(commands(page))
-                    if PROGRAM.match(text)[1] == program] for page in PAGES}
-    return {page: own for page, own in found.items() if own}
+    texts_of = {page: [text for text in dict.fromkeys(commands(page))
+                       if PROGRAM.match(text)[1] == program] for page in PAGES}
+    return {page: texts for page, texts in texts_of.items() if texts}
 
 
 def each(program: str) -> list[object]:
     """Return (command) of all commands of a program."""
     return [pytest.param(text, id=f'{page.stem}: {text}')
-            for page, own in of(program).items() for text in own]
+            for page, texts in commands_of(program).items() for text in texts]
 
 
 def run_well(command: str, folder: Path) -> None:
@@ -73,17 +73,17 @@ def run_well(command: str, folder: Path) -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize('page', of('handeye'), ids=lambda page: page.stem)
+@pytest.mark.parametrize('page', commands_of('handeye'), ids=lambda page: page.stem)
 def test_the_handeye_commands_of_a_page_run(page: Path, tmp_path: Path) -> None:
     """Run the commands of a page one after another in a folder with what a clone holds."""
-    own = [command for command in of('handeye')[page] if not command.startswith(ELSEWHERE)]
+    texts = [text for text in commands_of('handeye')[page] if not text.startswith(ELSEWHERE)]
     for name in ('bags', 'config'):
         (tmp_path / name).symlink_to(ROOT / name)
-    for file in sorted({word for command in own for word in shlex.split(command)} & THERE.keys()):
+    for file in sorted({word for text in texts for word in shlex.split(text)} & THERE.keys()):
         run_well(THERE[file], tmp_path)
         (tmp_path / 'made' / file).rename(tmp_path / file)
         shutil.rmtree(tmp_path / 'made')
-    for command in own:
+    for command in texts:
         run_well(command, tmp_path)
 
 

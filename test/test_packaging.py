@@ -29,10 +29,10 @@ DATA = ('launch', 'config', 'rviz', 'foxglove')
 
 def environment() -> dict[str, str]:
     """Return the environment of a terminal in which ROS is sourced."""
-    kept = dict(os.environ)
-    if kept.pop('_ROS_WHEELS_BOOTSTRAP_COMPLETE', None):  # meant for this process alone
-        del kept['LD_LIBRARY_PATH']
-    return {'AMENT_PREFIX_PATH': sys.prefix, **kept}
+    variables = dict(os.environ)
+    if variables.pop('_ROS_WHEELS_BOOTSTRAP_COMPLETE', None):  # meant for this process alone
+        del variables['LD_LIBRARY_PATH']
+    return {'AMENT_PREFIX_PATH': sys.prefix, **variables}
 
 
 def copy_sources(folder: Path) -> None:

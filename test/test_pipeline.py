@@ -28,7 +28,7 @@ def recording(name: str, seed: int = 0) -> Recorded:
 
 
 @lru_cache
-def answer(name: str, seed: int = 0) -> Calibration:
+def calibration_of(name: str, seed: int = 0) -> Calibration:
     return recording(name, seed).calibrate()
 
 
@@ -39,7 +39,7 @@ def answer(name: str, seed: int = 0) -> Calibration:
 @pytest.mark.parametrize(('name', 'seeds'), [
     ('plate', 5), ('plate_in_order', 3), ('plate_5_5', 4)])
 def test_points_are_mapped_as_well_as_asked_for(name: str, seeds: int) -> None:
-    errors = [recording(name, seed).error(answer(name, seed).T_flange_sensor)
+    errors = [recording(name, seed).error(calibration_of(name, seed).T_flange_sensor)
               for seed in range(seeds)]
     assert np.median(errors) < 4e-5 and max(errors) < 9e-5
 
@@ -49,7 +49,7 @@ def test_points_are_mapped_as_well_as_asked_for(name: str, seeds: int) -> None:
     'plate_inf', 'plate_omit', 'plate_z_up', 'plate_x_reversed', 'plate_y_along_line',
     'eye_on_base', 'wrong_edges', 'bumped'])
 def test_surroundings_drivers_and_mounts_change_nothing(name: str) -> None:
-    simulated, calibration = recording(name), answer(name)
+    simulated, calibration = recording(name), calibration_of(name)
     assert simulated.error(calibration.T_flange_sensor) < 9e-5
     assert squared_error(calibration, simulated.truth) < 24
     frames = ('base', 'laser') if name == 'eye_on_base' else ('flange', 'laser')
@@ -65,7 +65,7 @@ def beside(height: float, gap: float, width: float) -> Scenario:
 @pytest.mark.parametrize(('scenario', 'rejected'), [
     (FAULTS['neighbour lower, 3 mm'], 0), (FAULTS['neighbour higher, 3 mm'], 0),
     (beside(0.001, 0.012, 0.06), 1), (beside(0.002, 0.008, 0.01), 1)])
-def test_of_a_surface_beside_the_plate_all_stations_take_the_same(scenario, rejected):
+def test_all_stations_take_the_same_of_two_surfaces(scenario: Scenario, rejected: int) -> None:
     simulated = recorded(scenario, rate=6.0)
     calibration = simulated.calibrate()
     assert calibration.quality.samples_rejected <= rejected
@@ -83,9 +83,8 @@ def test_other_targets_are_enough_too(name: str, where: str, fewest: int, worst:
     assert calibration.quality.samples_used >= fewest
     assert simulated.error(calibration.T_flange_sensor) < worst
     assert squared_error(calibration, simulated.truth) < 36
-    if 'face_angle' in calibration.target:
-        angle, std = (calibration.target[key] for key in ('face_angle', 'face_angle_std'))
-        assert abs(angle - np.pi / 2) < 4 * std
+    if 'face_angle' in (target := calibration.target):
+        assert abs(target['face_angle'] - np.pi / 2) < 4 * target['face_angle_std']
 
 
 def test_a_sphere_of_unknown_radius_is_measured() -> None:
@@ -96,7 +95,7 @@ def test_a_sphere_of_unknown_radius_is_measured() -> None:
 
 
 def test_the_place_of_the_target_is_found_up_to_the_names_of_its_edges() -> None:
-    calibration, truth = answer('plate'), recording('plate').truth.T_base_target
+    calibration, truth = calibration_of('plate'), recording('plate').truth.T_base_target
     pose = calibration.target['pose']
     corner = [pose['translation'][axis] for axis in 'xyz']
     assert np.linalg.norm(corner - truth[:3, 3]) < 2e-3
@@ -113,10 +112,10 @@ def test_the_place_of_the_target_is_found_up_to_the_names_of_its_edges() -> None
 def test_the_edge_angle_can_be_left_free() -> None:
     simulated = recorded('plate', 2, target__edge_angle_free=True)
     calibration = simulated.calibrate()
-    off = calibration.target['edge_angle'] - np.pi / 2
-    assert abs(off) < 4 * calibration.target['edge_angle_std'] < 0.02
+    error = calibration.target['edge_angle'] - np.pi / 2
+    assert abs(error) < 4 * calibration.target['edge_angle_std'] < 0.02
     assert simulated.error(calibration.T_flange_sensor) < 9e-5
-    assert answer('plate').target['edge_angle'] == pytest.approx(np.pi / 2, abs=2e-3)
+    assert calibration_of('plate').target['edge_angle'] == pytest.approx(np.pi / 2, abs=2e-3)
 
 
 # -- the report
@@ -124,7 +123,7 @@ def test_the_edge_angle_can_be_left_free() -> None:
 
 def test_every_station_is_accounted_for() -> None:
     for name in ('plate', 'bumped', 'sphere'):
-        calibration, simulated = answer(name), recording(name)
+        calibration, simulated = calibration_of(name), recording(name)
         assert len(calibration.samples) == len(simulated.truth.stations)
         used = [r for r in calibration.samples if r.used]
         assert calibration.quality.samples_used == len(used)
@@ -147,7 +146,7 @@ def test_streams_may_be_generators_and_stay_as_they_are() -> None:
         pose.translation.setflags(write=False)
         pose.quaternion.setflags(write=False)
     calibration = simulated.calibrate(iter(simulated.profiles), iter(simulated.poses))
-    assert np.array_equal(calibration.T_flange_sensor, answer('plate_5_5').T_flange_sensor)
+    assert np.array_equal(calibration.T_flange_sensor, calibration_of('plate_5_5').T_flange_sensor)
 
 
 # -- what carries no answer
@@ -178,7 +177,8 @@ def in_millimetres(profiles, poses, spans):
     (lambda profiles, poses, spans: ([], poses), DataError, 'no profile has a stamp of'),
     (in_motion, DataError, 'never stood still .* be sent while it stands'),
     (in_millimetres, DataError, None), (of_two_sensors, InputError, 'two frames')])
-def test_streams_without_an_answer_are_refused(change, error, words):
+def test_streams_without_an_answer_are_refused(
+        change: Callable[..., object], error: type[Exception], words: str | None) -> None:
     simulated = recording('plate_5_5')
     spans = [(s.start, s.end) for s in simulated.truth.stations]
     with pytest.raises(error, match=words):
@@ -206,23 +206,22 @@ def test_profiles_without_any_noise_are_no_trouble(scene: str) -> None:
 def test_the_real_sphere_is_better_than_the_published_transform() -> None:
     from handeye_ros.bags import bag
     config = load(ROOT / 'config' / 'sphere.yaml')
-    read = bag.read(REAL, config)
-    calibration = pipeline.calibrate(read.profiles, read.poses, config)
+    real = bag.read(REAL, config)
+    calibration = pipeline.calibrate(real.profiles, real.poses, config)
     # of the plain points: the robot's smooth error, of 0.2 mm, is in them
-    assert calibration.quality.residual_rms < 0.098e-3
-    assert calibration.quality.holdout_rms < 0.138e-3
-    assert calibration.quality.samples_used >= 13
-    assert calibration.quality.holdout_rms > calibration.quality.residual_rms
+    quality = calibration.quality
+    assert quality.residual_rms < 0.098e-3 and quality.samples_used >= 13
+    assert quality.residual_rms < quality.holdout_rms < 0.138e-3
 
 
 def test_order_of_points_and_points_in_the_origin_are_no_matter() -> None:
     simulated, rng = recorded('plate', 0, columns=640), np.random.default_rng(0)
-    profiles = simulated.profiles
-    shuffled = [replace(profile, points=rng.permutation(profile.points)) for profile in profiles]
-    origin = [replace(profile, points=np.where(np.isnan(profile.points).any(axis=1)[:, None],
-                                               0.0, profile.points)) for profile in profiles]
+    shuffled = [replace(p, points=rng.permutation(p.points)) for p in simulated.profiles]
+    origin = [replace(p, points=np.where(np.isnan(p.points).any(axis=1)[:, None], 0.0, p.points))
+              for p in simulated.profiles]
     assert any((profile.points == 0).all(axis=1).any() for profile in origin)
-    expected, in_no_order, with_origin = map(simulated.calibrate, (profiles, shuffled, origin))
+    expected, in_no_order, with_origin = map(
+        simulated.calibrate, (simulated.profiles, shuffled, origin))
     assert np.array_equal(with_origin.T_flange_sensor, expected.T_flange_sensor)
     assert in_no_order.quality.samples_used == expected.quality.samples_used
     assert simulated.error(in_no_order.T_flange_sensor) < 1e-4

@@ -21,11 +21,12 @@ def write(folder, days, jump_at=np.inf):
     """Write calibrations, solved in the order of their names and recorded on days."""
     rng = np.random.default_rng(0)
     for k, day in enumerate(days):
-        off = bench.STD * rng.normal(size=6) + (5e-4 if day >= jump_at else 0.0)
+        step = bench.STD * rng.normal(size=6) + (5e-4 if day >= jump_at else 0.0)
         stamp = 1_700_000_000_000_000_000 + day * DAY
-        found = replace(stated(se3.perturb(np.eye(4), off)), samples=(SampleReport(stamp, True),),
-                        provenance={'created': f'2026-01-{k + 1:02d}T08:00:00+00:00'})
-        write_calibration(found, folder / f'day_{day}' / 'calibration.yaml')
+        calibration = replace(stated(se3.perturb(np.eye(4), step)),
+                              samples=(SampleReport(stamp, True),),
+                              provenance={'created': f'2026-01-{k + 1:02d}T08:00:00+00:00'})
+        write_calibration(calibration, folder / f'day_{day}' / 'calibration.yaml')
 
 
 def test_a_trend_goes_by_the_time_of_the_recordings_and_tells_since_when(tmp_path):
@@ -42,12 +43,12 @@ def test_a_trend_goes_by_the_time_of_the_recordings_and_tells_since_when(tmp_pat
 
 def test_only_calibrations_of_one_sensor_are_compared(tmp_path):
     write(tmp_path, range(3))
-    one = read_calibration(tmp_path / 'day_0/calibration.yaml')
-    write_calibration(replace(one, child_frame='rear'), tmp_path / 'rear/calibration.yaml')
-    for reference in (None, one):
+    calibration = read_calibration(tmp_path / 'day_0/calibration.yaml')
+    write_calibration(replace(calibration, child_frame='rear'), tmp_path / 'rear/calibration.yaml')
+    for reference in (None, calibration):
         entries, (warning,) = trend.trend(tmp_path, reference)
         assert len(entries) == 3 and 'rear on flange, not of laser on flange' in warning
-    entries, warnings = trend.trend(tmp_path, replace(one, child_frame='rear'))
+    entries, warnings = trend.trend(tmp_path, replace(calibration, child_frame='rear'))
     assert len(entries) == 1 and len(warnings) == 3
 
 

@@ -48,8 +48,8 @@ def serialised(msg: object, kind: str = CLOUD, little_endian: bool = True) -> by
 def message(frame_id: str = 'laser') -> object:
     columns = {'x': np.linspace(-0.02, 0.02, 50), 'a long name': np.zeros(50),
                'z': np.full(50, 0.17)}
-    message = cloud(columns, {'x': (0, F32), 'a long name': (4, U8), 'z': (8, F32)}, 12)
-    return cloud_message(message, STAMP, frame_id)
+    scan = cloud(columns, {'x': (0, F32), 'a long name': (4, U8), 'z': (8, F32)}, 12)
+    return cloud_message(scan, STAMP, frame_id)
 
 
 QUATERNION = (0.0, 0.6, 0.0, -0.8)
@@ -69,22 +69,24 @@ def placed(child: str, quaternion: object = QUATERNION) -> object:
 @pytest.mark.parametrize('little_endian', [True, False])
 @pytest.mark.parametrize('frame_id', ['', 'a', 'ab', 'abc', '/abcd', 'frame/é'])
 def test_what_others_write_is_read(little_endian: bool, frame_id: str) -> None:
-    got = profile_from_cdr(serialised(message(frame_id=frame_id), CLOUD, little_endian), METRES)
-    assert (got.stamp, got.frame_id) == (STAMP, frame_id.lstrip('/'))
-    np.testing.assert_allclose(got.points, expected(np.linspace(-0.02, 0.02, 50), np.full(
-        50, 0.17)), rtol=1e-6)
-    posed = pose_from_cdr(serialised(pose(frame_id=frame_id), POSE, little_endian))
+    scan = serialised(message(frame_id=frame_id), CLOUD, little_endian)
+    line_profile = profile_from_cdr(scan, METRES)
+    assert (line_profile.stamp, line_profile.frame_id) == (STAMP, frame_id.lstrip('/'))
+    np.testing.assert_allclose(line_profile.points, expected(
+        np.linspace(-0.02, 0.02, 50), np.full(50, 0.17)), rtol=1e-6)
+    flange_pose = pose_from_cdr(serialised(pose(frame_id=frame_id), POSE, little_endian))
     both = new(TF, [placed(frame_id), placed('other')])
     transforms = transforms_from_cdr(serialised(both, TF, little_endian))
     assert [child for child, _ in transforms] == [frame_id.lstrip('/'), 'other']
-    for one in (posed, *(other for _, other in transforms)):
-        assert one.stamp == STAMP
-        np.testing.assert_array_equal(one.translation, [1.0, -2.0, 3.0])
-        np.testing.assert_allclose(one.quaternion, [0.0, -0.6, 0.0, 0.8], rtol=1e-15)
-    assert posed.parent_frame == frame_id.lstrip('/') and transforms[0][1].parent_frame == 'base'
+    for read_pose in (flange_pose, *(link_pose for _, link_pose in transforms)):
+        assert read_pose.stamp == STAMP
+        np.testing.assert_array_equal(read_pose.translation, [1.0, -2.0, 3.0])
+        np.testing.assert_allclose(read_pose.quaternion, [0.0, -0.6, 0.0, 0.8], rtol=1e-15)
+    assert flange_pose.parent_frame == frame_id.lstrip('/')
+    assert transforms[0][1].parent_frame == 'base'
 
 
-def test_a_message_padded_to_a_word_is_read_and_one_with_more_behind_it_is_damaged() -> None:
+def test_padding_to_a_word_is_read_and_more_is_damage() -> None:
     for little_endian in (True, False):
         whole = serialised(pose(), POSE, little_endian)
         assert pose_from_cdr(whole + bytes(3)).stamp == STAMP
@@ -104,36 +106,36 @@ def test_malformed_poses_are_refused_with_a_reason(position, quaternion, reason)
 
 
 def test_an_invalid_transform_does_not_affect_the_others() -> None:
-    bad = placed('camera', (0.0, 0.0, 0.0, 0.0))
-    transforms = transforms_from_cdr(serialised(new(TF, [bad, placed('flange')]), TF))
+    invalid = placed('camera', (0.0, 0.0, 0.0, 0.0))
+    transforms = transforms_from_cdr(serialised(new(TF, [invalid, placed('flange')]), TF))
     assert [child for child, _ in transforms] == ['flange']
     with pytest.raises(UnusableMessageError, match='TransformStamped .* quaternion of length 0'):
-        transforms_from_cdr(serialised(new(TF, [bad]), TF))
+        transforms_from_cdr(serialised(new(TF, [invalid]), TF))
 
 
 @given(st.lists(st.floats(), min_size=7, max_size=7))
 def test_any_pose_is_unit_or_refused(values: list[float]) -> None:
     try:
-        got = pose_from_cdr(serialised(pose(values[:3], values[3:]), POSE))
+        read_pose = pose_from_cdr(serialised(pose(values[:3], values[3:]), POSE))
     except UnusableMessageError:
         return
-    assert np.isfinite(got.translation).all()
-    assert np.linalg.norm(got.quaternion) == pytest.approx(1.0, abs=1e-12)
-    assert got.quaternion[3] >= 0
+    assert np.isfinite(read_pose.translation).all()
+    assert np.linalg.norm(read_pose.quaternion) == pytest.approx(1.0, abs=1e-12)
+    assert read_pose.quaternion[3] >= 0
 
 
 @settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=300), st.integers(0, 300), st.booleans())
 def test_any_bytes_are_a_message_or_refused(junk: bytes, keep: int, known: bool) -> None:
-    reader, goods = ProfileReader(METRES), [
+    reader, messages = ProfileReader(METRES), [
         serialised(message()), serialised(pose(), POSE), serialised(new(TF, [placed('a')]), TF)]
     if known:
-        reader.take(goods[0])
-    for good, take in zip(goods, (lambda d: reader.take(d).read(), pose_from_cdr,
-                                  transforms_from_cdr), strict=True):
-        for data in (good[:keep] + junk + good[keep + len(junk):], good[:keep]):
+        reader.take(messages[0])
+    for whole, read in zip(messages, (lambda d: reader.take(d).read(), pose_from_cdr,
+                                      transforms_from_cdr), strict=True):
+        for data in (whole[:keep] + junk + whole[keep + len(junk):], whole[:keep]):
             try:
-                take(data)
+                read(data)
             except UnusableMessageError as error:
                 assert 'message not used: ' in str(error)
 
@@ -143,16 +145,16 @@ def test_any_bytes_are_a_message_or_refused(junk: bytes, keep: int, known: bool)
 
 @pytest.mark.filterwarnings('error')
 def test_signalling_nan_is_no_return() -> None:
-    message = cloud({'x': X, 'z': X}, XZ, 12)
-    message.data.view('<u4')[2::3] = 0x7f800001
-    assert np.isnan(points(message)).all()
+    scan = cloud({'x': X, 'z': X}, XZ, 12)
+    scan.data.view('<u4')[2::3] = 0x7f800001
+    assert np.isnan(points(scan)).all()
 
 
 @pytest.mark.parametrize('height', [1, 2])
 def test_a_row_step_that_was_left_unset_is_worked_out(height: int) -> None:
-    message = cloud({'x': X, 'z': Z}, XZ, 12, height=height)
-    message.row_step = 0
-    np.testing.assert_allclose(points(message), expected(X, Z), rtol=1e-6)
+    scan = cloud({'x': X, 'z': Z}, XZ, 12, height=height)
+    scan.row_step = 0
+    np.testing.assert_allclose(points(scan), expected(X, Z), rtol=1e-6)
 
 
 @pytest.mark.parametrize(('changes', 'reason'), [
@@ -167,10 +169,10 @@ def test_a_row_step_that_was_left_unset_is_worked_out(height: int) -> None:
     ({'fields': [field('x', 0, 7, 3), field('z', 8)]}, 'are named "x" and hold one number'),
     ({'fields': [field('x', 0), field('x', 4), field('z', 8)]}, '2 fields are named "x"')])
 def test_malformed_clouds_are_refused_with_a_reason(changes, reason):
-    message = cloud({'x': X, 'z': Z}, XZ, 12)
-    vars(message).update(changes)
+    scan = cloud({'x': X, 'z': Z}, XZ, 12)
+    vars(scan).update(changes)
     with pytest.raises(UnusableMessageError, match=reason):
-        points(message)
+        points(scan)
 
 
 @pytest.mark.parametrize(('factor', 'unit', 'words'), [
@@ -178,9 +180,9 @@ def test_malformed_clouds_are_refused_with_a_reason(changes, reason):
     (1e6, 'mm', '172 m, but profile.unit is m or mm'),
     (1.0, 'mm', 'larger than 0.172 mm: set profile.unit to m')])
 def test_a_wrong_unit_is_named(factor: float, unit: str, words: str) -> None:
-    message = cloud({'x': X * factor, 'z': np.full(6, 0.172 * factor)}, XZ, 12)
+    scan = cloud({'x': X * factor, 'z': np.full(6, 0.172 * factor)}, XZ, 12)
     with pytest.raises(UnusableMessageError, match=words):
-        points(message, ProfileConfig(unit=unit))
+        points(scan, ProfileConfig(unit=unit))
 
 
 layouts = st.fixed_dictionaries({
@@ -203,10 +205,10 @@ def values_of(datatype: int, n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 @given(layouts, st.sampled_from([('x', 'z'), ('-x', 'z'), ('z', '-x'), ('-z', '-x')]))
-def test_clouds_of_any_layout_are_read_as_they_were_written(what, axes):
-    rng = np.random.default_rng(what['seed'])
-    n, position, layout, columns = what['height'] * what['width'], 0, {}, {}
-    for name, datatype, gap in zip(what['order'], what['datatypes'], what['gaps'], strict=False):
+def test_clouds_of_any_layout_are_read_as_they_were_written(form, axes):
+    rng = np.random.default_rng(form['seed'])
+    n, position, layout, columns = form['height'] * form['width'], 0, {}, {}
+    for name, datatype, gap in zip(form['order'], form['datatypes'], form['gaps'], strict=False):
         layout[name] = (position + gap, datatype)
         position += gap + np.dtype(DATATYPES[datatype]).itemsize
         columns[name] = values_of(datatype, n, rng)
@@ -214,11 +216,11 @@ def test_clouds_of_any_layout_are_read_as_they_were_written(what, axes):
         columns[name][0] = 100
     columns[axes[0][-1]].sort()  # other orders, and the origin itself, are other tests'
     columns[axes[1][-1]][columns[axes[1][-1]] == 0] = 1
-    message = cloud(columns, layout, position + what['gaps'][3], height=what['height'],
-                    row_padding=what['row_padding'], bigendian=what['bigendian'])
+    scan = cloud(columns, layout, position + form['gaps'][3], height=form['height'],
+                 row_padding=form['row_padding'], bigendian=form['bigendian'])
     signed = [columns[a[-1]].astype(float) * (-1 if a[0] == '-' else 1) for a in axes]
-    got = points(message, ProfileConfig(unit='mm', axes=axes))
-    np.testing.assert_allclose(got, expected(*signed) * 1e-3, rtol=1e-12)
+    read_points = points(scan, ProfileConfig(unit='mm', axes=axes))
+    np.testing.assert_allclose(read_points, expected(*signed) * 1e-3, rtol=1e-12)
 
 
 sizes = st.one_of(st.integers(0, 40), st.integers(0, 2**32 - 1))
@@ -230,15 +232,15 @@ garbage_fields = st.builds(field, st.sampled_from(['x', 'y', 'z', '', 'X']), siz
        row_step=sizes, data=st.binary(max_size=300), bigendian=st.booleans(),
        unit=st.sampled_from(['m', 'mm']))
 def test_garbage_in_a_cloud_is_refused_in_a_sentence(unit, bigendian, height, width, **content):
-    message = cloud({'x': X, 'z': Z}, XZ, 12)
-    vars(message).update(height=height, width=width, is_bigendian=bigendian, **content)
+    scan = cloud({'x': X, 'z': Z}, XZ, 12)
+    vars(scan).update(height=height, width=width, is_bigendian=bigendian, **content)
     try:
-        got = points(message, ProfileConfig(unit=unit))
+        read_points = points(scan, ProfileConfig(unit=unit))
     except UnusableMessageError as error:
         assert str(error).startswith('PointCloud2 message not used: ')
     else:
-        assert got.shape == (height * width, 2)
-        assert (np.isfinite(got).all(axis=1) | np.isnan(got).all(axis=1)).all()
+        assert read_points.shape == (height * width, 2)
+        assert (np.isfinite(read_points).all(axis=1) | np.isnan(read_points).all(axis=1)).all()
 
 
 # -- order, axes, lost points
@@ -259,16 +261,16 @@ def layered(x: np.ndarray, z: np.ndarray, y: np.ndarray | None = None, **options
     np.arange(200).reshape(4, 50)[::-1].ravel()])
 @pytest.mark.parametrize('z', [EDGE, LOST])
 def test_points_come_in_any_order(order: np.ndarray, z: np.ndarray) -> None:
-    got, want = points(layered(LINE[order], z[order])), expected(LINE, z)
-    np.testing.assert_allclose(got[::-1] if order[0] == 199 and order[1] == 198 else got, want,
-                               rtol=1e-6)
+    read_points = points(layered(LINE[order], z[order]))
+    step = -1 if order[0] == 199 and order[1] == 198 else 1
+    np.testing.assert_allclose(read_points[::step], expected(LINE, z), rtol=1e-6)
 
 
 @pytest.mark.parametrize('far', [0.0, 5.0])
 def test_what_lost_points_hold_does_not_change_the_order(far: float) -> None:
     lost = np.isnan(LOST)
-    got = points(layered(np.where(lost, -far, LINE), LOST))
-    np.testing.assert_allclose(got, expected(LINE, LOST), rtol=1e-6)
+    read_points = points(layered(np.where(lost, -far, LINE), LOST))
+    np.testing.assert_allclose(read_points, expected(LINE, LOST), rtol=1e-6)
 
 
 @pytest.mark.parametrize(('columns', 'axes', 'advice'), [
@@ -290,9 +292,9 @@ def test_what_lost_points_hold_does_not_matter() -> None:
     assert points(empty).shape == (0, 2)
     for x, z, y in ((np.where(lost, 0, LINE), np.where(lost, 0, LOST), 0 * LINE),  # the origin
                     (LINE, LOST, np.where(lost, 7.0, 0.012))):
-        got = profile(layered(x, z, y))
-        np.testing.assert_allclose(got.points, expected(LINE, LOST), rtol=1e-6)
-        assert got.out_of_plane == pytest.approx(y[0])
+        line_profile = profile(layered(x, z, y))
+        np.testing.assert_allclose(line_profile.points, expected(LINE, LOST), rtol=1e-6)
+        assert line_profile.out_of_plane == pytest.approx(y[0])
     for none in (1e30, np.finfo(np.float32).max, -np.inf):
         half = np.where(np.arange(200) % 3 > 0, none, 0.2)
         assert np.isnan(points(layered(LINE, half))[:, 1]).sum() == 133

@@ -93,23 +93,24 @@ def test_a_split_bag_is_read_and_so_is_one_with_a_file_missing(good_bag, tmp_pat
 def test_the_bags_beside_the_code_hold_what_they_were_made_from(name):
     truth = yaml.safe_load((BAGS / name / 'truth.yaml').read_text(encoding='utf-8'))
     rng, scenario = np.random.default_rng(truth['seed']), truth['scenario']
-    made = FILE_SCENES[scenario](rng) if name == 'tracker' else simulate(SCENARIOS[scenario], rng)
-    T_true = made.T_flange_sensor if name == 'tracker' else made.truth.T_flange_sensor
+    simulated = (FILE_SCENES[scenario](rng) if name == 'tracker'
+                 else simulate(SCENARIOS[scenario], rng))
+    T_true = simulated.T_flange_sensor if name == 'tracker' else simulated.truth.T_flange_sensor
     assert np.allclose(true_transform(BAGS / name), T_true, atol=1e-9)
     recording = bag.read(BAGS / name, Config())
     assert not recording.warnings
-    for raw, here in zip(recording.profiles, made.profiles, strict=True):
-        there, points = raw.read(), here.points
-        if len(there.points) != len(points):  # a cloud of scattered ones is read along the line
+    for raw, expected in zip(recording.profiles, simulated.profiles, strict=True):
+        stored, points = raw.read(), expected.points
+        if len(stored.points) != len(points):  # a cloud of scattered ones is read along the line
             points = points[np.isfinite(points).all(axis=1)]
             points = points[np.argsort(points[:, 0])]
-        assert there.stamp == here.stamp
+        assert stored.stamp == expected.stamp
         # single precision; another numpy may round a coordinate to the next step
-        assert np.allclose(there.points, points, rtol=0, atol=2e-6, equal_nan=True)
-    for there, here in zip(recording.poses, made.poses, strict=True):
-        assert there.stamp == here.stamp
-        assert np.allclose(there.translation, here.translation, rtol=0, atol=1e-9)
-        assert np.allclose(there.quaternion, here.quaternion, rtol=0, atol=1e-9)
+        assert np.allclose(stored.points, points, rtol=0, atol=2e-6, equal_nan=True)
+    for stored, expected in zip(recording.poses, simulated.poses, strict=True):
+        assert stored.stamp == expected.stamp
+        assert np.allclose(stored.translation, expected.translation, rtol=0, atol=1e-9)
+        assert np.allclose(stored.quaternion, expected.quaternion, rtol=0, atol=1e-9)
 
 
 # -- damage
@@ -149,9 +150,9 @@ def test_an_empty_chunk_is_no_damage(good_bag, tmp_path):
     data, at = file.read_bytes(), MAGIC_SIZE
     while data[at] != Opcode.DATA_END:
         at += 9 + int.from_bytes(data[at + 1:at + 9], 'little')
-    made = RecordBuilder()
-    Chunk('', b'', 0, 0, 0, 0).write(made)
-    file.write_bytes(data[:at] + made.end() + data[at:])
+    builder = RecordBuilder()
+    Chunk('', b'', 0, 0, 0, 0).write(builder)
+    file.write_bytes(data[:at] + builder.end() + data[at:])
     recording = bag.read(file, CONFIG)
     assert_equal_recordings(recording)
     assert not recording.warnings
@@ -167,9 +168,9 @@ def test_a_file_that_changes_after_it_was_read_is_told(good_bag, tmp_path):
 
 def test_another_recording_at_the_same_place_is_read_anew(tmp_path):
     for factor in (1.0, 2.0):
-        made = [replace(p, points=p.points * factor) for p in PROFILES]
-        bag_write.write(tmp_path / 'bag', made, POSES, force=True)
-        assert_equal_recordings(bag.read(tmp_path / 'bag', CONFIG), made)
+        profiles = [replace(p, points=p.points * factor) for p in PROFILES]
+        bag_write.write(tmp_path / 'bag', profiles, POSES, force=True)
+        assert_equal_recordings(bag.read(tmp_path / 'bag', CONFIG), profiles)
 
 
 @pytest.fixture(scope='module')
@@ -307,12 +308,12 @@ def test_a_few_wild_stamps_are_dropped_and_reported(good_bag, tmp_path, topic, w
     stamps = {item.stamp: item.stamp for item in items}
     stamps |= {items[i].stamp: wild + i for i in places}
     recording = bag.read(restamped_bag(good_bag, tmp_path, [topic], stamps.__getitem__), CONFIG)
-    kept = recording.profiles if topic == '/profile' else recording.poses
-    inside = {p.stamp for p in kept} - {wild + i for i in places}
+    kept_messages = recording.profiles if topic == '/profile' else recording.poses
+    inside = {p.stamp for p in kept_messages} - {wild + i for i in places}
     assert inside == {item.stamp for i, item in enumerate(items) if i not in places}
     # what is wild at an end of the recording is in order, and far from all stations
     inner = [i for i in places if 0 < i < len(items) - 2]
-    assert len(kept) <= len(items) - len(inner)
+    assert len(kept_messages) <= len(items) - len(inner)
     if inner:
         warning, = recording.warnings
         assert f'of {len(items)} messages on {topic} were left out: their stamps' in warning
@@ -326,8 +327,7 @@ def test_missing_stamps_are_told_and_clocks_that_share_no_time_refused(good_bag,
                                            stamp_of), CONFIG)
         assert_equal_recordings(recording)
         assert f'{count} messages on /profile have no stamps' in recording.warnings[0]
-    file = restamped_bag(good_bag, tmp_path, ['/profile'],
-                         lambda t: t - START + PROFILES_PERIOD)
+    file = restamped_bag(good_bag, tmp_path, ['/profile'], lambda t: t - START + PROFILES_PERIOD)
     refused('share no time', file, kind=DataError)
 
 
@@ -388,8 +388,8 @@ def test_messages_of_another_frame_are_strays_and_many_are_refused(tmp_path, kin
         path = written(tmp_path, name=name, **{f'{kind}s': mixed})
         if name in ('first', 'last'):
             recording = bag.read(path, CONFIG)
-            kept = [item.stamp for i, item in enumerate(items) if i not in others]
-            assert [item.stamp for item in getattr(recording, f'{kind}s')] == kept
+            kept_stamps = [item.stamp for i, item in enumerate(items) if i not in others]
+            assert [item.stamp for item in getattr(recording, f'{kind}s')] == kept_stamps
             assert recording.warnings == [
                 f'{len(others)} of {len(items)} {kind}s were left out: their frame is "map", not '
                 f'"{first}"']
@@ -423,11 +423,11 @@ def test_poses_are_read_from_a_chain_of_transforms(good_bag, tmp_path):
               for i, stamp in enumerate(STAMPS)]
     # sent after the motion, as by a node that starts late
     static = [(START + 100 * POSES_PERIOD, [transform(0, 'tool', 'flange', (0.1, 0, 0))])]
-    found = bag.read(tf_bag(good_bag, tmp_path, moving, static), Config(pose_source='tf')).poses
-    assert [p.stamp for p in found] == STAMPS
-    np.testing.assert_allclose([p.translation for p in found],
+    poses = bag.read(tf_bag(good_bag, tmp_path, moving, static), Config(pose_source='tf')).poses
+    assert [p.stamp for p in poses] == STAMPS
+    np.testing.assert_allclose([p.translation for p in poses],
                                [[0.01 * i, 0.1, 0.5] for i in range(100)], atol=1e-12)
-    np.testing.assert_allclose([p.quaternion for p in found], [[0, 0, half, half]] * 100,
+    np.testing.assert_allclose([p.quaternion for p in poses], [[0, 0, half, half]] * 100,
                                atol=1e-12)
 
 
@@ -435,8 +435,8 @@ def test_static_transforms_that_come_last_lose_nothing(good_bag, tmp_path):
     stamps = [START + i * POSES_PERIOD for i in range(1500)]
     moving = [(stamp, [transform(stamp, 'base', 'tool', (0, 0, 0))]) for stamp in stamps]
     static = [(stamps[-1] + 1, [transform(0, 'tool', 'flange', (0.1, 0, 0))])]
-    found = bag.read(tf_bag(good_bag, tmp_path, moving, static), Config(pose_source='tf')).poses
-    assert [p.stamp for p in found] == stamps
+    poses = bag.read(tf_bag(good_bag, tmp_path, moving, static), Config(pose_source='tf')).poses
+    assert [p.stamp for p in poses] == stamps
 
 
 def test_two_runs_of_transforms_are_refused(good_bag, tmp_path):
@@ -472,12 +472,12 @@ def test_what_is_written_is_read_by_all(good_bag):
                                             ('mm', ('-y', 'z'))])
 def test_every_layout_unit_and_axes_is_read(tmp_path, layout, unit, axes):
     config = Config(profile=ProfileConfig(unit=unit, axes=axes), profile_topic='/line')
-    made = [replace(p, axes=axes) for p in PROFILES]
+    profiles = [replace(p, axes=axes) for p in PROFILES]
     missing = PROFILES[3].points.copy()
     missing[5:9] = np.nan
-    made[3] = replace(made[3], points=missing)
-    file = with_layout(written(tmp_path, made, config=config), tmp_path, POINTS[layout])
-    assert_equal_recordings(bag.read(file, config), made)
+    profiles[3] = replace(profiles[3], points=missing)
+    file = with_layout(written(tmp_path, profiles, config=config), tmp_path, POINTS[layout])
+    assert_equal_recordings(bag.read(file, config), profiles)
 
 
 def test_an_existing_bag_is_replaced_only_when_asked(good_bag, tmp_path):

@@ -71,9 +71,10 @@ def test_every_stop_is_a_file_that_stock_readers_read(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=3)
     folder = Path(live.path)
     assert folder.parent == tmp_path / 'sphere'
-    content = yaml.safe_load((folder / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
-    assert content['message_count'] == sum(file['message_count'] for file in content['files'])
-    assert content['relative_file_paths'] == [file.name for file in files_of(folder)] == [
+    text = (folder / 'metadata.yaml').read_text()
+    metadata = yaml.safe_load(text)['rosbag2_bagfile_information']
+    assert metadata['message_count'] == sum(file['message_count'] for file in metadata['files'])
+    assert metadata['relative_file_paths'] == [file.name for file in files_of(folder)] == [
         f'{folder.name}_{i}.mcap' for i in range(3)]
     with AnyReader([folder]) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
@@ -91,9 +92,9 @@ def test_what_was_received_is_stored_byte_for_byte(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), recording, stops=2)
     sent = {profile.stamp: profile.fetch() for profile in recording.profiles}
     for stop in live.session_copy().stops:
-        seen = stop.load(live.config)
-        assert seen.profiles
-        assert all(p.fetch() == sent[p.stamp] for p in seen.profiles)
+        loaded = stop.load(live.config)
+        assert loaded.profiles
+        assert all(p.fetch() == sent[p.stamp] for p in loaded.profiles)
 
 
 @pytest.fixture(scope='module')
@@ -115,8 +116,7 @@ def test_the_command_line_gives_the_answer_of_the_node(whole: Path, tmp_path: Pa
     answer = np.load(whole.parent / 'answer.npy')
     calibration = read_calibration(tmp_path / 'calibration.yaml')
     assert np.abs(calibration.T_flange_sensor - answer).max() < 1e-9
-    succeeds('solve', whole, '--set', 'samples.exclude=[]', '--out', tmp_path,
-             cwd=tmp_path)
+    succeeds('solve', whole, '--set', 'samples.exclude=[]', '--out', tmp_path, cwd=tmp_path)
     n = read_calibration(tmp_path / 'calibration.yaml').quality.samples_used
     assert n == calibration.quality.samples_used + 1
 
@@ -159,13 +159,13 @@ def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
     state = state_of(other)
     assert [s['number'] for s in state['samples']][:5] == [1, 2, 3, 4, 6], 'no number comes twice'
     computed(other)
-    transform = other.answer.calibration.T_flange_sensor
+    T = other.answer.calibration.T_flange_sensor
     third = again(other)
     assert state_of(third)['calibration']['state'] == 'current', 'it is solved without being asked'
-    assert np.abs(third.answer.calibration.T_flange_sensor - transform).max() < 1e-9
+    assert np.abs(third.answer.calibration.T_flange_sensor - T).max() < 1e-9
 
 
-def test_a_restart_forgets_neither_the_frame_of_the_poses_nor_that_of_the_profiles(tmp_path):
+def test_a_restart_keeps_the_frames_of_poses_and_profiles(tmp_path):
     other = again(feed(stored(tmp_path), stops=3))
     settings = other.session.with_base(other.config)
     assert settings.robot_base_frame == 'base', 'before the first message'
@@ -181,19 +181,19 @@ def test_another_session_is_opened_with_what_it_excludes_or_not_at_all(tmp_path:
     before, text = Path(live.path), live.clear_samples()
     assert text.startswith('3 samples removed') and live.config.samples.exclude == ()
     changed(live, noise__sensor=4e-5)  # which is to be written
-    session_before, path = read_session(before), live.path
-    config = replace(live.config, samples=session_before.config.samples)
+    session, path = read_session(before), live.path
+    config = replace(live.config, samples=session.config.samples)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
     try:
         with pytest.raises(InputError, match='cannot write'):
-            live.open_session(session_before, config)
+            live.open_session(session, config)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert (live.path, sample_count(state_of(live)), live.config.samples.exclude) == (path, 0, ())
-    assert live.open_session(session_before, config) == (
+    assert live.open_session(session, config) == (
         f'continuing with 3 samples of {before}; noise.sensor is 4e-05 now, was '
-        f'{session_before.config.noise.sensor}')
+        f'{session.config.noise.sensor}')
     assert [s['number'] for s in state_of(live)['samples'] if s['excluded']] == [2]
     assert read_session(before).config == live.config
     live.files.close()
@@ -213,14 +213,14 @@ def test_clearing_begins_another_session_and_keeps_the_one_before(tmp_path: Path
 
 
 def test_last_is_the_newest_of_the_name_or_of_all(tmp_path: Path) -> None:
-    given = {'output_dir': str(tmp_path), 'session': 'last'}
-    assert settings_and_session(given, OutputFolders())[1] is None
+    parameters = {'output_dir': str(tmp_path), 'session': 'last'}
+    assert settings_and_session(parameters, OutputFolders())[1] is None
     live = feed(stored(tmp_path), stops=1)
     live.files.close()
-    config, opened = settings_and_session(given, OutputFolders())
-    assert opened and opened.path == Path(live.path)
+    config, session = settings_and_session(parameters, OutputFolders())
+    assert session and session.path == Path(live.path)
     assert (config.target.type, config.target.radius) == ('sphere', SPHERE.config.target.radius)
-    assert settings_and_session(given | {'name': 'other'}, OutputFolders())[1] is None
+    assert settings_and_session(parameters | {'name': 'other'}, OutputFolders())[1] is None
 
 
 # -- what goes wrong
@@ -245,8 +245,9 @@ def test_a_full_disk_is_a_refusal_and_goes_on_where_there_is_room_again(tmp_path
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert len(read_session(Path(live.path)).stops) == 2
     changed(live, sampling__min_points=20)
-    kept = read_session(Path(live.path))
-    assert sorted(kept.stops) == [1, 2, 3] and sample_count(state_of(live)) == kept.sample_count
+    session = read_session(Path(live.path))
+    assert sorted(session.stops) == [1, 2, 3]
+    assert sample_count(state_of(live)) == session.sample_count
     assert not list(Path(live.path).glob('.*.tmp'))
     feed(live, stops=4)
     state = state_of(live)
@@ -269,8 +270,8 @@ def test_a_folder_that_vanishes_is_a_refusal_and_may_come_back(tmp_path: Path) -
     with pytest.raises(DataError):  # too few
         computed(live)
     update(live)
-    kept = read_session(folder)
-    assert (sorted(kept.stops), kept.config) == ([1, 2, 3], replace(live.config, session=''))
+    session = read_session(folder)
+    assert (sorted(session.stops), session.config) == ([1, 2, 3], replace(live.config, session=''))
     state = state_of(live)
     assert (sample_count(state), state['session']['trouble']) == (2, '')  # 3 is as 1
     shutil.rmtree(folder)

@@ -29,35 +29,35 @@ X = np.linspace(-0.02, 0.02, 60)
 def batch(stamp: int, rows: int, *, first: int = 0, gocator: bool = False) -> bytes:
     """Return a message; the range tells which row it is, y is an encoder's (1 mm a row)."""
     number = np.arange(first, first + rows).repeat(len(X))
-    message = cloud({'x': np.tile(X, rows), 'y': 1e-3 * number, 'z': 0.2 + 1e-5 * number}, LAYOUT,
-                    12, height=rows)
+    scan = cloud({'x': np.tile(X, rows), 'y': 1e-3 * number, 'z': 0.2 + 1e-5 * number}, LAYOUT,
+                 12, height=rows)
     height, width = (rows * len(X), 1) if gocator else (rows, len(X))
     if gocator:
-        message.height, message.width, message.row_step = rows * len(X), 1, 12
-    return bytes(STORE.serialize_cdr(cloud_message(message, stamp), CLOUD_TYPE))
+        scan.height, scan.width, scan.row_step = rows * len(X), 1, 12
+    return bytes(STORE.serialize_cdr(cloud_message(scan, stamp), CLOUD_TYPE))
 
 
 def profiles(messages: Sequence[bytes], config: ProfileConfig) -> list[RawProfile]:
-    reader, read, before = ProfileReader(config), [], None
+    reader, rows, before = ProfileReader(config), [], None
     for data in messages:
         whole = reader.take(data)
-        read += split(whole, before, config)
+        rows += split(whole, before, config)
         before = whole.stamp
-    return read
+    return rows
 
 
 @pytest.mark.parametrize(('stamp', 'begin'), [('first', 0.0), ('middle', -4.5), ('last', -9.0)])
 def test_with_a_period_every_row_is_a_message_with_its_stamp(stamp: str, begin: float) -> None:
     config = ProfileConfig(period=1e-3, stamp=stamp)
-    found = profiles([batch(START + i * 10 * MS, 10, first=10 * i) for i in range(3)], config)
-    assert [p.stamp for p in found] == [START + round((begin + i) * MS) for i in range(30)]
-    for index, one in enumerate(found):
-        same = STORE.deserialize_cdr(one.fetch(), CLOUD_TYPE)
-        assert (same.height, same.width, len(same.data)) == (1, 60, 720)
-        again = ProfileReader(config).take(one.fetch())
-        assert (again.stamp, again.rows, one.reach) == (one.stamp, 1, (0, 0))
-        for profile in (one.read(), again.read()):
-            assert profile.stamp == one.stamp
+    rows = profiles([batch(START + i * 10 * MS, 10, first=10 * i) for i in range(3)], config)
+    assert [p.stamp for p in rows] == [START + round((begin + i) * MS) for i in range(30)]
+    for index, row in enumerate(rows):
+        message = STORE.deserialize_cdr(row.fetch(), CLOUD_TYPE)
+        assert (message.height, message.width, len(message.data)) == (1, 60, 720)
+        again = ProfileReader(config).take(row.fetch())
+        assert (again.stamp, again.rows, row.reach) == (row.stamp, 1, (0, 0))
+        for profile in (row.read(), again.read()):
+            assert profile.stamp == row.stamp
             np.testing.assert_allclose(profile.points[:, 1], 0.2 + 1e-5 * index, rtol=1e-6)
             np.testing.assert_allclose(profile.points[:, 0], X, rtol=1e-6)
     for other in (batch(START, 4), batch(START, 10)[:-2], b''):  # the file has changed
@@ -68,10 +68,10 @@ def test_with_a_period_every_row_is_a_message_with_its_stamp(stamp: str, begin: 
 
 
 def test_rows_that_part_the_line_are_points() -> None:
-    message = cloud({'x': X, 'y': 0 * X, 'z': 0.2 + 0 * X}, LAYOUT, 12, height=4)
-    assert row_count(message, ProfileConfig()) == 1
-    assert row_count(message, ProfileConfig(rows='profiles')) == 4
-    assert points(message, ProfileConfig()).shape == (60, 2)
+    scan = cloud({'x': X, 'y': 0 * X, 'z': 0.2 + 0 * X}, LAYOUT, 12, height=4)
+    assert row_count(scan, ProfileConfig()) == 1
+    assert row_count(scan, ProfileConfig(rows='profiles')) == 4
+    assert points(scan, ProfileConfig()).shape == (60, 2)
     one, = profiles([batch(START, 1, gocator=True)], ProfileConfig())
     assert one.read().points.shape == (60, 2)
 
@@ -79,10 +79,10 @@ def test_rows_that_part_the_line_are_points() -> None:
 @pytest.mark.parametrize(('stamp', 'reach'), [('first', (0, 40)), ('middle', (20, 20)),
                                               ('last', (40, 0))])
 def test_without_a_period_it_is_known_about_when_a_row_was_taken(stamp, reach):
-    found = profiles([batch(START + i * 40 * MS, 8) for i in range(3)], ProfileConfig(stamp=stamp))
-    assert len(found) == 16, 'nobody knows how long the first took'
-    assert all(p.reach == (reach[0] * MS, reach[1] * MS) for p in found)
-    stamps = [p.stamp for p in found]
+    rows = profiles([batch(START + i * 40 * MS, 8) for i in range(3)], ProfileConfig(stamp=stamp))
+    assert len(rows) == 16, 'nobody knows how long the first took'
+    assert all(p.reach == (reach[0] * MS, reach[1] * MS) for p in rows)
+    stamps = [p.stamp for p in rows]
     assert stamps == sorted(set(stamps))
 
 

@@ -53,14 +53,14 @@ def test_links_of_other_stamps_are_interpolated_and_never_extrapolated():
 
 @pytest.mark.parametrize('slow', ['flange', 'arm'])
 def test_a_slow_link_anywhere_in_the_chain_delays_the_poses_of_the_others(slow):
-    tracker, known, ms = FlangeTracker('base', 'flange'), [], 10**6
+    tracker, poses, ms = FlangeTracker('base', 'flange'), [], 10**6
     links = {'arm': ('base', 'arm', T_1), 'flange': ('arm', 'flange', T_2)}
     (fast,) = links.keys() - {slow}
     for stamp in range(0, 5000 * ms, 10 * ms):
-        known += added(tracker, links[fast], stamp=stamp)
+        poses += added(tracker, links[fast], stamp=stamp)
         if stamp % (1000 * ms) == 0:
-            known += added(tracker, links[slow], stamp=stamp)
-    assert [stamp for stamp, _ in known] == list(range(0, 4001 * ms, 10 * ms))
+            poses += added(tracker, links[slow], stamp=stamp)
+    assert [stamp for stamp, _ in poses] == list(range(0, 4001 * ms, 10 * ms))
 
 
 def stamps_of(stamps):
@@ -73,9 +73,9 @@ def test_a_clock_that_is_set_back_goes_on():
     second, start = 10**9, 10**18
     stamps = [*range(start, start + second, second // 50),
               *range(start - 60 * second, start - 58 * second, second // 50)]
-    known = stamps_of(stamps)
-    late = [stamp for stamp in known if stamp < start]
-    assert known[0] == start and late[-1] == stamps[-1]
+    pose_stamps = stamps_of(stamps)
+    late = [stamp for stamp in pose_stamps if stamp < start]
+    assert pose_stamps[0] == start and late[-1] == stamps[-1]
     assert 60 < len(late) < 80, 'half a second is lost'
 
 

@@ -33,18 +33,20 @@ import pytest
 from scipy.spatial.transform import Rotation
 from streams import in_order
 
-
-def with_poses(simulated: Cell, change: Callable[[Array], Array]) -> list[Sample]:
-    changed = change(np.array([s.T_base_flange for s in simulated.samples]))
-    return [replace(s, T_base_flange=T) for s, T in zip(simulated.samples, changed, strict=True)]
+Change = Callable[[Array], Array]  # of poses
 
 
-def simulated(error: str) -> Callable[[Array], Array]:
+def with_poses(cell: Cell, change: Change) -> list[Sample]:
+    poses = change(np.array([s.T_base_flange for s in cell.samples]))
+    return [replace(s, T_base_flange=T) for s, T in zip(cell.samples, poses, strict=True)]
+
+
+def simulated(error: str) -> Change:
     """Return what the simulator makes of poses with this error."""
     return lambda T: se3.from_quaternion(*SIMULATED[error](T[:, :3, 3], se3.quaternion(T)))
 
 
-def read(change: Callable[[Rotation], Rotation]) -> Callable[[Array], Array]:
+def read(change: Callable[[Rotation], Rotation]) -> Change:
     """Return what poses become whose orientations are read wrongly."""
     return lambda T: se3.transform(change(Rotation.from_matrix(T[:, :3, :3])).as_matrix(),
                                    T[:, :3, 3])
@@ -68,11 +70,11 @@ def angles(values: Array) -> Rotation:
         (lambda R: angles(R.as_rotvec()), 'with rotation vectors'))),
     ('plate', simulated('degrees'), 'angles in degrees are read as radians'),
     ('sphere', simulated('degrees'), 'angles in degrees are read as radians')])
-def test_convention_errors_are_named(target, change, words):
-    simulated = cell(target, 1)
+def test_convention_errors_are_named(target: str, change: Change, words: str) -> None:
+    simulated_cell = cell(target, 1)
     with refused('convention', words):
-        simulated.solve(with_poses(simulated, change))
-    assert not orientations_scatter(simulated.problem.poses)
+        simulated_cell.solve(with_poses(simulated_cell, change))
+    assert not orientations_scatter(simulated_cell.problem.poses)
 
 
 @pytest.mark.thorough
@@ -95,21 +97,21 @@ def test_a_robot_worse_than_stated_is_no_convention_error(name: str) -> None:
 
 
 @pytest.mark.parametrize('target', ['plate', 'sphere', 'line', 'plane'])
-@pytest.mark.parametrize('right', ['eye_in_hand', 'eye_on_base'])
-def test_the_wrong_calibration_type_names_the_key(target: str, right: str) -> None:
-    wrong = 'eye_on_base' if right == 'eye_in_hand' else 'eye_in_hand'
-    simulated = cell(replace(SCENARIOS[target], calibration_type=right), 1)
-    with pytest.raises(DataError, match=f'with calibration_type {right} or inverse'):
-        simulated.solve(calibration_type=wrong)
+@pytest.mark.parametrize('true_type', ['eye_in_hand', 'eye_on_base'])
+def test_the_wrong_calibration_type_names_the_key(target: str, true_type: str) -> None:
+    wrong_type = 'eye_on_base' if true_type == 'eye_in_hand' else 'eye_in_hand'
+    simulated_cell = cell(replace(SCENARIOS[target], calibration_type=true_type), 1)
+    with pytest.raises(DataError, match=f'with calibration_type {true_type} or inverse'):
+        simulated_cell.solve(calibration_type=wrong_type)
 
 
-@pytest.mark.parametrize(('seed', 'wrong'), [
+@pytest.mark.parametrize(('seed', 'wrong_poses'), [
     (1, lambda T: np.array([s.T_base_flange for s in cell('plate', 2).samples])),
     (3, lambda T: np.roll(T, 1, axis=0))], ids=['of another recording', 'of another sample'])
-def test_poses_that_fit_nothing_are_called_neither_moved_nor_a_convention(seed, wrong):
-    simulated = cell('plate', seed)
+def test_poses_that_fit_nothing_name_no_cause(seed: int, wrong_poses: Change) -> None:
+    plate_cell = cell('plate', seed)
     with refused('misfit', 'contradict'):
-        simulated.solve(with_poses(simulated, wrong))
+        plate_cell.solve(with_poses(plate_cell, wrong_poses))
 
 
 OTHER_TOOL = se3.perturb(np.eye(4), np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.2]))
@@ -118,7 +120,7 @@ BUMPED = se3.perturb(np.eye(4), np.array([0.004, 0.002, 0.0, 0.0, 0.0, 0.01]))
 FAR = se3.perturb(np.eye(4), np.array([0.03, 0.02, 0.04, 0.1, 0.05, 0.0]))
 
 
-def later(samples: tuple[Sample, ...], change: Callable[[Array], Array]) -> list[Sample]:
+def later(samples: tuple[Sample, ...], change: Change) -> list[Sample]:
     """Return samples in the order of time, the poses of the second half changed."""
     ordered = in_order(samples)
     half = len(ordered) // 2
@@ -133,22 +135,21 @@ def later(samples: tuple[Sample, ...], change: Callable[[Array], Array]) -> list
     *((name, lambda T: T @ OTHER_TOOL, 'the (sensor|target) moved in ') for name in (
         'plane', 'line')),  # 7 of their 14 samples have few conditions to spare
     ('eye_on_base', lambda T: T @ OTHER_TOOL, 'the target moved in flange, or')])
-def test_what_moved_is_named(name: str, change: Callable[[Array], Array], words: str) -> None:
-    simulated = cell(name, 3)
+def test_what_moved_is_named(name: str, change: Change, words: str) -> None:
+    simulated_cell = cell(name, 3)
     with pytest.raises(DataError, match=words) as caught:
-        simulated.solve(later(simulated.samples, change))
-    parted = re.search(r'the first (\d+) samples .* the other (\d+),', str(caught.value))
-    first, others = map(int, parted.groups())
-    n = len(simulated.samples)
+        simulated_cell.solve(later(simulated_cell.samples, change))
+    match = re.search(r'the first (\d+) samples .* the other (\d+),', str(caught.value))
+    (first, others), n = map(int, match.groups()), len(simulated_cell.samples)
     assert first + others == n and abs(first - n // 2) <= 2
 
 
 @pytest.mark.parametrize('name', ['plane', 'sphere'])
 def test_parts_with_neither_one_target_nor_one_transform_name_no_move(name: str) -> None:
     # as parts of a few samples with wrong poses fit, by chance
-    simulated = cell(name, 3)
+    simulated_cell = cell(name, 3)
     with refused('misfit', 'contradict'):
-        simulated.solve(later(simulated.samples, lambda T: FAR @ T @ OTHER_TOOL))
+        simulated_cell.solve(later(simulated_cell.samples, lambda T: FAR @ T @ OTHER_TOOL))
 
 
 @pytest.mark.thorough
@@ -171,25 +172,25 @@ def warnings_or_refusal(samples: list[Sample], config: Config) -> str:
 SLIGHT = se3.perturb(np.eye(4), np.array([4e-4, 0.0, 3e-4, 0.0, 0.0, 0.0]))
 
 
-@pytest.mark.parametrize(('change', 'what'), [
+@pytest.mark.parametrize(('change', 'culprit'), [
     (lambda T: T @ SLIGHT, 'sensor'), (lambda T: SLIGHT @ T, 'target')])
-def test_a_small_move_is_reported_with_its_moment(change, what):
-    simulated = cell('plate', 5)
-    samples = later(simulated.samples, change)
-    sentence = warnings_or_refusal(samples, simulated.config)
-    assert f'the first {len(samples) // 2} ' in sentence and f'the {what} ' in sentence
-    size = re.search('by about ([0-9.]+) mm', sentence)
-    assert size is None or float(size[1]) == pytest.approx(0.5, abs=0.3)
+def test_a_small_move_is_reported_with_its_moment(change: Change, culprit: str) -> None:
+    plate_cell = cell('plate', 5)
+    samples = later(plate_cell.samples, change)
+    sentence = warnings_or_refusal(samples, plate_cell.config)
+    assert f'the first {len(samples) // 2} ' in sentence and f'the {culprit} ' in sentence
+    match = re.search('by about ([0-9.]+) mm', sentence)
+    assert match is None or float(match[1]) == pytest.approx(0.5, abs=0.3)
 
 
 @pytest.mark.parametrize('seed', [1, 4, 114, 118])
-def test_a_small_move_is_reported_though_noise_and_scales_could_stand_for_it(seed: int) -> None:
+def test_a_small_move_is_reported_though_noise_could_explain_it(seed: int) -> None:
     scenario, rng = FAULTS['plane'], np.random.default_rng(seed)
     samples, truth = simulate_samples(scenario, rng)
     X, step = truth.T_flange_sensor, rng.normal(size=3)
     moved = se3.perturb(np.eye(4), np.append(5e-4 * step / np.linalg.norm(step), np.zeros(3)))
-    seen = X @ se3.inverse(moved) @ se3.inverse(X)
-    sentence = warnings_or_refusal(later(samples, lambda T: T @ seen), settings_of(scenario))
+    slip = X @ se3.inverse(moved) @ se3.inverse(X)
+    sentence = warnings_or_refusal(later(samples, lambda T: T @ slip), settings_of(scenario))
     assert re.search('the first [678] of 14 samples', sentence), sentence
 
 
@@ -197,25 +198,25 @@ def test_a_small_move_is_reported_though_noise_and_scales_could_stand_for_it(see
     ('sphere', False), *(pytest.param(*values, marks=pytest.mark.thorough) for values in (
         ('sphere', True), ('wedge', False), ('wedge', True)))])
 def test_a_move_is_told_while_few_samples_lie_beyond_it(name: str, first: bool) -> None:
-    simulated = cell(name, 2)
+    simulated_cell = cell(name, 2)
     rng = np.random.default_rng(1)
-    mixed = [replace(simulated.samples[k], stamp=stamp)
-             for stamp, k in enumerate(rng.permutation(len(simulated.samples))[:12])]
+    mixed = [replace(simulated_cell.samples[k], stamp=stamp)
+             for stamp, k in enumerate(rng.permutation(len(simulated_cell.samples))[:12])]
     bumped = se3.transform(np.eye(3), np.array([0.02, 0.0, 0.0]))
     beyond = mixed[:3] if first else mixed[-3:]
     samples = [replace(s, T_base_flange=bumped @ s.T_base_flange) if s in beyond else s
                for s in mixed]
     words = ('the first 3 of 12 samples contradict the 9 after them' if first else
              'the last 3 of 12 samples contradict the 9 before them')
-    assert words in warnings_or_refusal(samples, simulated.config)
-    answer = pipeline.answer_samples(samples, [], simulated.config, 'laser')
-    advice = advise(samples, simulated.config, answer)
+    assert words in warnings_or_refusal(samples, simulated_cell.config)
+    answer = pipeline.answer_samples(samples, [], simulated_cell.config, 'laser')
+    advice = advise(samples, simulated_cell.config, answer)
     assert words in advice.why and not advice.enough
     # a single sample may be wrong for another reason, and so may others in any place
-    apart = [replace(s, T_base_flange=bumped @ s.T_base_flange) if k in (1, 5, 9) else s
-             for k, s in enumerate(mixed)]
-    assert 'moved' not in warnings_or_refusal(apart, simulated.config)
-    assert 'moved' not in warnings_or_refusal([*mixed[:9], samples[-1]], simulated.config)
+    scattered = [replace(s, T_base_flange=bumped @ s.T_base_flange) if k in (1, 5, 9) else s
+                 for k, s in enumerate(mixed)]
+    assert 'moved' not in warnings_or_refusal(scattered, simulated_cell.config)
+    assert 'moved' not in warnings_or_refusal([*mixed[:9], samples[-1]], simulated_cell.config)
 
 
 def test_outliers_at_one_end_are_told_of_however_many_samples() -> None:
@@ -227,16 +228,16 @@ def test_outliers_at_one_end_are_told_of_however_many_samples() -> None:
 
 @pytest.mark.parametrize(('name', 'seed'), [('plate', 2), ('sphere', 1)])
 def test_an_answer_that_warns_of_a_move_is_as_uncertain_as_the_move(name: str, seed: int) -> None:
-    simulated = cell(name, seed)
+    simulated_cell = cell(name, seed)
     slightly = se3.perturb(np.eye(4), np.array([8e-5, 0.0, 6e-5, 0.0, 0.0, 0.0]))
-    answer = pipeline.answer_samples(later(simulated.samples, lambda T: T @ slightly), [],
-                                     simulated.config, 'laser')
+    answer = pipeline.answer_samples(later(simulated_cell.samples, lambda T: T @ slightly), [],
+                                     simulated_cell.config, 'laser')
     calibration = answer.require_calibration()
     assert 'moved' in calibration.provenance['warnings'][0]
-    away = se3.difference(calibration.T_flange_sensor, simulated.truth.T_flange_sensor)
-    whole, move = calibration.covariance, answer.solution.added_covariances['possible move']
-    assert away @ np.linalg.solve(whole, away) < chi2_isf(0.05, 6)
-    assert away @ np.linalg.solve(whole - move, away) > chi2_isf(0.05, 6)
+    error = se3.difference(calibration.T_flange_sensor, simulated_cell.truth.T_flange_sensor)
+    covariance, move = calibration.covariance, answer.solution.added_covariances['possible move']
+    assert error @ np.linalg.solve(covariance, error) < chi2_isf(0.05, 6)
+    assert error @ np.linalg.solve(covariance - move, error) > chi2_isf(0.05, 6)
 
 
 @pytest.mark.parametrize('name', ['baseline', 'joints and links 0.1 mm', 'sphere, smooth 0.2 mm'])
@@ -294,7 +295,8 @@ def clamped(scenario: Scenario, height: float, share: float = 1 / 3, lower: floa
     ('plate', 7, barred, True), ('plate', 0, partial(clamped, height=0.015), True),
     ('line', 0, partial(clamped, height=0.015), False)])
 def test_the_stops_that_show_another_surface_are_named_and_left_out(
-        monkeypatch, name, seed, solids, answered):
+        monkeypatch: pytest.MonkeyPatch, name: str, seed: int,
+        solids: Callable[[Scenario], tuple[Solid, ...]], answered: bool) -> None:
     monkeypatch.setitem(scenes.SCENES, 'clamped', replace(
         scenes.SCENES[SCENARIOS[name].scene], solids=solids))
     scenario = replace(SCENARIOS[name], scene='clamped')
@@ -323,9 +325,8 @@ def test_the_stops_that_show_another_surface_are_named_and_left_out(
         r'surface, ([-\d.]+) (?:to ([-\d.]+) )?mm above that of the others', sentence)
     assert [float(height) for height in lowest_highest.groups(default=lowest_highest[1])
             ] == pytest.approx([min(heights) * 1e3, max(heights) * 1e3], abs=0.2), sentence
-    named = re.search(r'the stops ([\d, ]+) show', sentence)
-    assert [int(number) for number in named[1].split(', ')] == [
-        stop.number for stop in elsewhere]
+    match = re.search(r'the stops ([\d, ]+) show', sentence)
+    assert [int(number) for number in match[1].split(', ')] == [stop.number for stop in elsewhere]
 
 
 @pytest.mark.thorough
@@ -335,8 +336,8 @@ def test_faces_that_end_where_the_sensor_is_blind_are_named_and_left_out() -> No
     blind[793:844] = True
     profiles = [replace(p, points=np.where(blind, np.nan, p.points)) for p in recording.profiles]
     calibration = pipeline.calibrate(profiles, recording.poses, settings_of(recording.scenario))
-    [sentence] = calibration.provenance['warnings']
-    assert re.fullmatch('the stops [0-9, ]+ show the end of a face where the sensor .*', sentence)
+    [warning] = calibration.provenance['warnings']
+    assert re.fullmatch('the stops [0-9, ]+ show the end of a face where the sensor .*', warning)
     assert squared_error(calibration, recording.truth) < ONE_IN_100
 
 
@@ -349,14 +350,14 @@ def test_columns_between_plates_in_the_air_are_not_blind() -> None:
 
 
 @pytest.mark.thorough
-def test_heights_of_edges_are_named_where_too_few_stops_show_the_target(monkeypatch):
+def test_heights_of_edges_are_named_if_few_show_a_target(monkeypatch: pytest.MonkeyPatch) -> None:
     """Most stops show a clamp, and one the table: no part of them agrees on one edge."""
     monkeypatch.setitem(scenes.SCENES, 'clamped', replace(
         scenes.SCENES['plate'], solids=partial(clamped, height=0.015, share=0.41)))
     scenario = replace(SCENARIOS['line'], scene='clamped')
-    simulated = simulate(scenario, np.random.default_rng(2))
+    recording = simulate(scenario, np.random.default_rng(2))
     with refused('surface', 'agree on one plane, but not on the edges') as caught:
-        pipeline.calibrate(simulated.profiles, simulated.poses,
+        pipeline.calibrate(recording.profiles, recording.poses,
                            settings_of(scenario, target__type='line'))
     listed = re.findall(r'(\d+\.\d) mm: stops ([\d, ]+)', str(caught.value))
     heights = [float(height) for height, _ in listed]  # of clamps, target and table

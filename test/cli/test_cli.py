@@ -36,8 +36,7 @@ def test_simulate_writes_the_same_bag_with_its_truth_for_the_same_seed(tmp_path)
     run = handeye('simulate', 'small_plate', 'bags/plate', '--seed', 3, cwd=tmp_path)
     assert (run.returncode, run.stderr) == (0, '')
     assert str(path) in run.stdout
-    assert sorted(p.name for p in path.iterdir()) == [
-        'metadata.yaml', 'plate.mcap', 'truth.yaml']
+    assert sorted(p.name for p in path.iterdir()) == ['metadata.yaml', 'plate.mcap', 'truth.yaml']
     before = (path / 'truth.yaml').read_bytes()
     truth, first = yaml.safe_load(before), bag.read(path, Config())
     assert (truth['scenario'], truth['seed'], truth['noise']['sensor']) == ('small_plate', 3, 3e-5)
@@ -130,8 +129,8 @@ def test_an_interrupt_ends_it_quietly(tmp_path):
         descriptor = open_for_a_reader(tmp_path / 'x.mcap', process)
         process.send_signal(signal.SIGINT)
         os.close(descriptor)  # a signal just before it waits for data is heard after the wait
-        out, err = process.communicate(timeout=PATIENCE)
-    assert (process.returncode, out, err) == (130, b'', b'')
+        stdout, stderr = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, stdout, stderr) == (130, b'', b'')
 
 
 def open_for_a_reader(fifo, process):
@@ -144,24 +143,24 @@ def open_for_a_reader(fifo, process):
     pytest.fail(f'ended before it read: {process.stderr.read()}')
 
 
-def test_a_terminal_is_told_what_is_done_and_lacking_letters_loses_no_answer(tmp_path):
-    ours, theirs = pty.openpty()
+def test_a_terminal_shows_progress_and_one_without_letters_the_answer(tmp_path):
+    terminal, end_of_command = pty.openpty()
     environment = {**os.environ, 'TERM': 'xterm', 'PYTHONIOENCODING': 'ascii:strict'}
     process = subprocess.Popen(
         [sys.executable, '-m', 'handeye_ros', 'solve', BAG, '--out', tmp_path], cwd=ROOT,
-        stdout=subprocess.DEVNULL, stderr=theirs, env=environment)
-    os.close(theirs)
-    shown = b''
+        stdout=subprocess.DEVNULL, stderr=end_of_command, env=environment)
+    os.close(end_of_command)
+    stderr = b''
     with suppress(OSError):  # the other side has ended
-        while part := os.read(ours, 4096):
-            shown += part
+        while part := os.read(terminal, 4096):
+            stderr += part
     assert process.wait() == 0
     assert (tmp_path / 'calibration.yaml').exists()
-    text = re.sub(r'\x1b\[[0-9;?]*[a-zA-Z]', '', shown.decode())
+    text = re.sub(r'\x1b\[[0-9;?]*[a-zA-Z]', '', stderr.decode())
     assert re.search('reading the recording .* [0-9]+%', text) and 'solving' in text
 
 
-@pytest.mark.parametrize(('given', 'meant'), [
+@pytest.mark.parametrize(('assignment', 'expected'), [
     ('verify.lengths=[15mm, 0.005]', (0.015, 0.005)), ('verify.radius=2 cm', 0.02),
     ('verify.radius=2.cm', 0.02), ('verify.radius=2E4um', 0.02),
     ('verify.angle_tolerance=0.5deg', math.pi / 360), ('verify.near=[-300mm, 0, 1e2 mm, 0.2m]',
@@ -172,11 +171,11 @@ def test_a_terminal_is_told_what_is_done_and_lacking_letters_loses_no_answer(tmp
     ('time_offset_std=5ms', 0.005), ('rotation_lag_std=1ms', 0.001),
     ('verify.reference=[500mm, 0, 2cm]', (0.5, 0.0, 0.02)),
     ('record.note=20mm', '20mm'), ('name=3mm', '3mm')])
-def test_set_takes_numbers_with_a_unit(given, meant):
-    config = with_assignments(Config(), [given])
-    key = given.partition('=')[0]
-    found = dict(config.record)['note'] if key == 'record.note' else attrgetter(key)(config)
-    assert found == (meant if isinstance(meant, str) else pytest.approx(meant, rel=1e-12))
+def test_set_takes_numbers_with_a_unit(assignment, expected):
+    config = with_assignments(Config(), [assignment])
+    key = assignment.partition('=')[0]
+    value = dict(config.record)['note'] if key == 'record.note' else attrgetter(key)(config)
+    assert value == (expected if isinstance(expected, str) else pytest.approx(expected, rel=1e-12))
 
 
 @pytest.mark.thorough
@@ -187,12 +186,13 @@ def test_a_sweep_is_solved_reported_and_checked(tmp_path):
     assert 'time offset' in run.stdout
     succeeds('report', 'a/calibration.yaml', '--out', 'a.html', cwd=tmp_path)
     assert 'RMS residual of each stop' in (tmp_path / 'a.html').read_text()
-    solved = calibration_file.read_calibration(tmp_path / 'a' / 'calibration.yaml')
-    assert solved.time_offset is not None
+    calibration = calibration_file.read_calibration(tmp_path / 'a' / 'calibration.yaml')
+    assert calibration.time_offset is not None
     run = succeeds('check', bag, '--against', 'a/calibration.yaml', cwd=tmp_path)
     assert 'UNCHANGED' in run.stdout and 'time offset is as it was' in run.stdout
-    other = ClockEstimate(solved.time_offset.value + 5e-3, solved.time_offset.std)
-    calibration_file.write_calibration(replace(solved, time_offset=other), tmp_path / 'b.yaml')
+    other = ClockEstimate(calibration.time_offset.value + 5e-3, calibration.time_offset.std)
+    calibration_file.write_calibration(replace(calibration, time_offset=other),
+                                       tmp_path / 'b.yaml')
     run = handeye('check', bag, '--against', 'b.yaml', cwd=tmp_path)
     assert run.returncode == 1, run.stderr
     changed = re.search('CLOCK: .* time offset has changed by (-[0-9.]+) ms', run.stdout)

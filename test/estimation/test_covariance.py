@@ -51,7 +51,7 @@ def test_the_solution_is_the_minimum(name: str) -> None:
 
 @pytest.mark.parametrize('factors', [
     (1.0, 1.0, 1.0, 1.0), (0.1, 1e4, 1e-4, 1e-4), (1e4, 0.1, 1.0, 1e-4), (1e-4, 1e-4, 1e4, 1e-4)])
-def test_the_noise_of_a_station_is_positive_whatever_its_size(factors):
+def test_the_noise_of_a_station_is_positive(factors: tuple[float, float, float, float]) -> None:
     solution = solution_of('plate')
     problem = replace(solution.problem, config=with_values(
         solution.problem.config, {'noise.distortion': 2e-5}, 'a test'))
@@ -69,17 +69,17 @@ def trials(name: str) -> int:
 
 @pytest.mark.thorough
 @every_method
-def test_the_stated_covariance_is_that_of_the_errors_and_good_samples_are_kept(name):
+def test_the_stated_covariance_is_that_of_the_errors(name: str) -> None:
     squares, lost = [], []
     for seed in range(trials(name)):
-        simulated = cell(name, seed)
+        simulated_cell = cell(name, seed)
         try:
-            answer = simulated.solve()
+            calibration = simulated_cell.solve()
         except DataError as error:
             assert error.reason == 'uncertain'
             continue
-        lost.append(answer.quality.samples_rejected)
-        squares.append(squared_error(answer, simulated.truth) / 6)
+        lost.append(calibration.quality.samples_rejected)
+        squares.append(squared_error(calibration, simulated_cell.truth) / 6)
     assert len(squares) > 0.9 * trials(name)
     sigma = np.sqrt(2 / 6 / len(squares))  # of the mean of chi-squared over 6
     assert abs(np.mean(squares) - 1) < 3.5 * sigma
@@ -89,45 +89,46 @@ def test_the_stated_covariance_is_that_of_the_errors_and_good_samples_are_kept(n
 
 @every_method
 def test_the_left_out_rms_is_that_of_real_refits(name: str) -> None:
-    simulated = noisy(name)
-    ordered = in_order(simulated.samples)
-    answer = calibration_of(name)
-    solution = pipeline.answer_samples(ordered, (), simulated.config).require_solution()
+    simulated_cell = noisy(name)
+    ordered = in_order(simulated_cell.samples)
+    calibration = calibration_of(name)
+    solution = pipeline.answer_samples(ordered, (), simulated_cell.config).require_solution()
     assert len(solution.used) == len(ordered) <= 20, 'each station is a fold of its own'
     measured = measured_points(ordered, solution.problem)
-    squares, own = [], []
+    squares, in_fit = [], []
     for station in range(len(ordered)):
         others = np.setdiff1d(np.arange(len(ordered)), [station])
         refit = least_squares_fit(solution.problem.subset(others), solution.estimate,
                                   solution.noise).estimate
-        mine = measured.station == station
-        squares.append(measured.residuals(solution.problem, refit)[mine] ** 2)
-        own.append(measured.residuals(solution.problem, solution.estimate)[mine] ** 2)
-    left_out, used = (np.sqrt(np.concatenate(s).mean()) for s in (squares, own))
-    assert answer.quality.holdout_rms == pytest.approx(left_out, rel=0.03)
-    assert answer.quality.residual_rms == pytest.approx(used, rel=1e-9)
+        at_station = measured.station == station
+        squares.append(measured.residuals(solution.problem, refit)[at_station] ** 2)
+        in_fit.append(measured.residuals(solution.problem, solution.estimate)[at_station] ** 2)
+    left_out, used = (np.sqrt(np.concatenate(s).mean()) for s in (squares, in_fit))
+    assert calibration.quality.holdout_rms == pytest.approx(left_out, rel=0.03)
+    assert calibration.quality.residual_rms == pytest.approx(used, rel=1e-9)
     assert left_out > 1.01 * used
 
 
 def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
     """Move one pose: the residuals of its station agree on it, and weigh as one, not as many."""
-    simulated = exact_cell('plate')
-    solution = solved(simulated.problem)
-    moved = simulated.problem.poses.copy()
-    sigma = simulated.config.noise.robot_translation
+    plate_cell = exact_cell('plate')
+    solution = solved(plate_cell.problem)
+    moved = plate_cell.problem.poses.copy()
+    sigma = plate_cell.config.noise.robot_translation
     normal = solution.estimate.state[:16].reshape(4, 4)[:3, 2]
     moved[3] = se3.perturb(moved[3], np.append(sigma * normal, np.zeros(3)))
-    there = solution_at(replace(solution.problem, poses=moved), solution.estimate, BLOCKS_AS_NOISE)
-    mine = there.problem.observations.station == 3
-    assert (there.postfit_residuals[mine] ** 2).sum() == pytest.approx(1, abs=0.15)
-    assert np.allclose(there.postfit_residuals[~mine], 0, atol=1e-3)
+    moved_solution = solution_at(
+        replace(solution.problem, poses=moved), solution.estimate, BLOCKS_AS_NOISE)
+    at_station = moved_solution.problem.observations.station == 3
+    assert (moved_solution.postfit_residuals[at_station] ** 2).sum() == pytest.approx(1, abs=0.15)
+    assert np.allclose(moved_solution.postfit_residuals[~at_station], 0, atol=1e-3)
 
 
 @pytest.mark.parametrize('target', ['plate', 'wedge'])
 def test_a_station_that_may_be_wrong_adds_what_freeing_its_pose_changes(target: str) -> None:
-    first = solved(cell(replace(SCENARIOS[target], stations=(10, 10)), 0).problem)
-    found = with_possibly_wrong_station(map_solution(first.problem, first.estimate), dropped=0)
-    as_set = solution_at(found.problem, found.estimate, Noise())
+    start = solved(cell(replace(SCENARIOS[target], stations=(10, 10)), 0).problem)
+    solution = with_possibly_wrong_station(map_solution(start.problem, start.estimate), dropped=0)
+    as_set = solution_at(solution.problem, solution.estimate, Noise())
     A, r, station = as_set.jacobian, as_set.prefit_residuals, as_set.problem.observations.station
     wrt_pose = as_set.whitening(as_set.linear.wrt_pose * POSE_ERROR)
 
@@ -137,9 +138,9 @@ def test_a_station_that_may_be_wrong_adds_what_freeing_its_pose_changes(target: 
         prior = np.append(as_set.prior_information, np.ones(K.shape[1]))
         N = J.T @ J + np.diag(prior)
         x = -np.linalg.solve(N, J.T @ r)
-        left = r + J @ x
+        remaining = r + J @ x
         return x[:6], np.linalg.inv(N)[:6, :6], -(
-            left @ left + x @ (prior * x) + np.linalg.slogdet(N)[1])
+            remaining @ remaining + x @ (prior * x) + np.linalg.slogdet(N)[1])
     X, C, evidence = solved_with(np.zeros((len(r), 0)))
     odds, added = [], []
     for number in range(len(as_set.problem.poses)):
@@ -148,17 +149,17 @@ def test_a_station_that_may_be_wrong_adds_what_freeing_its_pose_changes(target: 
         odds.append(PRIOR_ODDS_WRONG * np.exp((evidence_freed - evidence) / 2))
         added.append(np.outer(X_freed - X, X_freed - X) + C_freed - C)
     share = np.array(odds) / (1 + np.sum(odds))
-    assert found.probability_wrong == pytest.approx(share.sum(), rel=1e-4)
+    assert solution.probability_wrong == pytest.approx(share.sum(), rel=1e-4)
     expected, std = np.tensordot(share, added, 1), np.sqrt(np.diag(C))
-    assert np.abs((found.added_covariances[ONE_WRONG] - expected) / np.outer(std, std)).max() < (
-        1e-6 * share.sum())
+    error = solution.added_covariances[ONE_WRONG] - expected
+    assert np.abs(error / np.outer(std, std)).max() < 1e-6 * share.sum()
 
 
 @pytest.mark.parametrize('target', ['plate', 'sphere'])
 def test_the_parts_add_up_to_what_is_reported(target: str) -> None:
-    simulated = cell(target, 0)
-    config = settings_of(simulated.scenario)
-    solution = pipeline.answer_samples(simulated.samples, (), config).require_solution()
+    simulated_cell = cell(target, 0)
+    config = settings_of(simulated_cell.scenario)
+    solution = pipeline.answer_samples(simulated_cell.samples, (), config).require_solution()
     *terms, total = budget(solution)
     assert {'sensor, white', 'poses, white', 'robot_smooth', 'best-fit transform'} <= {
         term.name for term in terms}
@@ -170,9 +171,9 @@ def test_the_parts_add_up_to_what_is_reported(target: str) -> None:
 
 
 def test_the_command_line_shows_the_budget_of_an_answer(tmp_path: Path) -> None:
-    shown = succeeds('solve', ROOT / 'bags/plate', '--config', ROOT / 'config/plate.yaml',
-                     '--budget', '--out', tmp_path, cwd=tmp_path)
-    table = shown.stdout[shown.stdout.index('1 sigma by cause'):]
+    run = succeeds('solve', ROOT / 'bags/plate', '--config', ROOT / 'config/plate.yaml',
+                   '--budget', '--out', tmp_path, cwd=tmp_path)
+    table = run.stdout[run.stdout.index('1 sigma by cause'):]
     shares = [float(share) for share in re.findall(r'([\d.]+) %', table)]
     assert shares[-1] == 100.0 and sum(shares[:-1]) == pytest.approx(100.0, abs=1.0)
     assert '18 samples' in table
@@ -191,8 +192,8 @@ def test_a_covariance_that_covers_two_has_neither_less() -> None:
     for _ in range(20):
         first, second = (root @ root.T for root in rng.normal(size=(2, 6, 6)))
         least = cover(first, second)
-        for given in (first, second):
-            assert np.linalg.eigvalsh(least - given).min() > -1e-9 * least.max()
+        for covariance in (first, second):
+            assert np.linalg.eigvalsh(least - covariance).min() > -1e-9 * least.max()
         assert np.allclose(cover(first, 0.5 * first), first)
         assert np.allclose(cover(first, 2 * first), 2 * first)
 

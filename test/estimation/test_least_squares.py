@@ -53,11 +53,11 @@ def test_a_linear_system_is_solved_as_by_its_normal_equations(seed: int) -> None
 def test_an_unknown_that_nothing_depends_on_stays_where_it_is() -> None:
     _, A, b, _ = linear(0)
     J = np.column_stack([A, np.zeros(len(A))])
-    (found,), squares = many_least_squares(
+    (estimates,), squares = many_least_squares(
         lambda states: (states[0] @ J.T - b, np.broadcast_to(J, (len(states[0]), *J.shape))),
         lambda states, steps: (states[0] + steps,), (np.ones((3, 5)),), 20)
     expected, least, _, _ = np.linalg.lstsq(A, b, rcond=None)
-    assert np.abs(found - [*expected, 1.0]).max() < 1e-9
+    assert np.abs(estimates - [*expected, 1.0]).max() < 1e-9
     assert np.abs(squares - least).max() < 1e-9
 
 
@@ -67,22 +67,23 @@ def test_what_blocks_say_without_each_other_is_what_refits_say(seed: int) -> Non
     x, C = np.linalg.lstsq(A, b, rcond=None)[0], covariance_of(A)
     r = A @ x - b
     left_out = leave_one_out(r, A, C, block)
-    out = block == 3
-    refit = np.linalg.lstsq(A[~out], b[~out], rcond=None)[0]
-    assert np.abs(left_out[out] - (A @ refit - b)[out]).max() < 1e-6
+    in_block = block == 3
+    refit = np.linalg.lstsq(A[~in_block], b[~in_block], rcond=None)[0]
+    assert np.abs(left_out[in_block] - (A @ refit - b)[in_block]).max() < 1e-6
 
 
 @SEEDS
 def test_wrong_blocks_are_left_out_and_change_nothing(seed: int) -> None:
     system, A, b, block = linear(seed, noise=0.01)
-    good, wrong = np.arange(3, 20), np.isin(block, (0, 1, 2))
-    b = b + 100.0 * wrong
+    good_blocks, is_wrong = np.arange(3, 20), np.isin(block, (0, 1, 2))
+    b = b + 100.0 * is_wrong
     spoilt = System(lambda x: Rows(A @ x - b, lambda: A), np.add, block)
     adjusted = adjust(spoilt, np.zeros(4), fewest=4)
-    assert set(adjusted.used.tolist()) <= set(good.tolist())
-    kept = np.isin(block, adjusted.used)
-    assert np.abs(adjusted.state - np.linalg.lstsq(A[kept], b[kept], rcond=None)[0]).max() < 1e-9
-    assert len(adjusted.used) >= len(good) - 1
+    assert set(adjusted.used.tolist()) <= set(good_blocks.tolist())
+    is_used = np.isin(block, adjusted.used)
+    refit = np.linalg.lstsq(A[is_used], b[is_used], rcond=None)[0]
+    assert np.abs(adjusted.state - refit).max() < 1e-9
+    assert len(adjusted.used) >= len(good_blocks) - 1
 
 
 def test_no_more_blocks_are_dropped_than_can_be_spared() -> None:
@@ -100,8 +101,7 @@ FREEDOM = st.integers(1, 2000)
 def test_chi_squared_is_that_of_scipy(probability: float, freedom: int) -> None:
     value = chi2_isf(probability, freedom)
     assert value == pytest.approx(stats.chi2.isf(probability, freedom), rel=1e-9)
-    assert chi2_sf(value, freedom) == pytest.approx(
-        stats.chi2.sf(value, freedom), rel=1e-9)
+    assert chi2_sf(value, freedom) == pytest.approx(stats.chi2.sf(value, freedom), rel=1e-9)
     assert chi2_isf(0.5, freedom) == pytest.approx(stats.chi2.median(freedom), rel=1e-9)
 
 
@@ -115,16 +115,16 @@ def conservative(value: float, std: float) -> float:
     """Return the scale of a single parameter that the data alone put at value +- std."""
     information = 1 / std ** 2
     covariance = np.array([[1 / (1 + information)]])
-    _, found = prior_variances(covariance, covariance[0] * value * information,
-                               [1], np.ones(1), np.array([1e8]))
-    return float(np.sqrt(found[0]))
+    _, variances = prior_variances(covariance, covariance[0] * value * information,
+                                   [1], np.ones(1), np.array([1e8]))
+    return float(np.sqrt(variances[0]))
 
 
 @pytest.mark.parametrize(('value', 'std', 'least', 'most'), [
     (9.0, 6.0, 0.0, 2.0),  # of 1.5 sigma: not believed at several times its prior
     (0.0, 2.0, 0.7, 2.0),  # it may be there as configured
     (50.0, 0.5, 20.0, 100.0), (0.0, 0.01, 0.0, 0.3)])  # what the data show is believed
-def test_a_scale_is_what_the_data_show_and_no_more(value, std, least, most):
+def test_a_scale_is_what_data_show(value: float, std: float, least: float, most: float) -> None:
     assert least < conservative(value, std) < most
 
 
@@ -142,7 +142,7 @@ with threadpool_limits(3):
 """
 
 
-def test_a_solve_uses_one_blas_thread_and_then_there_are_as_many_as_before() -> None:
+def test_a_solve_uses_one_blas_thread_and_then_as_many_as_before() -> None:
     pytest.importorskip('threadpoolctl', reason='needs threadpoolctl')
     output = subprocess.run([sys.executable, '-c', PROGRAM], capture_output=True, text=True,
                             check=True).stdout

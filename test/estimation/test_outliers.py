@@ -3,6 +3,7 @@
 """Stations that do not fit are left out, with a reason; few of them judge, or give no answer."""
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from cells import Cell, cell, every_method, settings_of, solved, squared_error
@@ -22,15 +23,14 @@ def moved(sample: Sample, by: Array) -> Sample:
     return replace(sample, T_base_flange=se3.perturb(sample.T_base_flange, by))
 
 
-def rejected(answer: Calibration) -> set[int]:
-    return {report.stamp for report in answer.samples if not report.used}
+def rejected(calibration: Calibration) -> set[int]:
+    return {report.stamp for report in calibration.samples if not report.used}
 
 
-def assert_as_good(answer: Calibration, clean: Calibration) -> None:
+def assert_as_good(calibration: Calibration, clean: Calibration) -> None:
     """Check that an answer is that of the clean samples alone."""
-    off = np.abs(se3.difference(answer.T_flange_sensor, clean.T_flange_sensor))
-    assert off.max() < 1e-6
-    assert answer.quality.samples_used == clean.quality.samples_used
+    error = np.abs(se3.difference(calibration.T_flange_sensor, clean.T_flange_sensor))
+    assert error.max() < 1e-6 and calibration.quality.samples_used == clean.quality.samples_used
 
 
 @pytest.mark.thorough
@@ -38,29 +38,30 @@ def assert_as_good(answer: Calibration, clean: Calibration) -> None:
 @pytest.mark.parametrize('size', [3e-3, 0.05])
 def test_stations_with_a_wrong_pose_are_left_out(name: str, size: float) -> None:
     for seed in range(2):
-        simulated = cell(name, seed)
+        simulated_cell = cell(name, seed)
         rng = np.random.default_rng(seed)
-        bad = rng.permutation(len(simulated.samples))[:2]
-        steps = rng.normal(size=(len(simulated.samples), 6))
+        wrong_stations = rng.permutation(len(simulated_cell.samples))[:2]
+        steps = rng.normal(size=(len(simulated_cell.samples), 6))
         steps[:, :3] *= size / np.linalg.norm(steps[:, :3], axis=1)[:, None]
         # a plane does not see what moves along it: turn the poses too, by 1 degree
         steps[:, 3:] *= 0.02 / np.linalg.norm(steps[:, 3:], axis=1)[:, None]
-        samples = [moved(s, steps[i]) if i in bad else s for i, s in enumerate(simulated.samples)]
-        answer = simulated.solve(samples)
-        assert rejected(answer) >= {simulated.samples[i].stamp for i in bad}
-        assert len(rejected(answer)) <= 3
-        clean = simulated.solve(s for s in simulated.samples if s.stamp not in rejected(answer))
-        assert_as_good(answer, clean)
+        samples = [moved(s, steps[i]) if i in wrong_stations else s
+                   for i, s in enumerate(simulated_cell.samples)]
+        calibration = simulated_cell.solve(samples)
+        assert rejected(calibration) >= {simulated_cell.samples[i].stamp for i in wrong_stations}
+        assert len(rejected(calibration)) <= 3
+        assert_as_good(calibration, simulated_cell.solve(
+            s for s in simulated_cell.samples if s.stamp not in rejected(calibration)))
 
 
-def aside(simulated: Cell, rng: np.random.Generator) -> Array:
+def aside(cell: Cell, rng: np.random.Generator) -> Array:
     """Return a step of 5 mm."""
     step = rng.normal(size=3)
     return 5e-3 * step / np.linalg.norm(step)
 
 
-def to_a_second_plate(simulated: Cell, rng: np.random.Generator) -> Array:
-    return simulated.truth.T_base_target[:3, :3] @ [0.25, 0.05, 0.004]
+def to_a_second_plate(cell: Cell, rng: np.random.Generator) -> Array:
+    return cell.truth.T_base_target[:3, :3] @ [0.25, 0.05, 0.004]
 
 
 @pytest.mark.parametrize(('target', 'seed', 'step', 'share'), [
@@ -68,72 +69,75 @@ def to_a_second_plate(simulated: Cell, rng: np.random.Generator) -> Array:
     *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
         ('plate', 17, to_a_second_plate, 0.24),
         *((target, seed, aside, 0.28) for target in ('plate', 'sphere') for seed in range(6))))])
-def test_a_cluster_that_agrees_on_something_wrong_is_left_out(target, seed, step, share):
-    simulated, rng = cell(target, seed), np.random.default_rng(seed)
-    by = np.append(step(simulated, rng), np.zeros(3))
-    order = rng.permutation(len(simulated.samples))
-    bad = {simulated.samples[i].stamp for i in order[:int(share * len(simulated.samples))]}
-    answer = simulated.solve(moved(s, by) if s.stamp in bad else s for s in simulated.samples)
-    assert rejected(answer) == bad
-    assert_as_good(answer, simulated.solve(s for s in simulated.samples if s.stamp not in bad))
+def test_a_cluster_that_agrees_on_something_wrong_is_left_out(
+        target: str, seed: int, step: Callable[..., Array], share: float) -> None:
+    simulated_cell, rng = cell(target, seed), np.random.default_rng(seed)
+    by, samples = np.append(step(simulated_cell, rng), np.zeros(3)), simulated_cell.samples
+    order = rng.permutation(len(samples))
+    wrong_stamps = {samples[i].stamp for i in order[:int(share * len(samples))]}
+    calibration = simulated_cell.solve(
+        moved(s, by) if s.stamp in wrong_stamps else s for s in samples)
+    assert rejected(calibration) == wrong_stamps
+    assert_as_good(calibration, simulated_cell.solve(
+        s for s in samples if s.stamp not in wrong_stamps))
 
 
 def test_too_many_wrong_stations_are_refused() -> None:
-    simulated = cell('plate', 1)
+    plate_cell = cell('plate', 1)
     rng = np.random.default_rng(0)
     samples = [moved(s, np.append(rng.normal(size=3) * 8e-3, rng.normal(size=3) * 0.02))
-               if i % 2 else s for i, s in enumerate(simulated.samples)]
+               if i % 2 else s for i, s in enumerate(plate_cell.samples)]
     with pytest.raises(DataError, match='contradict'):
-        simulated.solve(samples)
+        plate_cell.solve(samples)
 
 
 @pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_edges_of_the_plate_that_are_not_ours_do_no_harm(seed: int) -> None:
-    simulated = cell('wrong_edges', seed)
-    answer = simulated.solve()
-    assert simulated.error(answer.T_flange_sensor) < 9e-5
-    reports = {r.stamp: r for r in answer.samples}
-    for station, sample in zip(simulated.truth.stations, simulated.samples, strict=True):
+    plate_cell = cell('wrong_edges', seed)
+    calibration = plate_cell.solve()
+    assert plate_cell.error(calibration.T_flange_sensor) < 9e-5
+    reports = {r.stamp: r for r in calibration.samples}
+    for station, sample in zip(plate_cell.truth.stations, plate_cell.samples, strict=True):
         report = reports[sample.stamp]
         if station.label.endswith('2'):
             assert report.edge == '' and report.reason, 'told, though its face may be used'
         else:
             assert report.used and report.edge in ('p', 'q')
     sides = {(station.label, reports[s.stamp].edge)
-             for station, s in zip(simulated.truth.stations, simulated.samples, strict=True)
+             for station, s in zip(plate_cell.truth.stations, plate_cell.samples, strict=True)
              if len(station.label) == 1}
     assert len(sides) == 2, 'one name for each edge'
 
 
 def test_all_four_edges_are_used_when_the_size_is_known() -> None:
-    simulated = cell('wrong_edges', 1, target__size=[0.2, 0.15])
-    without = cell('wrong_edges', 1)
-    answer = simulated.solve()
-    stations = simulated.truth.stations
-    labels = {s.stamp: t.label for s, t in zip(simulated.samples, stations, strict=True)}
-    used = {(labels[r.stamp], r.edge) for r in answer.samples}
+    with_size = cell('wrong_edges', 1, target__size=[0.2, 0.15])
+    without_size = cell('wrong_edges', 1)
+    calibration = with_size.solve()
+    stations = with_size.truth.stations
+    labels = {s.stamp: t.label for s, t in zip(with_size.samples, stations, strict=True)}
+    used = {(labels[r.stamp], r.edge) for r in calibration.samples}
     assert all(edge for _, edge in used) and len(used) == len(set(labels.values()))
     # the noise is estimated in both
-    assert np.trace(answer.covariance) < np.trace(without.solve().covariance) * 1.05
+    assert np.trace(calibration.covariance) < np.trace(without_size.solve().covariance) * 1.05
 
 
 RANKS = {'plate': 3, 'line': 2, 'plane': 2, 'sphere': 3, 'wedge': 4}  # of one station
 
 
 def test_fewer_conditions_than_unknowns_leave_a_direction_free() -> None:
-    simulated = cell('plane', 0)
-    whole = solved(simulated.problem)
-    few = simulated.problem.subset(np.arange(4))
-    covariance = solution_at(few, whole.estimate, BLOCKS_AS_NOISE).covariance
+    plane_cell = cell('plane', 0)
+    solution = solved(plane_cell.problem)
+    few_stations = plane_cell.problem.subset(np.arange(4))
+    covariance = solution_at(few_stations, solution.estimate, BLOCKS_AS_NOISE).covariance
     assert np.linalg.eigvalsh(covariance)[-1] > 1.0, 'm^2: 8 conditions, 9 unknowns'
 
 
 @pytest.mark.parametrize(('name', 'rank'), RANKS.items())
 def test_a_station_says_as_much_as_its_target_shows(name: str, rank: int) -> None:
-    simulated = cell(name, 0)
-    solution = solved(simulated.problem)
+    simulated_cell = cell(name, 0)
+    solution = solved(simulated_cell.problem)
     assert (solution.ranks == rank).all()
-    assert solution.redundancy == rank * len(simulated.samples) - solution.jacobian.shape[1]
+    assert solution.redundancy == rank * len(simulated_cell.samples) - solution.jacobian.shape[1]
 
 
 def wrong(sample: Sample, rng: np.random.Generator) -> Sample:
@@ -141,60 +145,60 @@ def wrong(sample: Sample, rng: np.random.Generator) -> Sample:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(('name', 'stations', 'bad'), [
+@pytest.mark.parametrize(('name', 'stations', 'wrong_count'), [
     ('plane', (6, 0), 1), ('plane', (8, 0), 2), ('plate', (3, 3), 1), ('plate', (4, 3), 2),
     ('line', (7, 0), 1), ('sphere', (6, 0), 2)])
-def test_few_samples_with_wrong_ones_give_no_wrong_answer(name, stations, bad):
+def test_few_give_no_wrong_answer(name: str, stations: tuple[int, int], wrong_count: int) -> None:
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        simulated = cell(replace(SCENARIOS[name], stations=stations), seed)
-        chosen = rng.permutation(len(simulated.samples))[:bad]
-        samples = [wrong(s, rng) if i in chosen else s for i, s in enumerate(simulated.samples)]
+        few_samples = cell(replace(SCENARIOS[name], stations=stations), seed)
+        chosen = rng.permutation(len(few_samples.samples))[:wrong_count]
+        samples = [wrong(s, rng) if k in chosen else s for k, s in enumerate(few_samples.samples)]
         try:
-            answer = simulated.solve(samples)
+            calibration = few_samples.solve(samples)
         except DataError:
             continue
-        assert squared_error(answer, simulated.truth) < 36
+        assert squared_error(calibration, few_samples.truth) < 36
 
 
 def test_what_is_left_after_dropping_must_judge() -> None:
-    simulated = cell(replace(SCENARIOS['plane'], stations=(7, 0)), 0)
+    plane_cell = cell(replace(SCENARIOS['plane'], stations=(7, 0)), 0)
     samples = [wrong(s, np.random.default_rng(1)) if i == 3 else s
-               for i, s in enumerate(simulated.samples)]
+               for i, s in enumerate(plane_cell.samples)]
     with pytest.raises(DataError, match='take more'):
-        simulated.solve(samples)
+        plane_cell.solve(samples)
 
 
 @pytest.mark.parametrize('seed', range(3))
-def test_one_wrong_of_ten_stands_out_though_a_poor_robot_would_explain_it(seed: int) -> None:
-    simulated = cell(replace(SCENARIOS['plate'], stations=(5, 5)), seed)
+def test_one_wrong_of_ten_stands_out_from_a_poor_robot(seed: int) -> None:
+    plate_cell = cell(replace(SCENARIOS['plate'], stations=(5, 5)), seed)
     rng = np.random.default_rng(seed)
-    samples = [wrong(s, rng) if i == seed else s for i, s in enumerate(simulated.samples)]
-    answer = simulated.solve(samples)
-    assert [report.used for report in answer.samples] == [i != seed for i in range(10)]
-    assert [report.stamp for report in answer.samples] == sorted(s.stamp for s in samples)
-    report = answer.samples[seed]
+    samples = [wrong(s, rng) if i == seed else s for i, s in enumerate(plate_cell.samples)]
+    calibration = plate_cell.solve(samples)
+    assert [report.used for report in calibration.samples] == [i != seed for i in range(10)]
+    assert [report.stamp for report in calibration.samples] == sorted(s.stamp for s in samples)
+    report = calibration.samples[seed]
     assert 'contradicts the other samples' in report.reason and report.residual is None
-    assert answer.quality.samples_rejected == 1
-    T_true = simulated.truth.T_flange_sensor
-    assert errors_against(answer.T_flange_sensor, T_true).mapped_points < 2e-4
+    assert calibration.quality.samples_rejected == 1
+    errors = errors_against(calibration.T_flange_sensor, plate_cell.truth.T_flange_sensor)
+    assert errors.mapped_points < 2e-4
 
 
 def test_no_station_of_a_poor_robot_is_taken_for_wrong() -> None:
     poor = replace(SCENARIOS['plate'].robot, systematic=(3e-4, 1e-3))
-    simulated = cell(replace(SCENARIOS['plate'], stations=(5, 5), robot=poor), 0,
-                     noise__robot_smooth=1.5e-4)
-    assert simulated.solve().quality.samples_rejected == 0
+    plate_cell = cell(replace(SCENARIOS['plate'], stations=(5, 5), robot=poor), 0,
+                      noise__robot_smooth=1.5e-4)
+    assert plate_cell.solve().quality.samples_rejected == 0
 
 
-def test_what_a_wrong_station_would_do_is_stated_of_few_and_next_to_nothing_of_many() -> None:
+def test_a_possibly_wrong_station_counts_only_among_few() -> None:
     grown = []
     for stations in ((3, 3), (9, 9)):
-        simulated = cell(replace(SCENARIOS['plate'], stations=stations), 0)
-        solution = with_systematic_errors(solved(simulated.problem))
-        without = replace(solution, added_covariances={})
+        plate_cell = cell(replace(SCENARIOS['plate'], stations=stations), 0)
+        solution = with_systematic_errors(solved(plate_cell.problem))
+        without_added = replace(solution, added_covariances={})
         grown.append(np.diag(solution.transform_covariance)
-                     / np.diag(without.transform_covariance))
+                     / np.diag(without_added.transform_covariance))
     few, many = grown
     assert few.max() > 1.01 > many.max()
 
@@ -207,9 +211,9 @@ def test_what_a_wrong_station_would_do_is_stated_of_few_and_next_to_nothing_of_m
 def test_six_poses_visited_four_times_carry_an_answer(name: str, seed: int) -> None:
     scenario = FAULTS[name]
     recording = simulate(scenario, np.random.default_rng(seed))
-    answer = pipeline.calibrate(recording.profiles, recording.poses, settings_of(scenario))
-    assert answer.quality.samples_used == 6, 'a pose that is taken again says nothing new'
-    assert squared_error(answer, recording.truth) < 20
+    calibration = pipeline.calibrate(recording.profiles, recording.poses, settings_of(scenario))
+    assert calibration.quality.samples_used == 6, 'a pose that is taken again says nothing new'
+    assert squared_error(calibration, recording.truth) < 20
 
 
 @pytest.mark.thorough

@@ -36,22 +36,22 @@ ALL_BLOCKS = {key: getattr(getattr(Config(), part), name) for key in NO_DOUBTS
               for part, name in [key.split('__')]}
 
 
-def misjudged(simulated: Cell, factor: float) -> Cell:
+def misjudged(cell: Cell, factor: float) -> Cell:
     """Return a cell whose settings state the robot's noise wrongly by a factor."""
-    noise = simulated.config.noise
-    return replace(simulated, config=set_to(
-        simulated.config, noise__robot_translation=factor * noise.robot_translation,
+    noise = cell.config.noise
+    return replace(cell, config=set_to(
+        cell.config, noise__robot_translation=factor * noise.robot_translation,
         noise__robot_rotation=factor * noise.robot_rotation))
 
 
-def final(simulated: Cell) -> Solution:
-    first = solved(simulated.problem)
-    return map_solution(first.problem, first.estimate)
+def final(cell: Cell) -> Solution:
+    solution = solved(cell.problem)
+    return map_solution(solution.problem, solution.estimate)
 
 
-def squared(simulated: Cell) -> float:
+def squared(cell: Cell) -> float:
     """Return the squared Mahalanobis error of a cell's answer."""
-    return squared_error(simulated.solve(), simulated.truth)
+    return squared_error(cell.solve(), cell.truth)
 
 
 # -- noise
@@ -79,10 +79,9 @@ def test_noise_that_was_stated_rightly_is_kept() -> None:
 def test_a_nuisance_parameter_without_error_costs_the_estimate_little() -> None:
     squares = np.zeros((2, 2))
     for seed in range(12):
-        simulated = cell('plate', seed)
-        doubting = replace(simulated, config=settings_of(simulated.scenario))
-        for i, each in enumerate((simulated, doubting)):
-            error = se3.difference(each.solve().T_flange_sensor, each.truth.T_flange_sensor)
+        sure = cell('plate', seed)
+        for i, variant in enumerate((sure, replace(sure, config=settings_of(sure.scenario)))):
+            error = se3.difference(variant.solve().T_flange_sensor, variant.truth.T_flange_sensor)
             squares[i] += [error[:3] @ error[:3], error[3:] @ error[3:]]
     assert (np.sqrt(squares[1] / squares[0]) < 1.35).all()
 
@@ -101,8 +100,7 @@ def real_robot(size: float) -> Scenario:
 @pytest.mark.parametrize('size', [0.0, 1.5e-4])
 def test_the_stated_uncertainty_holds_for_every_robot(size: float) -> None:
     squares = [squared(cell(real_robot(size), seed, **ALL_BLOCKS)) for seed in range(12)]
-    assert np.mean(np.array(squares) < ONE_IN_20) >= 0.9
-    assert 0.1 < np.mean(squares) / 6 < 1.5
+    assert np.mean(np.array(squares) < ONE_IN_20) >= 0.9 and 0.1 < np.mean(squares) / 6 < 1.5
 
 
 # -- sensor, target, scale
@@ -120,21 +118,23 @@ def test_a_distortion_is_no_motion_of_the_plane() -> None:
 
 @pytest.mark.thorough
 def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
-    many = replace(SCENARIOS['sphere'], stations=(1000, 1000))
-    samples, truth = simulate_samples(many, np.random.default_rng(0))
-    config = settings_of(many)
-    found = pipeline.answer_samples(samples, (), config).require_solution()
-    _, following = found.for_report.estimated_block_variances()
-    assert following == pytest.approx(found.for_report.variances, rel=0.1), 'they have converged'
-    off = se3.difference(found.estimate.X, truth.T_flange_sensor)
-    assert np.abs(off).max() < 1e-4
-    lengths = [d.std * found.prior_scale(d) for d in found.blocks if d.name in ('scale', 'radius')]
+    scenario = replace(SCENARIOS['sphere'], stations=(1000, 1000))
+    samples, truth = simulate_samples(scenario, np.random.default_rng(0))
+    config = settings_of(scenario)
+    solution = pipeline.answer_samples(samples, (), config).require_solution()
+    report = solution.for_report
+    _, following = report.estimated_block_variances()
+    assert following == pytest.approx(report.variances, rel=0.1), 'they have converged'
+    error = se3.difference(solution.estimate.X, truth.T_flange_sensor)
+    assert np.abs(error).max() < 1e-4
+    lengths = [b.std * solution.prior_scale(b) for b in solution.blocks
+               if b.name in ('scale', 'radius')]
     assert lengths and max(lengths) < 1e-4, 'nothing is wrong with them'
 
 
 @pytest.mark.parametrize('off', [-1.5, 0.0, 1.5])
 def test_edges_whose_shape_was_misjudged_move_the_answer_little(off: float) -> None:
-    simulated = cell(MANY, 3)
+    plate_cell = cell(MANY, 3)
     rng, doubt = np.random.default_rng(5), 2e-4
 
     def misplaced(feature: object) -> object:
@@ -143,50 +143,50 @@ def test_edges_whose_shape_was_misjudged_move_the_answer_little(off: float) -> N
         share = rng.uniform(0.2, 0.8)  # how much of a rounding is seen differs
         return replace(feature, shape_std=share * doubt,
                        point=feature.point + off * share * doubt * feature.direction)
-    wrong = replace(simulated, samples=[replace(s, features=tuple(map(misplaced, s.features)))
-                                        for s in simulated.samples])
-    assert squared(wrong) < squared(simulated) + 2
+    moved = replace(plate_cell, samples=[replace(s, features=tuple(map(misplaced, s.features)))
+                                         for s in plate_cell.samples])
+    assert squared(moved) < squared(plate_cell) + 2
 
 
 TRUE = np.array([3e-4, -2e-4])  # by so much (rad), times what differs from pose to pose, it turns
 
 
-def reported(true: Array) -> PoseModel:
+def reported(true_poses: Array) -> PoseModel:
     """Return a robot that turns about its base by joints; it has the true poses at TRUE."""
-    angles = 3.0 * np.arange(len(true))
+    angles = 3.0 * np.arange(len(true_poses))
     about = [np.outer(np.cos(angles), [1, 0, 0]), np.outer(np.sin(angles), [0, 0, 1])]
 
     def evaluate(values: Array) -> tuple[Array, Array]:
         x, z = TRUE - values
         R = se3.exp_rotation(about[0] * x + about[1] * z)
-        poses = se3.transform(R @ true[:, :3, :3], (R @ true[:, :3, 3, None])[..., 0])
+        poses = se3.transform(R @ true_poses[:, :3, :3], (R @ true_poses[:, :3, 3, None])[..., 0])
         return poses, -np.stack([np.concatenate([np.cross(turn, poses[:, :3, 3]), turn], axis=1)
                                  for turn in about], axis=2)
-    return PoseModel(evaluate, ('first', 'second'), (1e-3, 1e-3), np.arange(len(true)))
+    return PoseModel(evaluate, ('first', 'second'), (1e-3, 1e-3), np.arange(len(true_poses)))
 
 
 @pytest.mark.parametrize('scenario', ['plate', 'eye_on_base', 'sphere'])
 def test_what_poses_depend_on_is_found_and_the_poses_are_moved(scenario: str) -> None:
-    simulated = cell(scenario, 1)
-    first = solved(simulated.problem)
-    true, start = first.problem, first.estimate  # each edge point of its edge
+    simulated_cell = cell(scenario, 1)
+    solution = solved(simulated_cell.problem)
+    true, start = solution.problem, solution.estimate  # each edge point of its edge
     model = reported(true.robot_poses)
     wrong = model.at(np.zeros(2))[0]
     problem = Problem(true.target, wrong if true.config.in_hand else se3.inverse(wrong),
                       true.observations, true.config, model)
     solution = map_solution(problem, start)
-    off = solution.problem.pose_values - TRUE
+    errors = solution.problem.pose_values - TRUE
     assert [b.name for b in solution.blocks[-2:]] == ['first', 'second']
     std = 1e-3 * np.sqrt(np.diag(solution.covariance)[-2:])
-    assert (np.abs(off) < 4 * std).all() and std.max() < 2e-4
-    now, _ = model.at(solution.problem.pose_values)
-    assert np.allclose(solution.problem.robot_poses, now)
+    assert (np.abs(errors) < 4 * std).all() and std.max() < 2e-4
+    moved_poses, _ = model.at(solution.problem.pose_values)
+    assert np.allclose(solution.problem.robot_poses, moved_poses)
     assert np.allclose(solution.corrected_poses(), solution.problem.poses)
-    known = map_solution(true, start)
-    assert simulated.error(solution.estimate.X) < simulated.error(known.estimate.X) + 1e-5
-    half = problem.with_pose_values(TRUE).subset(np.arange(0, len(wrong), 2))
-    assert np.allclose(half.poses, true.poses[::2])
-    assert np.allclose(half.with_pose_values(np.zeros(2)).poses, problem.poses[::2])
+    X, X_known = solution.estimate.X, map_solution(true, start).estimate.X
+    assert simulated_cell.error(X) < simulated_cell.error(X_known) + 1e-5
+    half_problem = problem.with_pose_values(TRUE).subset(np.arange(0, len(wrong), 2))
+    assert np.allclose(half_problem.poses, true.poses[::2])
+    assert np.allclose(half_problem.with_pose_values(np.zeros(2)).poses, problem.poses[::2])
 
 
 MM = 1e-3
@@ -198,16 +198,16 @@ def test_a_bent_laser_line_is_told_and_the_truth_lies_inside(target: str, bend: 
     scenario = FAULTS[f'{target}, line bent by 0.15 mm']
     scenario = replace(scenario, sensor=replace(scenario.sensor, line_bend=bend))
     recording = simulate(scenario, np.random.default_rng(3))
-    answer = pipeline.calibrate(recording.profiles, recording.poses, settings_of(scenario))
-    assert squared_error(answer, recording.truth) < ONE_IN_1000
+    calibration = pipeline.calibrate(recording.profiles, recording.poses, settings_of(scenario))
+    assert squared_error(calibration, recording.truth) < ONE_IN_1000
     match = re.search(r'the laser line is bent .* by ([\d.]+) \+- ([\d.]+) mm',
-                      answer.target.get('note', ''))
+                      calibration.target.get('note', ''))
     assert bool(match) == (bend > 0)
     if match:
         assert float(match[1]) == pytest.approx(bend / MM, abs=3 * float(match[2]))
 
 
-def test_of_a_laser_line_bent_like_an_s_the_truth_lies_inside(monkeypatch):
+def test_of_a_line_bent_like_an_s_the_truth_lies_inside(monkeypatch: pytest.MonkeyPatch) -> None:
     scenario, straight = SCENARIOS['wedge'], sensor.columns
 
     def bent(model: SensorModel) -> tuple[Array, Array]:
@@ -216,24 +216,24 @@ def test_of_a_laser_line_bent_like_an_s_the_truth_lies_inside(monkeypatch):
         return origins, directions
     monkeypatch.setattr(sensor, 'columns', bent)
     recording = simulate(scenario, np.random.default_rng(1))
-    answer = pipeline.calibrate(recording.profiles, recording.poses, settings_of(scenario))
-    assert squared_error(answer, recording.truth) < ONE_IN_1000
+    calibration = pipeline.calibrate(recording.profiles, recording.poses, settings_of(scenario))
+    assert squared_error(calibration, recording.truth) < ONE_IN_1000
 
 
 @pytest.mark.parametrize('origin', [0.0, 0.1])
 def test_the_plane_along_the_middle_of_a_bent_line_touches_it(origin: float) -> None:
-    simulated = cell('plate')
-    problem, known = simulated.problem, solved(simulated.problem).estimate
-    seen = problem.observations.points + [origin, 0.0]  # x of some drivers is on one side of 0
-    X = known.X @ se3.transform(np.eye(3), np.array([-origin, 0.0, 0.0]))
+    plate_cell = cell('plate')
+    problem, estimate = plate_cell.problem, solved(plate_cell.problem).estimate
+    points = problem.observations.points + [origin, 0.0]  # x of some drivers is on one side of 0
+    X = estimate.X @ se3.transform(np.eye(3), np.array([-origin, 0.0, 0.0]))
     linear = linearise(
-        replace(problem, observations=replace(problem.observations, points=seen)),
-        replace(known, X=X))
+        replace(problem, observations=replace(problem.observations, points=points)),
+        replace(estimate, X=X))
     block, = line_bend(linear)
     assert block.best_fit is not None
-    middle = (seen[:, 0].min() + seen[:, 0].max()) / 2 if origin else 0.0
+    middle = (points[:, 0].min() + points[:, 0].max()) / 2 if origin else 0.0
     near = np.array([[middle, 0.17], [middle + 1e-5, 0.17]])
     levers = se3.apply(X, np.insert(near, 1, 0.0, axis=1)) - X[:3, 3]
     moved = X[:3, 1] @ se3.wrt_perturbation(levers) @ block.best_fit(linear)
-    np.testing.assert_allclose(moved[:, [0, 2]], bent_line(np.vstack([seen, near]))[-2:, [0, 2]],
+    np.testing.assert_allclose(moved[:, [0, 2]], bent_line(np.vstack([points, near]))[-2:, [0, 2]],
                                atol=1e-6)

@@ -31,25 +31,25 @@ TURN = se3.transform(ANY_POSE[:3, :3], np.zeros(3))
 @every_method
 @pytest.mark.parametrize(('base', 'flange'), [(ANY_POSE, np.eye(4)), (np.eye(4), TURN)])
 def test_in_other_frames_the_answer_is_the_same(name: str, base: Array, flange: Array) -> None:
-    first = solution_of(name)
+    solution = solution_of(name)
     samples = [replace(s, T_base_flange=base @ s.T_base_flange @ flange)
                for s in noisy(name).samples]
-    second = solved(problem_of_known_poses(samples, noisy(name).config))
-    assert apart(se3.inverse(flange) @ first.estimate.X, second.estimate.X) < 1e-9
+    in_other_frames = solved(problem_of_known_poses(samples, noisy(name).config))
+    assert apart(se3.inverse(flange) @ solution.estimate.X, in_other_frames.estimate.X) < 1e-9
     Q = np.kron(np.eye(2), flange[:3, :3].T)
-    C, D = first.covariance[:6, :6], second.covariance[:6, :6]
+    C, D = solution.covariance[:6, :6], in_other_frames.covariance[:6, :6]
     assert np.abs(Q @ C @ Q.T - D).max() < 1e-6 * np.abs(C).max()
 
 
 @every_method
 def test_shuffled_samples_give_the_same_calibration_and_are_not_changed(name: str) -> None:
-    simulated, first = noisy(name), calibration_of(name)
+    simulated_cell, in_order = noisy(name), calibration_of(name)
     # it sorts them by their stamps, so which shuffle it is does not matter
-    order = np.random.default_rng(6).permutation(len(simulated.samples))
-    second = simulated.solve(frozen(simulated.samples[k]) for k in order)
-    assert apart(first.T_flange_sensor, second.T_flange_sensor) < 1e-9
-    assert np.allclose(first.covariance, second.covariance, rtol=1e-6, atol=1e-18)
-    assert first.samples == second.samples and first.target == second.target
+    order = np.random.default_rng(6).permutation(len(simulated_cell.samples))
+    shuffled = simulated_cell.solve(frozen(simulated_cell.samples[k]) for k in order)
+    assert apart(in_order.T_flange_sensor, shuffled.T_flange_sensor) < 1e-9
+    assert np.allclose(in_order.covariance, shuffled.covariance, rtol=1e-6, atol=1e-18)
+    assert in_order.samples == shuffled.samples and in_order.target == shuffled.target
 
 
 def frozen(sample: Sample) -> Sample:
@@ -64,14 +64,15 @@ def frozen(sample: Sample) -> Sample:
 
 
 def test_of_very_many_stations_all_count_though_some_tell_the_noise() -> None:
-    simulated = cell(replace(SCENARIOS['plate'], stations=(250, 250)), noise__robot_smooth=1e-4)
-    first = solved(simulated.problem)
-    whole, half = (map_solution(problem, first.estimate) for problem in (
-        first.problem, first.problem.subset(np.arange(0, 500, 2))))
-    std, of_half = (np.sqrt(np.diag(found.reported_covariance)[:6]) for found in (whole, half))
-    assert (std < 0.9 * of_half).all() and (std > 0.6 * of_half).all()
-    off = se3.difference(whole.estimate.X, simulated.truth.T_flange_sensor)
-    assert off @ np.linalg.solve(whole.transform_covariance, off) < ONE_IN_1000
+    plate_cell = cell(replace(SCENARIOS['plate'], stations=(250, 250)), noise__robot_smooth=1e-4)
+    first_solution = solved(plate_cell.problem)
+    with_all, with_half = (map_solution(problem, first_solution.estimate) for problem in (
+        first_solution.problem, first_solution.problem.subset(np.arange(0, 500, 2))))
+    std, std_of_half = (np.sqrt(np.diag(solution.reported_covariance)[:6])
+                        for solution in (with_all, with_half))
+    assert (std < 0.9 * std_of_half).all() and (std > 0.6 * std_of_half).all()
+    error = se3.difference(with_all.estimate.X, plate_cell.truth.T_flange_sensor)
+    assert error @ np.linalg.solve(with_all.transform_covariance, error) < ONE_IN_1000
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -81,9 +82,9 @@ def test_a_solve_that_diverges_reports_the_errors_of_any_other(seed: int) -> Non
     far = se3.perturb(at.X, np.random.default_rng(seed).normal(size=6))
     solution = map_solution(problem, replace(at, X=far))
     assert apart(solution.estimate.X, at.X) > 0.1, 'it has not found the answer'
-    of_a_cause = replace(solution, added_covariances={'cause': 1e-6 * np.eye(6)})
-    more = of_a_cause.reported_covariance - solution.reported_covariance
-    np.testing.assert_allclose(more[:6, :6], 1e-6 * np.eye(6), atol=1e-12)
+    with_cause = replace(solution, added_covariances={'cause': 1e-6 * np.eye(6)})
+    added = with_cause.reported_covariance - solution.reported_covariance
+    np.testing.assert_allclose(added[:6, :6], 1e-6 * np.eye(6), atol=1e-12)
     beside = solution.for_report.covariance[:6, :6]
     assert np.linalg.eigvalsh(solution.transform_covariance - beside).min() > -1e-9 * beside.max()
 
@@ -93,8 +94,7 @@ def numerical(problem: Problem, at: Estimate, h: float = 1e-6) -> Array:
     k = len(problem.target.parameter_names)
 
     def residuals(delta: Array) -> Array:
-        moved = Estimate(se3.perturb(at.X, delta[:6]),
-                         problem.target.retract(at.state, delta[6:]))
+        moved = Estimate(se3.perturb(at.X, delta[:6]), problem.target.retract(at.state, delta[6:]))
         return linearise(problem, moved).residuals
     steps = h * np.eye(6 + k)
     return np.column_stack([(residuals(d) - residuals(-d)) / (2 * h) for d in steps])
@@ -123,7 +123,7 @@ def test_the_jacobian_is_that_of_differences(name: str, where: str) -> None:
 
 
 @every_method
-def test_the_derivatives_by_pose_point_and_feature_are_those_of_differences(name: str) -> None:
+def test_derivatives_by_pose_point_and_feature_are_those_of_differences(name: str) -> None:
     at_problem, at = somewhere(noisy(name).problem, solution_of(name), 7)
     linear, obs, h = linearise(at_problem, at), at_problem.observations, 1e-6
 
@@ -133,8 +133,7 @@ def test_the_derivatives_by_pose_point_and_feature_are_those_of_differences(name
 
     for k in range(6):
         delta = h * np.eye(6)[k]
-        poses = [np.array([se3.perturb(T, s * delta) for T in at_problem.poses])
-                 for s in (1, -1)]
+        poses = [np.array([se3.perturb(T, s * delta) for T in at_problem.poses]) for s in (1, -1)]
         expected = by([replace(at_problem, poses=p) for p in poses])
         assert np.abs(linear.wrt_pose[:, k] - expected).max() < 2e-7
     for k in range(2):

@@ -95,16 +95,16 @@ def test_the_demo_of_the_readme_ends_with_the_answer_and_its_report(tmp_path: Pa
 def test_every_message_of_a_bag_arrives_as_it_was_recorded(client: Client) -> None:
     _, recorded = scan(BAG)
     types = {'/profile': PointCloud2, '/flange_pose': PoseStamped}
-    heard: dict[str, list[object]] = {topic: [] for topic in types}
+    received: dict[str, list[object]] = {topic: [] for topic in types}
     for topic, kind in types.items():
-        client.node.create_subscription(kind, topic, heard[topic].append, RELIABLE)
+        client.node.create_subscription(kind, topic, received[topic].append, RELIABLE)
     clock: list[Clock] = []
     client.node.create_subscription(Clock, '/clock', clock.append, RELIABLE)
     with started('replay', BAG, '--rate', 20) as replay:
         client.until(lambda: replay.poll() is not None, 'the replay ends')
-        client.until(lambda: sum(map(len, heard.values())) == len(recorded), 'all is heard')
+        client.until(lambda: sum(map(len, received.values())) == len(recorded), 'all is heard')
         assert (replay.returncode, replay.communicate()) == (0, ('', ''))
-    for topic, messages in heard.items():
+    for topic, messages in received.items():
         assert messages == [deserialize_message(raw.data, types[topic])
                             for raw in recorded if raw.topic == topic]
     times = [msg.clock.sec * 10**9 + msg.clock.nanosec for msg in clock]
@@ -112,13 +112,13 @@ def test_every_message_of_a_bag_arrives_as_it_was_recorded(client: Client) -> No
 
 
 def test_without_subscribers_it_says_so_and_interrupted_it_ends_cleanly(client: Client) -> None:
-    heard: list[object] = []
-    client.node.create_subscription(PoseStamped, '/flange_pose', heard.append, RELIABLE)
+    poses: list[object] = []
+    client.node.create_subscription(PoseStamped, '/flange_pose', poses.append, RELIABLE)
     with started('replay', BAG, '--timeout', 1) as replay:
-        client.until(lambda: heard, 'the replay has begun')
+        client.until(lambda: poses, 'the replay has begun')
         replay.terminate()
-        _, err = replay.communicate(timeout=PATIENCE)
-        assert err.startswith('no subscriber on /profile') and replay.returncode == 0
+        _, stderr = replay.communicate(timeout=PATIENCE)
+        assert stderr.startswith('no subscriber on /profile') and replay.returncode == 0
 
 
 # -- publish
@@ -129,9 +129,9 @@ def test_saved_calibrations_are_heard_by_who_comes_late(tmp_path: Path, client: 
     laser = replace(calibration(), parent_frame='flange', child_frame='laser')
     camera = replace(laser, child_frame='camera', parent_frame='base',
                      T_flange_sensor=se3.inverse(laser.T_flange_sensor))
-    for one in (laser, camera):
-        (tmp_path / one.child_frame).mkdir()
-        write_calibration(one, tmp_path / one.child_frame / 'calibration.yaml')
+    for saved in (laser, camera):
+        (tmp_path / saved.child_frame).mkdir()
+        write_calibration(saved, tmp_path / saved.child_frame / 'calibration.yaml')
     messages: list[TFMessage] = []
     with started('publish', tmp_path / 'laser', tmp_path / 'camera' / 'calibration.yaml') as node:
         client.node.create_subscription(TFMessage, '/tf_static', messages.append, LATCHED)
@@ -140,11 +140,11 @@ def test_saved_calibrations_are_heard_by_who_comes_late(tmp_path: Path, client: 
         assert node.wait(PATIENCE) == 0
     result = {(t.header.frame_id, t.child_frame_id): t.transform for t in messages[0].transforms}
     assert result.keys() == {('flange', 'laser'), ('base', 'camera')}
-    for one in (laser, camera):
-        t = result[one.parent_frame, one.child_frame]
+    for saved in (laser, camera):
+        t = result[saved.parent_frame, saved.child_frame]
         T = se3.from_quaternion(np.array([getattr(t.translation, k) for k in 'xyz']),
                                 np.array([getattr(t.rotation, k) for k in 'xyzw']))
-        np.testing.assert_allclose(T, one.T_flange_sensor, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(T, saved.T_flange_sensor, rtol=0, atol=1e-12)
     for other, reason in (('none', 'none cannot be used'), ('laser', 'name each sensor once')):
         run = run_module('publish', str(tmp_path / 'laser'), str(tmp_path / other))
         assert run.returncode == 2 and reason in run.stderr
@@ -156,14 +156,14 @@ def test_saved_calibrations_are_heard_by_who_comes_late(tmp_path: Path, client: 
 def test_scanned_points_are_published_in_the_base(tmp_path: Path, client: Client) -> None:
     rows = 5
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
-    got: list[PointCloud2] = []
-    client.node.create_subscription(PointCloud2, '/handeye_scan/points', got.append, 100)
+    clouds: list[PointCloud2] = []
+    client.node.create_subscription(PointCloud2, '/handeye_scan/points', clouds.append, 100)
 
     def message(profiles):
         """Return one message of profiles, a row each, with the stamp of the first."""
         x, z = np.concatenate([profile.points for profile in profiles]).T
-        made = cloud({'x': x, 'z': z}, {'x': (0, 7), 'z': (4, 7)}, 8, height=len(profiles))
-        return cloud_message(made, profiles[0].stamp)
+        scan = cloud({'x': x, 'z': z}, {'x': (0, 7), 'z': (4, 7)}, 8, height=len(profiles))
+        return cloud_message(scan, profiles[0].stamp)
 
     with started('scan', tmp_path, '--std', '--set', 'profile.period=0.001'):
         client.until_heard()
@@ -176,28 +176,28 @@ def test_scanned_points_are_published_in_the_base(tmp_path: Path, client: Client
                                        for p in islice(poses, 1)), 200.0)
             batches = [list(islice(profiles, rows)) for _ in range(5 // rows)]
             client.send(client.profiles, map(message, batches), 1000.0 / rows)
-            return sum(c.width for c in got) >= 50 * 50
+            return sum(c.width for c in clouds) >= 50 * 50
 
         client.until(most_points_came, 'most points came')
-    assert {c.header.frame_id for c in got} == {'base'}
-    assert [f.name for f in got[0].fields] == ['x', 'y', 'z', 'std']
+    assert {c.header.frame_id for c in clouds} == {'base'}
+    assert [f.name for f in clouds[0].fields] == ['x', 'y', 'z', 'std']
     z = np.concatenate([np.frombuffer(bytes(c.data), np.float32).reshape(-1, 4)[:, 2]
-                        for c in got])
+                        for c in clouds])
     np.testing.assert_allclose(z, 0.1, atol=1e-6)
 
 
 def test_profiles_from_before_the_clock_was_set_back_are_not_scanned(tmp_path, client):
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
-    got: list[PointCloud2] = []
-    client.node.create_subscription(PointCloud2, '/handeye_scan/points', got.append, 100)
+    clouds: list[PointCloud2] = []
+    client.node.create_subscription(PointCloud2, '/handeye_scan/points', clouds.append, 100)
 
     def send(ms: int) -> None:
-        pose, one = pose_at(ms), plane_profile(ms)
+        pose, profile = pose_at(ms), plane_profile(ms)
         client.send(client.poses, [pose_message(pose.stamp, pose.translation, pose.quaternion)],
                     200.0)
-        x, z = one.points.T
-        client.send(client.profiles, [cloud_message(cloud({'x': x, 'z': z}, XZ, 8), one.stamp)],
-                    200.0)
+        x, z = profile.points.T
+        scan = cloud({'x': x, 'z': z}, XZ, 8)
+        client.send(client.profiles, [cloud_message(scan, profile.stamp)], 200.0)
 
     with started('scan', tmp_path):
         client.until_heard()
@@ -206,7 +206,7 @@ def test_profiles_from_before_the_clock_was_set_back_are_not_scanned(tmp_path, c
 
         def came() -> bool:
             send(next(place))
-            return bool(got)
+            return bool(clouds)
 
         client.until(came, 'it hears both')
         waiting = plane_profile(0)
@@ -215,12 +215,12 @@ def test_profiles_from_before_the_clock_was_set_back_are_not_scanned(tmp_path, c
         client.send(client.profiles, [waiting] * 5, 200.0)  # no pose comes after it
         for ms in range(5_000, 5_100):
             send(ms)
-        got.clear()
+        clouds.clear()
         for ms in range(11_950, 12_050):
             send(ms)
-        client.until(lambda: got, 'the scan goes on')
+        client.until(lambda: clouds, 'the scan goes on')
     z = np.concatenate([np.frombuffer(bytes(c.data), np.float32).reshape(-1, 3)[:, 2]
-                        for c in got])
+                        for c in clouds])
     np.testing.assert_allclose(z, 0.1, atol=1e-4)
 
 
@@ -231,8 +231,8 @@ def test_a_corrected_pose_follows_every_joint_state(tmp_path: Path, client: Clie
     pytest.importorskip('pinocchio', reason='needs pinocchio')
     urdf = robot.URDF.replace('0 0 0.75', '0.002 0 0.75')
     (tmp_path / 'arm.urdf').write_text(urdf)
-    got: list[PoseStamped] = []
-    client.node.create_subscription(PoseStamped, '/corrected_pose', got.append, BEST_EFFORT)
+    poses: list[PoseStamped] = []
+    client.node.create_subscription(PoseStamped, '/corrected_pose', poses.append, BEST_EFFORT)
     joints = client.node.create_publisher(JointState, '/joint_states', BEST_EFFORT)
     state = JointState(name=[f'joint_{k}' for k in range(6, 0, -1)], position=Q[::-1])
     state.header.stamp.sec = 7
@@ -240,10 +240,10 @@ def test_a_corrected_pose_follows_every_joint_state(tmp_path: Path, client: Clie
     def heard() -> bool:
         joints.publish(JointState(name=['gripper'], position=[0.0]))
         joints.publish(state)
-        return bool(got)
+        return bool(poses)
     with started('corrected_pose', '--urdf', tmp_path / 'arm.urdf'):
         client.until(heard, 'a pose comes')
     T = arm_of(urdf).forward(np.array([Q]))[0]
-    p = got[0].pose.position
+    p = poses[0].pose.position
     np.testing.assert_allclose([p.x, p.y, p.z], T[:3, 3], atol=1e-12)
-    assert (got[0].header.stamp.sec, got[0].header.frame_id) == (7, 'base')
+    assert (poses[0].header.stamp.sec, poses[0].header.frame_id) == (7, 'base')

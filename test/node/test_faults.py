@@ -42,8 +42,7 @@ pytestmark = pytest.mark.ros
 
 START = 10 ** 18
 PERIOD = 50_000_000
-SPHERE = ('-p', 'target.type:=sphere', '-p', 'target.radius:=0.04', '-p',
-          'sampling.mode:=manual')
+SPHERE = ('-p', 'target.type:=sphere', '-p', 'target.radius:=0.04', '-p', 'sampling.mode:=manual')
 
 
 @pytest.mark.thorough
@@ -116,12 +115,12 @@ def test_a_simulated_clock_that_jumps_forth_and_back(tmp_path: Path, client: Cli
                                     lambda msg: result.append(msg.header.stamp.sec), 10)
     with running_node(tmp_path, '-p', 'use_sim_time:=true', *SPHERE):
         client.connect()
-        for number, now in enumerate((10**9, 2 * 10**9, 10**9 - 1000, 10**9), 1):
-            def taken(now=now) -> bool:
+        for number, second in enumerate((10**9, 2 * 10**9, 10**9 - 1000, 10**9), 1):
+            def taken(second=second) -> bool:
                 msg = Clock()
-                msg.clock.sec = now
+                msg.clock.sec = second
                 clock.publish(msg)
-                return bool(result and result[-1] == now)
+                return bool(result and result[-1] == second)
 
             client.until(taken, 'the node goes by the clock, and tells its state')
             # stamped by the system's clock, as a real sensor does
@@ -166,8 +165,8 @@ def test_a_button_a_kill_and_a_restart(tmp_path, client, monkeypatch):
 
     monkeypatch.setenv('ROS_HOME', str(tmp_path / 'home'))
     button = client.node.create_publisher(Empty, '/handeye/take', 10)
-    here = ('-p', 'output_dir:=""')
-    with running_node(tmp_path, *SPHERE, *here) as process:
+    no_folder = ('-p', 'output_dir:=""')
+    with running_node(tmp_path, *SPHERE, *no_folder) as process:
         client.connect()
         client.until(button.get_subscription_count, 'the node hears the button')
         button.publish(Empty())
@@ -183,7 +182,7 @@ def test_a_button_a_kill_and_a_restart(tmp_path, client, monkeypatch):
         process.wait()
     folder = Path(report['session'])
     assert folder.parent == tmp_path / 'home' / 'handeye_ros' / 'sphere'
-    with running_node(tmp_path, '-p', 'session:=last', *here):
+    with running_node(tmp_path, '-p', 'session:=last', *no_folder):
         report = until(lambda report: report['session'] == str(folder), 'it goes on')
         client.connect()
         assert [s['number'] for s in report['samples']] == [1, 2]
@@ -261,8 +260,8 @@ def test_other_services_answer_while_it_solves_and_it_ends_cleanly(tmp_path, cli
         assert not future.done(), 'it solves still'
         process.send_signal(number)
         assert process.wait(PATIENCE) == 0
-    said = log.read_text().splitlines()
-    assert [line for line in said if '[INFO]' not in line and '[WARN]' not in line] == ['solving']
+    lines = log.read_text().splitlines()
+    assert [line for line in lines if '[INFO]' not in line and '[WARN]' not in line] == ['solving']
 
 
 BROKEN = """

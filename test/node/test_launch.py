@@ -80,13 +80,13 @@ def described(file: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[list[Any], A
     return arguments, function
 
 
-def nodes(launch_file: str, monkeypatch: pytest.MonkeyPatch, **given: str) -> list[Any]:
+def nodes(launch_file: str, monkeypatch: pytest.MonkeyPatch, **arguments_given: str) -> list[Any]:
     """Return what a launch file starts with these arguments."""
     arguments, function = described(ROOT / 'launch' / f'{launch_file}.launch.py', monkeypatch)
     values = {a.name: a.default_value for a in arguments}
-    assert given.keys() <= values.keys()
+    assert arguments_given.keys() <= values.keys()
     context = {key: value if isinstance(value, str) else value.perform({})
-               for key, value in (values | given).items() if value is not None}
+               for key, value in (values | arguments_given).items() if value is not None}
     return function(context)
 
 
@@ -116,8 +116,8 @@ def test_what_is_set_here_wins_over_the_file(monkeypatch: pytest.MonkeyPatch) ->
         'handeye', 'calibrate')
     assert config.load(Path(file)).target.type == 'plate'
     arguments, _ = described(ROOT / 'launch' / 'calibrate.launch.py', monkeypatch)
-    given = {a.name: '8080' for a in arguments if a.name not in ('config', 'rviz_layout')}
-    node = nodes('calibrate', monkeypatch, **given | {'base_frame': 'base_link'})[0]
+    ports = {a.name: '8080' for a in arguments if a.name not in ('config', 'rviz_layout')}
+    node = nodes('calibrate', monkeypatch, **ports | {'base_frame': 'base_link'})[0]
     assert node.parameters[-1].keys() <= {p.key for p in config.parameters()}
     assert node.parameters[-1]['robot_base_frame'] == 'base_link'
 

@@ -59,8 +59,8 @@ def parted(recording: Recorded, count: int) -> list[Recorded]:
     finder = StopFinder(recording.config.sampling)
     ends = [stop.end for pose in recording.poses if (stop := finder.add(pose))]
     return [replace(recording, **{name: tuple(
-        item for item in getattr(recording, name) if (item.stamp > ends[count - 1] + 1) == late)
-        for name in ('profiles', 'poses')}) for late in (False, True)]
+        item for item in getattr(recording, name) if (item.stamp > ends[count - 1] + 1) == in_rest)
+        for name in ('profiles', 'poses')}) for in_rest in (False, True)]
 
 
 PARTS = parted(SPHERE, 8)
@@ -74,20 +74,21 @@ def documented(topic: str, key: str = '') -> set[str]:
     table = page.split(f'| `~/{topic}` | |\n|---|---|\n', 1)[1].split('\n\n', 1)[0]
     rows = [[re.findall('`([^`]+)`', cell) for cell in row.split('|')[1:3]]
             for row in table.splitlines()]
-    return {name for keys, told in rows for name in (told if key in keys else () if key else keys)}
+    return {name for keys, names in rows
+            for name in (names if key in keys else () if key else keys)}
 
 
 # -- samples and answer
 
 
 def test_the_answer_is_that_of_the_recording_and_solved_once(monkeypatch):
-    live, solved, answer = fed(), [], pipeline.answer_samples
+    live, solves, answer = fed(), [], pipeline.answer_samples
     monkeypatch.setattr(pipeline, 'answer_samples',
-                        lambda *args: solved.append(args) or answer(*args))
+                        lambda *args: solves.append(args) or answer(*args))
     text = computed(live)
     update(live)
     assert computed(live) == text
-    assert len(solved) == 1, 'review, advice and the next call are of the same answer'
+    assert len(solves) == 1, 'review, advice and the next call are of the same answer'
     monkeypatch.undo()
     offline = pipeline.calibrate(SPHERE.profiles, SPHERE.poses, SPHERE.config)
     online = live.answer.calibration
@@ -105,12 +106,12 @@ def test_the_answer_is_that_of_the_recording_and_solved_once(monkeypatch):
 
 
 def test_each_stop_that_waits_for_an_answer_is_told() -> None:
-    told = set()
-    live = new(changed=lambda: told.add(live.attempt and live.attempt.stop.number))
+    stop_numbers = set()
+    live = new(changed=lambda: stop_numbers.add(live.attempt and live.attempt.stop.number))
     for item in SPHERE.messages:
         feed_one(live, item)
     computed(live)
-    assert {stop.number for stop in live.session_copy().stops} <= told
+    assert {stop.number for stop in live.session_copy().stops} <= stop_numbers
 
 
 def test_what_the_streams_dropped_is_told_with_the_answer() -> None:
@@ -175,7 +176,7 @@ def test_the_review_follows_a_stop_that_goes_on() -> None:
     assert all(shared) and len(shared) > 10
 
 
-def test_settings_that_change_while_the_end_of_a_stop_waits_lose_none_of_its_profiles() -> None:
+def test_settings_that_change_as_a_stop_ends_lose_no_profiles() -> None:
     other = set_to(SPHERE.config, sampling__min_points=21)
     live, waited = new(), False
     for item in SPHERE.messages:
@@ -211,7 +212,7 @@ def test_a_time_offset_that_changes_during_a_stop_holds_for_that_too(before, los
 
 
 @pytest.mark.parametrize('kind', ['pose', 'profile', 'sample'])
-def test_it_begins_anew_with_the_frame_that_comes_unless_another_gave_a_sample(kind: str) -> None:
+def test_a_new_frame_begins_anew_unless_another_gave_a_sample(kind: str) -> None:
     exclude = () if kind == 'sample' else (1, 2)  # of samples that are gone then
     live = new(set_to(SPHERE.config, samples__exclude=exclude))
     items = SPHERE.messages
@@ -219,12 +220,12 @@ def test_it_begins_anew_with_the_frame_that_comes_unless_another_gave_a_sample(k
     feed(live, [replace(pose, parent_frame='map') for pose in SPHERE.poses[:400]]
          if kind == 'pose' else [replace(p, frame_id='other') for p in SPHERE.profiles[:400]])
     feed(live, SPHERE.poses[:400] if kind == 'sample' else ())
-    gave = sample_count(state_of(live))
-    assert bool(gave) == (kind == 'sample')
+    count = sample_count(state_of(live))
+    assert bool(count) == (kind == 'sample')
     feed(live, later(items, 1000))  # of which the first seconds decide
     feed(live, later(items, 2000))
-    if gave:
-        assert sample_count(state_of(live)) == gave
+    if count:
+        assert sample_count(state_of(live)) == count
         assert f'two frames, "other" and "{SPHERE.profiles[0].frame_id}"' in (
             state_of(live)['session']['trouble'])
     else:
@@ -259,7 +260,7 @@ def test_another_frame_after_the_samples_is_told_and_they_are_computed(kind: str
         live.call_on_worker(live.take_sample)
 
 
-def test_cleared_samples_leave_no_joint_values_and_no_view_of_another_sensor() -> None:
+def test_cleared_samples_leave_no_joints_and_no_view() -> None:
     live, wide = fed(), fed()
     wide.answer.view = np.array([[-0.5, 0.5], [0.5, 0.5]])  # by another sensor
     wide.add_joints(SPHERE.poses[0].stamp, b'')
@@ -379,7 +380,7 @@ def test_an_answer_is_saved_once_and_by_one_node(tmp_path: Path) -> None:
 # -- streams that are disturbed
 
 
-def test_a_base_frame_other_than_that_of_the_poses_is_refused_and_withdraws_nothing() -> None:
+def test_a_base_frame_unlike_that_of_the_poses_is_refused() -> None:
     poses = [replace(p, parent_frame='base_link') for p in SPHERE.poses]
     live = fed(recording=replace(SPHERE, poses=poses))
     computed(live)
@@ -464,16 +465,16 @@ def test_nobody_waits_for_a_solve_or_a_verdict() -> None:
 
 
 def test_a_stop_that_takes_long_is_told_meanwhile() -> None:
-    told = []
+    working = []
 
     class Telling(Inline):
         def submit(self, function, *args) -> Future:
-            told.append(state_of(live)['session']['working'])
+            working.append(state_of(live)['session']['working'])
             return super().submit(function, *args)
 
     live = new(pool=Telling())
     feed(live, PARTS[0].messages)
-    assert 'a stop is evaluated' in told and state_of(live)['session']['working'] == ''
+    assert 'a stop is evaluated' in working and state_of(live)['session']['working'] == ''
 
 
 def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(monkeypatch):
@@ -508,18 +509,18 @@ def test_an_answer_whose_process_ended_is_computed_again(monkeypatch: pytest.Mon
 
 def test_a_review_that_is_ready_late_does_not_replace_a_newer_one(monkeypatch):
     live = fed()
-    late, submit = Future(), live.pool.submit
-    monkeypatch.setattr(live.pool, 'submit', lambda *args: late)
+    late_review, submit = Future(), live.pool.submit
+    monkeypatch.setattr(live.pool, 'submit', lambda *args: late_review)
     live.remove_last_sample()
     update(live)
     monkeypatch.setattr(live.pool, 'submit', submit)
-    old = live.answer.review
+    old_review = live.answer.review
     live.remove_last_sample()
     computed(live)
-    newest = live.answer.review
-    late.set_result(old)
+    newest_review = live.answer.review
+    late_review.set_result(old_review)
     update(live)
-    assert live.answer.review is newest
+    assert live.answer.review is newest_review
 
 
 def test_of_two_answers_the_one_that_was_asked_for_last_stays(monkeypatch):
@@ -568,9 +569,9 @@ def test_the_progress_is_told_while_a_verification_ends() -> None:
     live = new(TO_VERIFY)
 
     class Ending(type(live.verification)):
-        routine = property(lambda _: next(found), lambda *_: None)
+        routine = property(lambda _: next(routines), lambda *_: None)
 
-    found = iter([routine_of('sphere'), None, None])
+    routines = iter([routine_of('sphere'), None, None])
     assert Ending(live).text == 'sphere: 0 usable stops of 0'
 
 
@@ -619,7 +620,7 @@ def test_the_verification_of_a_saved_answer_names_its_file() -> None:
     assert stated['sha256'] == hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def test_a_verification_begun_anew_says_what_is_dropped_and_other_lengths_drop_nothing() -> None:
+def test_a_verification_begun_anew_says_what_is_dropped() -> None:
     live = new(TO_VERIFY)
     feed(live, PARTS[0].messages)
     computed(live)
@@ -654,9 +655,9 @@ def test_it_answers_and_refuses_in_another_process(pool: Pool) -> None:
     assert pool.submit(os.nice, 0).result() == os.nice(0) + 5
     with pytest.raises(DataError) as refusal:
         pool.submit(pipeline.calibrate, [], [], Config()).result()
-    with pytest.raises(DataError) as here:
+    with pytest.raises(DataError) as local_refusal:
         pipeline.calibrate([], [], Config())
-    assert str(refusal.value) == str(here.value)
+    assert str(refusal.value) == str(local_refusal.value)
     with pytest.raises(ZeroDivisionError):
         pool.submit(divmod, 1, 0).result()
 
@@ -693,7 +694,7 @@ def test_a_pool_ends_with_a_node_that_is_killed(tmp_path) -> None:
     script.write_text(PARENT)
     with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True) as parent:
         child = int(parent.stdout.readline())
-        watch = os.pidfd_open(child)
+        descriptor = os.pidfd_open(child)
         parent.kill()
-    assert select.select([watch], [], [], PATIENCE)[0]
-    os.close(watch)
+    assert select.select([descriptor], [], [], PATIENCE)[0]
+    os.close(descriptor)

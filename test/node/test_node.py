@@ -55,7 +55,7 @@ pytestmark = pytest.mark.ros
 PLATE, SPHERE = ROOT / 'config' / 'plate.yaml', ROOT / 'config' / 'sphere.yaml'
 
 
-def heard(client: Client, kind: type, topic: str, qos: object = LATCHED) -> list:
+def received_on(client: Client, kind: type, topic: str, qos: object = LATCHED) -> list:
     """Return what will hold the messages of a topic."""
     messages: list = []
     client.node.create_subscription(kind, topic, messages.append, qos)
@@ -67,10 +67,10 @@ def test_a_bag_through_the_node_gives_the_offline_result(tmp_path: Path, client:
     recording = read(bag, settings)
     offline = calibrate(recording.profiles, recording.poses, settings)
     n = offline.quality.samples_used + offline.quality.samples_rejected
-    features = heard(client, PointCloud2, '/handeye/features', 100)
-    markers = heard(client, MarkerArray, '/handeye/markers')
-    texts = heard(client, String, '/handeye/guidance')
-    poses = heard(client, PoseStamped, '/handeye/next_pose')
+    features = received_on(client, PointCloud2, '/handeye/features', 100)
+    markers = received_on(client, MarkerArray, '/handeye/markers')
+    texts = received_on(client, String, '/handeye/guidance')
+    poses = received_on(client, PoseStamped, '/handeye/next_pose')
     with running_node(tmp_path, '--params-file', str(PLATE), '-p', 'guidance.accuracy:=1e-5'):
         client.connect()
         client.until(lambda: client.node.count_publishers('/handeye/features'), 'all is there')
@@ -82,8 +82,8 @@ def test_a_bag_through_the_node_gives_the_offline_result(tmp_path: Path, client:
         answer = client.call('compute_calibration')
         assert answer.success, answer.message
         assert f'{offline.quality.samples_used} samples used' in answer.message
-        early = heard(client, TransformStamped, '/handeye/calibration')
-        client.until(lambda: early, 'the latched calibration comes')
+        calibrations = received_on(client, TransformStamped, '/handeye/calibration')
+        client.until(lambda: calibrations, 'the latched calibration comes')
         saved = client.call('save_calibration')
         path = tmp_path / settings.name / 'calibration.yaml'
         assert (saved.success, saved.message) == (True, f'wrote {path}')
@@ -97,9 +97,9 @@ def test_a_bag_through_the_node_gives_the_offline_result(tmp_path: Path, client:
         assert client.call('clear_samples').success
         client.until(lambda: texts[-1].data.startswith('Take the first sample'),
                      'the advice starts again')
-        late = heard(client, TransformStamped, '/handeye/calibration')
+        late_calibrations = received_on(client, TransformStamped, '/handeye/calibration')
         client.state()
-        assert not late, 'a late joiner is not sent an old answer'
+        assert not late_calibrations, 'a late joiner is not sent an old answer'
     p, first = poses[-1].pose.position, next(iter(recording.poses)).translation
     assert np.linalg.norm(np.array([p.x, p.y, p.z]) - first) <= settings.guidance.reach + 1e-3
     assert poses[-1].header.frame_id == 'base'
@@ -113,8 +113,8 @@ def test_a_bag_through_the_node_gives_the_offline_result(tmp_path: Path, client:
     assert topics == [{'topic': '/profile'}, {'topic': '/flange_pose'}]
     assert Path(session['session']).parent == path.parent
     assert len(features) == n and {f.header.frame_id for f in features} == {'laser'}
-    transform = early[0].transform.translation
-    assert (early[0].header.frame_id, early[0].child_frame_id) == ('flange', 'laser')
+    transform = calibrations[0].transform.translation
+    assert (calibrations[0].header.frame_id, calibrations[0].child_frame_id) == ('flange', 'laser')
     np.testing.assert_allclose([transform.x, transform.y, transform.z],
                                offline.T_flange_sensor[:3, 3], atol=1e-9)
     assert 'Traceback' not in (tmp_path / 'node.log').read_text()
@@ -133,14 +133,14 @@ def test_poses_come_from_tf_and_a_late_subscriber_hears_tf_static(tmp_path, clie
                      and client.profiles.get_subscription_count(), 'the node subscribes')
         client.state()
         client.send(tree, [transforms_of(pose) for pose in recording.poses], rate=1500)
-        client.send(client.profiles, [cloud_message(made, profile.stamp) for made, profile in
+        client.send(client.profiles, [cloud_message(scan, profile.stamp) for scan, profile in
                                       zip(clouds, recording.profiles, strict=True)], rate=400)
         client.until_counted(poses=len(recording.poses), profiles=len(recording.profiles))
         answer = client.call('compute_calibration')
         assert answer.success, answer.message
-        late = heard(client, TFMessage, '/tf_static')
-        client.until(lambda: late, 'the latched transform comes')
-    (transform,) = late[0].transforms
+        messages = received_on(client, TFMessage, '/tf_static')
+        client.until(lambda: messages, 'the latched transform comes')
+    (transform,) = messages[0].transforms
     assert (transform.header.frame_id, transform.child_frame_id) == ('flange', 'laser')
     p = transform.transform.translation
     np.testing.assert_allclose([p.x, p.y, p.z], offline.T_flange_sensor[:3, 3], atol=1e-9)
@@ -204,9 +204,9 @@ def test_a_session_corrects_the_arm_and_a_solve_loses_no_profiles(tmp_path, clie
 # -- markers
 
 
-def points(found: MarkerArray, name: str) -> np.ndarray:
+def points(markers: MarkerArray, name: str) -> np.ndarray:
     """Return the points of markers with a name."""
-    return np.array([[p.x, p.y, p.z] for marker in found.markers if marker.ns == name
+    return np.array([[p.x, p.y, p.z] for marker in markers.markers if marker.ns == name
                      for p in marker.points])
 
 
@@ -225,14 +225,14 @@ def test_samples_and_the_profile_of_now_lie_on_the_target() -> None:
     assert [m.text for m in before.markers if m.text] == [str(o.number) for o in stops if o.sample]
     assert len(current_markers(current, None, CELL.config).markers) == 1
     computed(live)
-    found = session_markers(stops, live.answer.calibration, CELL.config)
-    now = current_markers(current, live.answer.calibration, CELL.config)
-    assert {marker.header.frame_id for marker in [*found.markers, *now.markers]} == {'base'}
-    assert len({(m.ns, m.id) for m in found.markers}) == len(found.markers)
+    of_session = session_markers(stops, live.answer.calibration, CELL.config)
+    of_current = current_markers(current, live.answer.calibration, CELL.config)
+    assert {m.header.frame_id for m in [*of_session.markers, *of_current.markers]} == {'base'}
+    assert len({(m.ns, m.id) for m in of_session.markers}) == len(of_session.markers)
     centre = np.array([live.answer.calibration.target['centre'][axis] for axis in 'xyz'])
-    for shown in (points(found, 'what the answer comes from'), points(now, 'feature')):
-        np.testing.assert_allclose(np.linalg.norm(shown - centre, axis=1), 0.04, atol=5e-4)
-    assert len(points(now, 'profile')) >= len(points(now, 'feature')) > 10
+    for drawn in (points(of_session, 'what the answer comes from'), points(of_current, 'feature')):
+        np.testing.assert_allclose(np.linalg.norm(drawn - centre, axis=1), 0.04, atol=5e-4)
+    assert len(points(of_current, 'profile')) >= len(points(of_current, 'feature')) > 10
 
 
 # -- parameters

@@ -105,9 +105,9 @@ def test_nothing_listens_but_dds(node: subprocess.Popen[str]) -> None:
     rows = [line.split() for name in ('tcp', 'tcp6')
             for line in Path(f'/proc/{node.pid}/net/{name}').read_text().splitlines()[1:]]
     listening = {f'socket:[{row[9]}]' for row in rows if row[3] == '0A'}  # TCP_LISTEN
-    own = {os.readlink(file) for file in Path(f'/proc/{node.pid}/fd').iterdir()}
-    assert any(name.startswith('socket:') for name in own), 'DDS has sockets'
-    assert not own & listening, 'no TCP port is open by default'
+    descriptors = {os.readlink(file) for file in Path(f'/proc/{node.pid}/fd').iterdir()}
+    assert any(name.startswith('socket:') for name in descriptors), 'DDS has sockets'
+    assert not descriptors & listening, 'no TCP port is open by default'
 
 
 def test_samples_are_taken_and_removed_by_hand_or_refused(client, node):
@@ -123,8 +123,8 @@ def test_samples_are_taken_and_removed_by_hand_or_refused(client, node):
     assert (answer.success, answer.message) == (True, 'samples are taken by ~/take_sample only')
     stand_still(client, START)
     assert client.until_counted(profiles=20, poses=20)['samples'] == '0'
-    taken = client.call('take_sample')
-    assert taken.success and taken.message.startswith('sample 1 taken: 1 arc from ')
+    answer = client.call('take_sample')
+    assert answer.success and answer.message.startswith('sample 1 taken: 1 arc from ')
     services = [client.node.create_client(Trigger, '/handeye/take_sample') for _ in range(3)]
     for service in services:
         client.until(service.service_is_ready, 'the service is there')
@@ -132,8 +132,8 @@ def test_samples_are_taken_and_removed_by_hand_or_refused(client, node):
     client.until(lambda: all(answer.done() for answer in answers), 'all are answered')
     again = 'sample 1 taken again, as the robot has not moved since: '
     assert all(answer.result().message.startswith(again) for answer in answers)
-    few = client.call('compute_calibration')
-    assert not few.success and 'needs at least' in few.message
+    answer = client.call('compute_calibration')
+    assert not answer.success and 'needs at least' in answer.message
     assert client.call('remove_last_sample').message.endswith('0 left')
     assert client.call('take_sample').success
     assert set_parameter(client, 'samples.exclude', [1]).successful
@@ -147,23 +147,23 @@ def test_samples_are_taken_and_removed_by_hand_or_refused(client, node):
     assert 'excluded' not in client.call('compute_calibration').message
 
 
-def test_malformed_messages_stop_nothing_and_their_cause_is_in_every_answer(client, node):
+def test_every_answer_names_the_cause_of_malformed_messages(client, node):
     later = START + 10 * NS  # the points are looked at once a second
     for changes in ({'width': 2**31}, {'point_step': 0}, {'fields': []}, {'data': b'12'}):
-        bad = sphere_profile(later)
+        malformed = sphere_profile(later)
         for name, value in changes.items():
-            setattr(bad, name, value)
-        client.profiles.publish(bad)
+            setattr(malformed, name, value)
+        client.profiles.publish(malformed)
     client.poses.publish(pose_message(START, orientation=(0, 0, 0, 0)))
     client.poses.publish(pose_message(START, position=(float('nan'), 0, 0)))
     stand_still(client, START)
     state = client.until_counted(malformed=6, profiles=20, poses=20)
     assert 'message not used: ' in state['last malformed'] and node.poll() is None
     for number in range(16):
-        broken = sphere_profile(START + 2 * NS + number * NS // 4)
-        millimetres = 1e3 * np.frombuffer(broken.data, '<f4')
-        broken.data = array.array('B', millimetres.astype('<f4').tobytes())
-        client.profiles.publish(broken)
+        profile = sphere_profile(START + 2 * NS + number * NS // 4)
+        millimetres = 1e3 * np.frombuffer(profile.data, '<f4')
+        profile.data = array.array('B', millimetres.astype('<f4').tobytes())
+        client.profiles.publish(profile)
     state = client.until_counted(malformed=22, profiles=20)
     for text in (state['message'], client.call('take_sample').message):
         assert 'the last 16 profiles cannot be used; the last reason: ' in text
@@ -248,7 +248,7 @@ def test_parameters_that_change_hold_at_once_or_are_refused(client, node):
     client.until(lambda: client.state()['samples'] == '1', 'the sample is back')
 
 
-def test_other_topics_are_heard_while_the_node_runs_and_a_wrong_type_is_reported(client, node):
+def test_topics_change_while_it_runs_and_a_wrong_type_is_reported(client, node):
     robot = client.node.create_publisher(PoseStamped, '/robot/pose', BEST_EFFORT)
     client.node.create_publisher(PointStamped, '/scan', RELIABLE)
     cause = 'sensor_msgs/msg/PointCloud2 is on /profile: set profile_topic'

@@ -58,10 +58,10 @@ def served(address: str = '127.0.0.1', state: Any = lambda: {'name': 'plate', 'c
 
 
 @pytest.fixture(scope='module')
-def here() -> Iterator[tuple[PageServer, Cell]]:
+def server() -> Iterator[tuple[PageServer, Cell]]:
     """Give one server on this machine to all tests that change nothing of it."""
-    with served() as found:
-        yield found
+    with served() as page_and_cell:
+        yield page_and_cell
 
 
 def asked(page: PageServer, method: str, path: str, body: str | bytes | None = None,
@@ -82,8 +82,8 @@ def connected(page: PageServer, lines: ExitStack, request: str, body: bytes = b'
     return line
 
 
-def test_it_shows_the_page_and_acts(here: tuple[PageServer, Cell]) -> None:
-    page, cell = here
+def test_it_shows_the_page_and_acts(server: tuple[PageServer, Cell]) -> None:
+    page, cell = server
     for name in ('', *servers.ASSET_FILES):
         status, text = asked(page, 'GET', f'/{name}')
         assert status == 200 and text.startswith('' if name else '<!DOCTYPE html>')
@@ -111,16 +111,16 @@ def test_it_shows_the_page_and_acts(here: tuple[PageServer, Cell]) -> None:
                       {'Host': '192.168.0.7'}, {'Host': 'cell.local'}, {'Host': '[::1'},
                       {'Host': '[a]b'}, {'Host': 'a@localhost'}))])
 def test_what_is_no_request_or_of_another_origin_is_refused(
-        here, method, path, body, headers, status):
-    page, cell = here
+        server, method, path, body, headers, status):
+    page, cell = server
     assert asked(page, method, path, body, **headers)[0] == status
     assert cell.asked == []
 
 
-def test_what_is_no_http_is_refused_without_a_traceback(here, caplog):
+def test_what_is_no_http_is_refused_without_a_traceback(server, caplog):
     with ExitStack() as lines:
         for request in ('hello', 'GET /', 'GET /' + 9000 * 'x'):
-            line = connected(here[0], lines, request, b'Host: twice\r\n\r\n')
+            line = connected(server[0], lines, request, b'Host: twice\r\n\r\n')
             assert line.recv(100).split()[1] == b'400'
     assert not caplog.text
 
@@ -171,9 +171,9 @@ def test_the_token_survives_a_restart_in_a_file_of_the_user_alone(tmp_path: Path
     assert token_of(file) != token and not file.stat().st_mode & 0o077
 
 
-def test_events_come_as_json(here: tuple[PageServer, Cell]) -> None:
+def test_events_come_as_json(server: tuple[PageServer, Cell]) -> None:
     with ExitStack() as lines:
-        line = connected(here[0], lines, 'GET /events', b'\r\n')
+        line = connected(server[0], lines, 'GET /events', b'\r\n')
         stream = lines.enter_context(line.makefile('rb'))
         data = next(row for row in stream if row.startswith(b'data: '))
         assert json.loads(data[6:]) == {'name': 'plate', 'count': None}
@@ -201,8 +201,8 @@ def test_what_takes_long_or_never_ends_keeps_nobody_else_waiting(caplog):
     assert 'Traceback' not in caplog.text
 
 
-def test_a_port_in_use_and_an_address_that_is_none(here: tuple[PageServer, Cell]) -> None:
+def test_a_port_in_use_and_an_address_that_is_none(server: tuple[PageServer, Cell]) -> None:
     with pytest.raises(InputError, match='set page.port to another'):
-        PageServer(PageSource(dict, {}), '127.0.0.1', here[0].port, Path())
+        PageServer(PageSource(dict, {}), '127.0.0.1', server[0].port, Path())
     with pytest.raises(InputError, match='expected an IP address'):
         PageServer(PageSource(dict, {}), 'everywhere', 1, Path())

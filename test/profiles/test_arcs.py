@@ -58,11 +58,10 @@ def test_gross_outliers_do_not_move_an_arc(share: float) -> None:
     for seed in range(10):
         rng = np.random.default_rng(seed)
         points = wide(ball, seed)
-        wrong = rng.random(len(points)) < share
-        points[wrong, 1] += rng.uniform(-8e-3, 8e-3, wrong.sum())
+        is_outlier = rng.random(len(points)) < share
+        points[is_outlier, 1] += rng.uniform(-8e-3, 8e-3, is_outlier.sum())
         arc, = arc_features(points, KNOWN)
-        assert np.linalg.norm(arc.centre - CENTRE) < 1.5e-4
-        assert abs(arc.radius - 0.03) < 1.5e-4
+        assert np.linalg.norm(arc.centre - CENTRE) < 1.5e-4 and abs(arc.radius - 0.03) < 1.5e-4
 
 
 def in_clutter(height: Callable[[Array], Array], share: float, noise: float, alike: int,
@@ -82,7 +81,7 @@ def unbroken(x: Array) -> Array:
 
 @pytest.mark.parametrize('share', [0.0, 0.3, 0.9])
 @pytest.mark.parametrize(('noise', 'alike'), [(2e-5, 1), (8.5e-5, 1), (8.5e-5, 5)])
-def test_a_small_ball_is_found_among_random_ranges(share, noise, alike):
+def test_a_ball_is_found_among_random_ranges(share: float, noise: float, alike: int) -> None:
     # the configured noise is up to four times too small
     config = with_values(KNOWN, {'target.radius': 0.0127, 'noise.sensor': 2e-5}, 'test')
     for seed in range(10):
@@ -150,13 +149,13 @@ def test_circles_through_straight_pieces_are_no_arcs(radius: float) -> None:
                 for seed in range(3)]
     drawings += [drawn(beside(at, at + width, step)) for at in (-0.004, 0.003)
                  for width in (0.003, 0.005) for step in (0.001, 0.003, -0.002)]
-    found = []
+    circles = []
     for k, points in enumerate(drawings):
         try:
-            found.append((k, arc_features(points, config)[0].radius))
+            circles.append((k, arc_features(points, config)[0].radius))
         except FeatureError as error:
             assert 'arc' in str(error)
-    assert not found
+    assert not circles
 
 
 def test_what_repeats_is_not_averaged_away() -> None:
@@ -165,26 +164,26 @@ def test_what_repeats_is_not_averaged_away() -> None:
     for seed in range(12):
         rng = np.random.default_rng(seed)
         frozen = np.convolve(rng.normal(size=644), np.ones(4) / 2, 'valid') * 2e-5
-        found = []
+        features = []
         for _ in range(6):
             points = wide(ball, noise=0.0)
             points[:, 1] += frozen + rng.normal(0, 4e-6, len(points))
-            found.append(arc_features(points, KNOWN))
-        for count, kept in misfits.items():
-            arc, = combine(found[:count])
+            features.append(arc_features(points, KNOWN))
+        for count, misfit in misfits.items():
+            arc, = combine(features[:count])
             assert isinstance(arc, Arc)
-            kept.append((np.linalg.norm(arc.points - CENTRE, axis=1) - 0.03) / arc.std)
-    for kept in misfits.values():
-        assert np.sqrt(np.mean(np.square(kept))) == pytest.approx(1, abs=0.3)
+            misfit.append((np.linalg.norm(arc.points - CENTRE, axis=1) - 0.03) / arc.std)
+    for misfit in misfits.values():
+        assert np.sqrt(np.mean(np.square(misfit))) == pytest.approx(1, abs=0.3)
 
 
-def test_the_profiles_of_a_station_are_one_arc_and_a_stray_one_is_left_out() -> None:
+def test_the_profiles_of_a_station_are_one_arc_without_a_stray() -> None:
     features = [arc_features(wide(ball, seed), KNOWN) for seed in range(8)]
-    other = arc_features(wide(lambda x: ball(x, 0.02)), KNOWN)
+    stray = arc_features(wide(lambda x: ball(x, 0.02)), KNOWN)
     arc, = combine(features)
-    with_other, = combine([*features, other])
-    assert isinstance(arc, Arc) and isinstance(with_other, Arc)
-    assert np.array_equal(arc.raw, with_other.raw)
+    with_stray, = combine([*features, stray])
+    assert isinstance(arc, Arc) and isinstance(with_stray, Arc)
+    assert np.array_equal(arc.raw, with_stray.raw)
     assert np.median(arc.std) == pytest.approx(np.median(features[0][0].std) / 8 ** 0.5, rel=0.2)
 
 
@@ -201,12 +200,12 @@ def test_a_wrong_radius_is_named_where_an_arc_is_seen(stated: float) -> None:
 def test_a_small_ball_before_a_table_is_found(config: Config) -> None:
     # 7 mm of 80: a table is a circle of a large radius within the noise, and has more points
     values = {'target.radius': config.target.radius / 8, 'noise.sensor': 3.0 * NOISE}
-    result = with_values(config, values, 'test')
+    config_of_ball = with_values(config, values, 'test')
     for seed, x in enumerate(np.linspace(-0.03, 0.03, 8)):
         centre = np.array([x, 0.2])
 
         def scene(at: Array, centre: Array = centre) -> Array:
             z = ball(at, 0.0045, centre=centre)
             return np.where(np.isnan(z), 0.21 + 0.05 * at, z)
-        arc, = arc_features(wide(scene, seed), result)
+        arc, = arc_features(wide(scene, seed), config_of_ball)
         assert np.linalg.norm(arc.centre - centre) < 1e-4

@@ -39,11 +39,10 @@ CONFIG = Config()
 TOWARDS = with_values(CONFIG, {'profile.range_sign': -1}, 'test')
 
 
-def line_and_edges(points: Array, config: Config = CONFIG) -> tuple[FaceLine, list[EdgePoint]]:
+def features_of(points: Array, config: Config = CONFIG) -> tuple[FaceLine, list[EdgePoint]]:
     """Return the face line and the edges of a profile, left to right."""
     line, *edges = face_features(points, config)
-    assert isinstance(line, FaceLine)
-    assert all(isinstance(edge, EdgePoint) for edge in edges)
+    assert isinstance(line, FaceLine) and all(isinstance(edge, EdgePoint) for edge in edges)
     return line, sorted(edges, key=lambda edge: edge.point[0])
 
 
@@ -63,7 +62,7 @@ EDGES = [(step_up_to, 'step'), (gap_up_to, 'gap'), (roof, 'roof')]
 @pytest.mark.parametrize(('shape', 'kind'), EDGES, ids=[kind for _, kind in EDGES])
 @pytest.mark.parametrize('tilt', [-0.4, 0.0, 0.3])
 @pytest.mark.parametrize('mirrored', [False, True])
-def test_an_edge_is_found_where_it_is(shape, kind, tilt, mirrored):
+def test_an_edge_is_found(shape: Any, kind: str, tilt: float, mirrored: bool) -> None:
     # of the two faces of a roof the larger one is taken
     for seed, edge in enumerate(np.linspace(-0.008, -0.002 if kind == 'roof' else 0.008, 9)):
         tilt_of_face = tilt if kind != 'roof' else abs(tilt)
@@ -71,7 +70,7 @@ def test_an_edge_is_found_where_it_is(shape, kind, tilt, mirrored):
         if mirrored:
             points = points * [-1, 1]
         side = 1 if mirrored else -1
-        line, (only,) = line_and_edges(points)
+        line, (only,) = features_of(points)
         assert_edge(only, -side * edge, face(edge, tilt_of_face), side, kind)
         assert abs(line.direction @ only.direction) == pytest.approx(1)
         assert (only.point - line.centre) @ only.direction > 0, 'the edge leads out of the face'
@@ -82,7 +81,7 @@ def test_the_normal_points_of_a_face_are_as_certain_as_they_say(tilt: float) -> 
     normal = np.array([-np.sin(tilt), np.cos(tilt)])
     single, together = [], []
     for seed in range(60):
-        line, _ = line_and_edges(marked(gap_up_to(-0.005, tilt), seed))
+        line, _ = features_of(marked(gap_up_to(-0.005, tilt), seed))
         single.append((line.points - [0, face(0.0, tilt)]) @ normal / line.points_std)
         ends = (line.points[[0, -1]] - line.centre) @ line.direction / line.spread
         assert np.allclose(np.abs(ends), 5 / 6 * 3 ** 0.5, rtol=0.05), 'shares of one length'
@@ -98,10 +97,10 @@ def test_the_normal_points_of_a_face_are_as_certain_as_they_say(tilt: float) -> 
 def test_of_a_step_the_side_nearer_to_the_sensor_is_the_face(config: Config) -> None:
     sign = config.profile.range_sign
     points = marked(step_up_to(0.002, drop=sign * 0.01))
-    line, (edge,) = line_and_edges(points, config)
+    line, (edge,) = features_of(points, config)
     assert_edge(edge, 0.002, face(0.002), -1, 'step')
     assert line.centre[0] > 0.002
-    line, (edge,) = line_and_edges(marked(step_up_to(0.002, drop=-sign * 0.01)), config)
+    line, (edge,) = features_of(marked(step_up_to(0.002, drop=-sign * 0.01)), config)
     assert_edge(edge, 0.002, face(0.002) - sign * 0.01, 1, 'step')
     assert line.centre[0] < 0.002
 
@@ -111,7 +110,7 @@ def test_of_a_step_the_side_nearer_to_the_sensor_is_the_face(config: Config) -> 
 def test_both_edges_of_a_profile_are_found(left: float, behind: float, kind: str) -> None:
     def height(x: Array) -> Array:
         return np.where(x > 0.008, np.nan, np.where(x > left, face(x), face(x) + behind))
-    line, (first, last) = line_and_edges(marked(height))
+    line, (first, last) = features_of(marked(height))
     assert_edge(first, left, face(left), -1, kind)
     assert_edge(last, 0.008, face(0.008), 1, 'gap')
     assert line.spread == pytest.approx((0.008 - left) / 12 ** 0.5 / np.cos(0.1), rel=0.02)
@@ -122,7 +121,7 @@ def test_lost_points_inside_the_face_are_no_edge() -> None:
     points[300:340, 1] = np.nan
     points[400:403, 1] = np.inf
     points[::9] = np.nan
-    _, (edge,) = line_and_edges(points)
+    _, (edge,) = features_of(points)
     assert edge.point[0] == pytest.approx(-0.012, abs=3 * PITCH)
 
 
@@ -130,10 +129,10 @@ def test_outliers_and_speckle_do_not_move_an_edge() -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
         points = marked(step_up_to(0.0021), seed)
-        wrong = rng.random(COLUMNS) < 0.05
-        points[wrong, 1] += rng.uniform(-5e-3, 5e-3, wrong.sum())
+        is_outlier = rng.random(COLUMNS) < 0.05
+        points[is_outlier, 1] += rng.uniform(-5e-3, 5e-3, is_outlier.sum())
         points[:, 1] += np.convolve(rng.normal(size=COLUMNS + 3), np.ones(4) / 2, 'valid') * NOISE
-        edges = line_and_edges(points)[1]
+        edges = features_of(points)[1]
         nearest = min(abs(edge.point[0] - 0.0021) for edge in edges)
         assert len(edges) == 1 and nearest < 6 * PITCH
 
@@ -142,8 +141,8 @@ def test_outliers_and_speckle_do_not_move_an_edge() -> None:
 def test_columns_may_run_backwards_and_a_mirror_mirrors(mirror: list[int], step: int) -> None:
     for shape, kind in EDGES:
         points = marked(shape(0.003))
-        line, (edge,) = line_and_edges(points)
-        line_m, (edge_m,) = line_and_edges(points[::step] * mirror)
+        line, (edge,) = features_of(points)
+        line_m, (edge_m,) = features_of(points[::step] * mirror)
         assert np.allclose(edge.point * mirror, edge_m.point)
         assert edge.ending == edge_m.ending == kind
         assert np.allclose(edge.direction * mirror, edge_m.direction)
@@ -154,12 +153,12 @@ def test_columns_may_run_backwards_and_a_mirror_mirrors(mirror: list[int], step:
 @pytest.mark.parametrize('step', [1, -1])
 @pytest.mark.parametrize(('gap', 'first', 'last'), [
     (0.004, -0.02, -0.01), (0.008, -0.02, -0.01), (0.013, -0.02, -0.01)])
-def test_a_face_beside_a_parallel_one_is_whole_seen_from_either_side(gap, first, last, step):
+def test_a_face_beside_another_is_whole(gap: float, first: float, last: float, step: int) -> None:
     # a line that slants through both has more points than either; the nearer one counts if near
     def height(x: Array) -> Array:
         return np.where(x > gap - 0.01, face(x), np.where(x < -0.01, face(x) - 0.001, np.nan))
     for seed in range(10):
-        line, (edge,) = line_and_edges(marked(height, seed)[::step] * [step, 1])
+        line, (edge,) = features_of(marked(height, seed)[::step] * [step, 1])
         assert line.spread == pytest.approx((last - first) / 12 ** 0.5 / np.cos(0.1), rel=0.06)
         inner = last if last < 0 else first
         assert edge.point[0] == pytest.approx(step * inner, abs=2 * PITCH)
@@ -168,7 +167,7 @@ def test_a_face_beside_a_parallel_one_is_whole_seen_from_either_side(gap, first,
 def test_a_driver_that_leaves_lost_points_out_gives_open_ends() -> None:
     points = marked(gap_up_to(0.0))
     points = points[np.isfinite(points).all(axis=1)]
-    _, edges = line_and_edges(points)
+    _, edges = features_of(points)
     assert [edge.ending for edge in edges] == ['open', 'open'], 'one of them is the border'
     assert edges[0].point[0] == pytest.approx(0, abs=PITCH)
 
@@ -212,7 +211,7 @@ def test_of_two_surfaces_side_by_side_the_nearer_is_the_face(slope: float) -> No
         lower = 0.17 + slope * x
         beyond = np.where(x > -0.0065, 0.175 + 4 * (x + 0.0065), lower - 0.003)  # foot, wall, top
         return np.where(x > -0.0065, np.where(x > -0.005, lower, beyond), beyond)
-    line, _ = line_and_edges(marked(height))
+    line, _ = features_of(marked(height))
     assert line.centre[0] < -0.0065, 'the lower one is longer, and ends in a step too'
 
 
@@ -229,15 +228,15 @@ def edge_of(points: Array) -> EdgePoint:
 def test_a_face_that_is_seen_bent_is_a_parabola_up_to_its_edge(bow: float) -> None:
     def height(x: Array) -> Array:
         return np.where(x > -0.012, face(x) + bow * (x / 0.02) ** 2, face(x) + 0.01)
-    off, seeds = [], 40
+    errors, seeds = [], 40
     for seed in range(seeds):
-        line, (edge,) = line_and_edges(marked(height, seed))
+        line, (edge,) = features_of(marked(height, seed))
         x, z = edge.point
         assert abs(x + 0.012) < 2 * PITCH
         assert abs(z - height(max(x, -0.01199))) < 8 * edge.std_across and not edge.drop.any()
         x, z = line.points.T
-        off.append((z - height(x)) / line.points_std)
-    assert np.abs(np.sum(off, axis=0)).max() < 4 * seeds ** 0.5  # no point of it is biased
+        errors.append((z - height(x)) / line.points_std)
+    assert np.abs(np.sum(errors, axis=0)).max() < 4 * seeds ** 0.5  # no point of it is biased
 
 
 def bent(radius: float, wall: float, tilt: float = 0.35) -> Array:
@@ -247,13 +246,13 @@ def bent(radius: float, wall: float, tilt: float = 0.35) -> Array:
     outline = np.concatenate([[[0.03, 0.0]], corner, [[0.0, wall]]])
     c, s = np.cos(tilt), np.sin(tilt)
     x, z = (outline @ np.array([[c, s], [-s, c]])).T
-    seen = np.interp(X, x[::-1], z[::-1])
-    return 0.17 + np.where(x[-1] > X, wall + 0.01, seen)
+    heights = np.interp(X, x[::-1], z[::-1])
+    return 0.17 + np.where(x[-1] > X, wall + 0.01, heights)
 
 
 @pytest.mark.parametrize('radius', [0.0, 3e-4, 1e-3])
 @pytest.mark.parametrize('wall', [0.003, 0.008])
-def test_a_wall_in_sight_gives_the_same_edge_whatever_the_corner(radius, wall):
+def test_a_wall_gives_the_same_edge_whatever_the_corner(radius: float, wall: float) -> None:
     errors = []
     for seed in range(10):
         z = bent(radius, wall)
@@ -305,8 +304,7 @@ def test_a_few_deep_ends_are_no_bevel_of_all() -> None:
     depths = [*[0.0] * 6, *[3e-5] * 4, 2.4e-4, 2.5e-4, 3.3e-4, 7e-4]
     samples = [Sample(k, np.eye(4), (LINE, replace(sharp, drop=np.array([0.0, depth]))))
                for k, depth in enumerate(depths)]
-    assert common_shape(samples).size == 0
-    assert common_shape(samples[-4:]).size > 2e-4
+    assert common_shape(samples).size == 0 and common_shape(samples[-4:]).size > 2e-4
 
 
 @pytest.mark.parametrize('drop', [0.003, 0.012])
@@ -316,8 +314,7 @@ def test_a_smoothed_step_is_cut_at_half_its_height(drop: float) -> None:
         smooth = np.convolve(np.pad(z, 4, mode='edge'), np.ones(9) / 9, 'valid')
         smooth[[int(seed * 3 + 300), 320]] = np.nan
         edge = edge_of(np.column_stack([X, smooth]))
-        assert abs(edge.point[0] - at) < PITCH < 2 * edge.std
-        assert edge.ending == 'step'
+        assert abs(edge.point[0] - at) < PITCH < 2 * edge.std and edge.ending == 'step'
 
 
 WORST: list[tuple[str, dict[str, Any], float]] = [
@@ -326,18 +323,19 @@ WORST: list[tuple[str, dict[str, Any], float]] = [
 
 
 @pytest.mark.parametrize(('name', 'values', 'worst'), WORST, ids=[name for name, *_ in WORST])
-def test_simulated_ends_are_as_near_to_the_edge_as_they_say(name, values, worst):
+def test_simulated_ends_are_at_the_edge(name: str, values: dict[str, Any], worst: float) -> None:
     scenario = replace(BASELINE, target=replace(BASELINE.target, **values))
     away, std = [], []
     for seed in range(2):
-        made = recorded(scenario, seed, rate=6.0)
-        kept = with_common_shape(pipeline.gather(made.profiles, made.poses, made.config).samples)
-        for station in made.truth.stations:
-            sample, = (s for s in kept if station.start <= s.stamp <= station.end)
+        recording = recorded(scenario, seed, rate=6.0)
+        session = pipeline.gather(recording.profiles, recording.poses, recording.config)
+        samples, truth = with_common_shape(session.samples), recording.truth
+        for station in truth.stations:
+            sample, = (s for s in samples if station.start <= s.stamp <= station.end)
             edge, = (f for f in sample.features if isinstance(f, EdgePoint))
             x, z = edge.point + edge.drop  # of the wall, wherever the laser crosses it
-            in_target = se3.apply(se3.inverse(made.truth.T_base_target) @ station.T_base_flange
-                                  @ made.truth.T_flange_sensor, np.array([[x, 0.0, z]]))[0]
+            in_target = se3.apply(se3.inverse(truth.T_base_target) @ station.T_base_flange
+                                  @ truth.T_flange_sensor, np.array([[x, 0.0, z]]))[0]
             away.append(in_target[1 if station.label == 'p' else 0])
             std.append(np.hypot(edge.std, edge.shape_std))
     z = np.array(away) / std
@@ -352,5 +350,5 @@ def test_points_of_one_depth_below_an_edge_are_no_wall() -> None:
             z[last - away] = 0.17 + share * 1.5e-3
         return z
 
-    _, (edge, *_) = line_and_edges(with_lost(drawn(ledge, noise=0.0)))
+    _, (edge, *_) = features_of(with_lost(drawn(ledge, noise=0.0)))
     assert edge.ending == 'gap' and np.isfinite(edge.point).all()

@@ -50,27 +50,27 @@ def pairs(seed: int, noise: float = 0.0) -> tuple[Array, Array, Array]:
 
 def test_wu_takes_the_best_of_all_210_quadruples() -> None:
     _, camera, base = pairs(1, 3e-5)
-    calibration = wu2017.solve(camera, base)
-    assert len(calibration.costs) == comb(10, 4) == 210
-    assert np.isfinite(calibration.costs).all()
-    assert calibration.cost == calibration.costs.min()
-    four = list(calibration.quadruple)
-    np.testing.assert_allclose(se3.apply(calibration.matrix, base)[four], camera[four], atol=1e-9)
+    solution = wu2017.solve(camera, base)
+    assert len(solution.costs) == comb(10, 4) == 210
+    assert np.isfinite(solution.costs).all()
+    assert solution.cost == solution.costs.min()
+    four = list(solution.quadruple)
+    np.testing.assert_allclose(se3.apply(solution.matrix, base)[four], camera[four], atol=1e-9)
     by_eq_4 = (np.vstack([camera[four].T, np.ones(4)])
                @ np.linalg.inv(np.vstack([base[four].T, np.ones(4)])))
-    np.testing.assert_allclose(calibration.matrix, by_eq_4, atol=1e-9)
+    np.testing.assert_allclose(solution.matrix, by_eq_4, atol=1e-9)
     by_eq_5 = sum(np.linalg.norm(c - (by_eq_4 @ np.append(w, 1.0))[:3])
                   for c, w in zip(camera, base, strict=True))
-    assert calibration.cost == pytest.approx(by_eq_5)
+    assert solution.cost == pytest.approx(by_eq_5)
 
 
 def test_four_points_in_one_plane_are_left_out() -> None:
     T, _, base = pairs(2)
     base[:9, 2] = 0.3
-    calibration = wu2017.solve(se3.apply(T, base), base)
-    assert np.isinf(calibration.costs).sum() == comb(9, 4)
-    assert 9 in calibration.quadruple
-    assert np.abs(se3.difference(calibration.T_camera_base, T)).max() < 1e-6
+    solution = wu2017.solve(se3.apply(T, base), base)
+    assert np.isinf(solution.costs).sum() == comb(9, 4)
+    assert 9 in solution.quadruple
+    assert np.abs(se3.difference(solution.T_camera_base, T)).max() < 1e-6
     base[9, 2] = 0.3
     with pytest.raises(SingularError, match='one plane'):
         wu2017.solve(se3.apply(T, base), base)
@@ -98,8 +98,7 @@ def view_of(T_camera_target: Array) -> patent.View:
 def cell_of(seed: int, count: int = 3) -> tuple[Array, Array, tuple[patent.View, ...], Array]:
     """Return T_flange_camera, poses, views and T_camera_target; the laser crosses the centre."""
     rng = np.random.default_rng(seed)
-    X = se3.transform(Rotation.random(random_state=rng).as_matrix(),
-                      rng.uniform(-0.15, 0.15, 3))
+    X = se3.transform(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-0.15, 0.15, 3))
     y, depth = rng.uniform([-0.02, 0.16], [0.02, 0.20], (count, 2)).T
     (n_x, _, n_z), d = CAMERA.light_plane[:3], CAMERA.light_plane[3]
     turns = Rotation.from_euler('xyz', rng.uniform(-30, 30, (count, 3)) + [180, 0, 0],
@@ -113,8 +112,8 @@ def test_the_patent_finds_the_truth_without_noise(seed: int, count: int) -> None
     X, poses, views, targets = cell_of(seed, count)
     for view, target in zip(views, targets, strict=True):
         assert np.abs(se3.difference(patent.target_pose(view, CAMERA), target)).max() < 1e-9
-    calibration = patent.solve(poses, views, CAMERA)
-    assert np.abs(se3.difference(calibration, X)).max() < 1e-6
+    T_flange_camera = patent.solve(poses, views, CAMERA)
+    assert np.abs(se3.difference(T_flange_camera, X)).max() < 1e-6
 
 
 def test_views_without_the_centre_are_refused() -> None:

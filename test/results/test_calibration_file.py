@@ -71,8 +71,7 @@ def calibrations(draw):
     provenance = {'version': draw(words), 'created': draw(words), 'config': {}}
     offset = draw(st.none() | st.builds(ClockEstimate, finite, finite))
     names = [draw(words) for _ in range(4)]
-    return Calibration(*names, T, covariance, target, quality, tuple(samples), provenance,
-                       offset)
+    return Calibration(*names, T, covariance, target, quality, tuple(samples), provenance, offset)
 
 
 @given(calibration=calibrations())
@@ -166,9 +165,9 @@ def test_samples_not_used_for_one_reason_are_one_line_whatever_its_numbers():
                '8 mm and 1.0 degrees from sample 3: it brings nothing new',
                '12 mm and -0.5 degrees from sample 4: it brings nothing new']
     samples = tuple(SampleReport(k, False, reason=reason) for k, reason in enumerate(reasons))
-    told = [text for name, text in table.facts(replace(CALIBRATION, samples=samples)) if not name]
-    assert told == [f'12 rejected, the first: {reasons[0]}',
-                    f'2 rejected, the first: {reasons[12]}']
+    lines = [text for name, text in table.facts(replace(CALIBRATION, samples=samples)) if not name]
+    assert lines == [f'12 rejected, the first: {reasons[0]}',
+                     f'2 rejected, the first: {reasons[12]}']
 
 
 def test_errors_against_the_truth_are_those_of_known_differences():

@@ -38,10 +38,10 @@ def from_xyzw(translation: list[float], rotation: list[float]) -> Array:
     return T
 
 
-def from_values(found: dict[str, Any]) -> tuple[Array, str, str]:
-    place, turn = found['transform']['translation'], found['transform']['rotation']
+def from_values(values: dict[str, Any]) -> tuple[Array, str, str]:
+    place, turn = values['transform']['translation'], values['transform']['rotation']
     return (from_xyzw([place[k] for k in 'xyz'], [turn[k] for k in 'xyzw']),
-            found['parent_frame'], found['child_frame'])
+            values['parent_frame'], values['child_frame'])
 
 
 def read_urdf(text: str) -> tuple[Array, str, str]:
@@ -78,11 +78,11 @@ def read_easy_handeye2(text: str) -> tuple[Array, str, str]:
              'move_group_namespace': str, 'move_group': str}
     content = yaml.full_load(text)
     assert content.keys() == {'parameters', 'transform'}
-    report = content['parameters']
-    assert all(type(value) is known[key] for key, value in report.items())
+    parameters = content['parameters']
+    assert all(type(value) is known[key] for key, value in parameters.items())
     parent = {'eye_in_hand': 'robot_effector_frame', 'eye_on_base': 'robot_base_frame'}
     T, _, _ = from_values({**content, 'parent_frame': '', 'child_frame': ''})
-    return T, report[parent[report['calibration_type']]], report['tracking_base_frame']
+    return T, parameters[parent[parameters['calibration_type']]], parameters['tracking_base_frame']
 
 
 def read_matrix(text: str) -> tuple[Array, None, None]:
@@ -180,9 +180,9 @@ def test_a_former_result_is_kept_whole(tmp_path: Path) -> None:
 def test_a_former_result_that_is_brought_back_is_kept_once_more(tmp_path: Path) -> None:
     first, second = (replace(CALIBRATION, name=name) for name in ('first', 'second'))
     exports.save_all(first, tmp_path, ('yaml',))
-    kept = exports.save_all(second, tmp_path, ('yaml',)).previous
-    assert kept is not None
-    shutil.copy2(kept / 'calibration.yaml', tmp_path)  # with its time
+    former = exports.save_all(second, tmp_path, ('yaml',)).previous
+    assert former is not None
+    shutil.copy2(former / 'calibration.yaml', tmp_path)  # with its time
     exports.save_all(second, tmp_path, ('yaml',))
     assert len(list((tmp_path / 'history').iterdir())) == 2
 

@@ -119,17 +119,18 @@ def test_what_was_not_used_is_shown_with_its_reason(calibration, recording):
 
 def test_each_stop_agrees_as_the_file_says(calibration, recording):
     stated = {s.stamp: s.residual for s in calibration.samples}
-    shown = {stop.stamp: stop.agreement for stop in recording.stops if stop.agreement}
-    assert {stamp: agreement.residual for stamp, agreement in shown.items()} == pytest.approx(
+    agreements = {stop.stamp: stop.agreement for stop in recording.stops if stop.agreement}
+    assert {stamp: agreement.residual for stamp, agreement in agreements.items()} == pytest.approx(
         stated)
-    left_out = np.array([agreement.left_out for agreement in shown.values()])
+    left_out = np.array([agreement.left_out for agreement in agreements.values()])
     assert (left_out > list(stated.values())).all()
 
 
 def test_a_recording_that_says_something_else_is_reported(calibration, recording):
     T = se3.perturb(calibration.T_flange_sensor, np.array([1e-3, 0, 0, 0, 0, 0]))
-    good, sentence = verdict(replace(calibration, T_flange_sensor=T), recording, np.empty((0, 3)))
-    assert not good
+    moved = replace(calibration, T_flange_sensor=T)
+    reliable, sentence = verdict(moved, recording, np.empty((0, 3)))
+    assert not reliable
     assert sentence.startswith('Do not rely on this calibration: the recording gives another '
                                'answer than the one saved, 1.000 mm')
     refused = solved_recording(calibration, ROOT / 'bags' / 'one_orientation')
@@ -146,7 +147,7 @@ def test_mapped_points_are_as_uncertain_as_draws_say(calibration: Calibration) -
     assert mapped_std(calibration, points) == pytest.approx(rms, rel=0.05)
 
 
-def test_the_recording_is_found_from_another_folder_and_shown_only_unchanged(
+def test_a_moved_recording_is_found_and_a_changed_one_is_refused(
         calibration, tmp_path, monkeypatch):
     def named(path: str) -> Calibration:
         inputs = [{**calibration.provenance['inputs'][0], 'path': path}]

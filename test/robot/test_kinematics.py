@@ -63,16 +63,16 @@ def with_errors(arm, rng):
 def poses(urdf, joints, q, frame):
     """Return what pinocchio makes of joint values (n, joints)."""
     model = pinocchio.buildModelFromXML(urdf)
-    data, found = model.createData(), []
+    data, flange_poses = model.createData(), []
     for row in q:
-        at = pinocchio.neutral(model)
+        configuration = pinocchio.neutral(model)
         for name, value in zip(joints, row, strict=True):
             joint = model.joints[model.getJointId(name)]
-            at[joint.idx_q:joint.idx_q + joint.nq] = (
+            configuration[joint.idx_q:joint.idx_q + joint.nq] = (
                 [value] if joint.nq == 1 else [np.cos(value), np.sin(value)])
-        pinocchio.framesForwardKinematics(model, data, at)
-        found.append(data.oMf[model.getFrameId(frame)].homogeneous)
-    return np.array(found)
+        pinocchio.framesForwardKinematics(model, data, configuration)
+        flange_poses.append(data.oMf[model.getFrameId(frame)].homogeneous)
+    return np.array(flange_poses)
 
 
 def test_an_odd_urdf_moves_as_in_pinocchio_and_so_does_the_corrected_one():
@@ -103,26 +103,26 @@ def from_table(tmp_path_factory):
     """Return a cell, the rows held out, the folder of the answer, and what was shown."""
     folder = tmp_path_factory.mktemp('kinematics')
     cell = bench.draw(bench.CASES['six'], 62, 3)
-    first = np.arange(62) < 40
+    is_given = np.arange(62) < 40
     (folder / 'arm.urdf').write_text(bench.urdf(bench.SIX))
-    rows = np.hstack([np.degrees(cell.data.q), cell.data.points * 1e3])[first]
+    rows = np.hstack([np.degrees(cell.data.q), cell.data.points * 1e3])[is_given]
     header = [*(f'{joint.name} [degrees]' for joint in cell.arm.joints), 'x [mm]', 'y [mm]',
               'z [mm]']
     np.savetxt(folder / 'points.csv', rows, '%.5f', ',', header=','.join(header), comments='')
-    done = succeeds('kinematics', 'points.csv', '--urdf', 'arm.urdf', '--out', 'out', cwd=folder)
-    return cell, bench.selected(cell.exact, ~first), folder, done.stdout
+    run = succeeds('kinematics', 'points.csv', '--urdf', 'arm.urdf', '--out', 'out', cwd=folder)
+    return cell, bench.selected(cell.exact, ~is_given), folder, run.stdout
 
 
 def test_the_answer_in_files_predicts_points_that_were_held_out(from_table):
-    _, held, folder, result = from_table
+    _, held, folder, output = from_table
     arm, calibration = read_arm(folder / 'out'), read_calibration(folder / 'out/calibration.yaml')
     ball = np.array([calibration.target['point_target'][axis] for axis in 'xyz'])
     urdf = (folder / 'out/corrected.urdf').read_text()
     for T in (arm.forward(held.q), poses(urdf, [j.name for j in arm.joints], held.q, 'tool0')):
-        seen = se3.apply(se3.inverse(T @ calibration.T_flange_sensor), ball[None])[:, 0]
-        assert bench.rms(seen - held.points) < 0.06
+        points = se3.apply(se3.inverse(T @ calibration.T_flange_sensor), ball[None])[:, 0]
+        assert bench.rms(points - held.points) < 0.06
     assert (calibration.parent_frame, calibration.method) == ('tool0', 'kinematics')
-    assert 'offset, direction, position' in result
+    assert 'offset, direction, position' in output
 
 
 def test_a_wrong_row_is_left_out_and_several_points_are_distinguished():
@@ -154,7 +154,7 @@ def test_bad_tables_are_refused_in_a_sentence(from_table, tmp_path, change, word
         sources.solve_table(table, arm_of(bench.urdf(bench.SIX)), Config(), ())
 
 
-def test_values_beyond_a_limit_that_cannot_be_degrees_are_not_called_degrees():
+def test_values_beyond_a_limit_are_called_degrees_only_if_they_may_be():
     arm = arm_of(bench.urdf(bench.SIX))
     with pytest.raises(HandeyeError, match='check sign, zero, and order'):
         joint_notes(arm, np.outer([0, 1], [0, 2.5, 0, 0, 0, 0]))
@@ -214,23 +214,24 @@ def test_the_file_of_an_arm_without_errors_is_read(from_table, tmp_path):
 def test_profiles_and_joint_states_of_a_bag_correct_the_arm(tmp_path):
     succeeds('kinematics', ROOT / 'bags/arm', '--urdf', ROOT / 'bags/arm/robot.urdf',
              '--set', 'target.type=sphere', '--out', 'out', cwd=tmp_path)
-    arm, found = read_arm(tmp_path / 'out'), read_calibration(tmp_path / 'out/calibration.yaml')
-    assert found.quality.holdout_rms < 6e-5
-    assert (found.parent_frame, arm.kinds) == ('flange', GEOMETRY)
-    again = succeeds('solve', ROOT / 'bags/arm', '--set', 'target.type=sphere', '--kinematics',
-                     'out/kinematics.yaml', '--budget', '--out', 'again', cwd=tmp_path)
-    shares = re.search(r'corrected arm .* ([\d.]+) %', again.stdout)
-    assert shares and float(shares[1]) > 50, 'the arm is told apart from a station that is wrong'
-    after = read_calibration(tmp_path / 'again/calibration.yaml')
-    np.testing.assert_allclose(after.T_flange_sensor, found.T_flange_sensor, atol=2e-5)
+    out = tmp_path / 'out'
+    arm, calibration = read_arm(out), read_calibration(out / 'calibration.yaml')
+    assert calibration.quality.holdout_rms < 6e-5
+    assert (calibration.parent_frame, arm.kinds) == ('flange', GEOMETRY)
+    run = succeeds('solve', ROOT / 'bags/arm', '--set', 'target.type=sphere', '--kinematics',
+                   'out/kinematics.yaml', '--budget', '--out', 'again', cwd=tmp_path)
+    match = re.search(r'corrected arm .* ([\d.]+) %', run.stdout)
+    assert match and float(match[1]) > 50, 'the arm is told apart from a station that is wrong'
+    solved = read_calibration(tmp_path / 'again/calibration.yaml')
+    np.testing.assert_allclose(solved.T_flange_sensor, calibration.T_flange_sensor, atol=2e-5)
 
 
-def test_the_truth_of_a_corrected_arm_is_of_its_flange_not_that_of_the_controller(tmp_path):
+def test_the_truth_of_a_corrected_arm_is_of_its_own_flange(tmp_path):
     for words in ('simulate small_arm cell --seed 962',
                   'kinematics cell --urdf cell/robot.urdf --set target.type=sphere --out arm',
                   'solve cell --set target.type=sphere --kinematics arm --out out'):
-        done = succeeds(*words.split(), cwd=tmp_path)
-    shown = ' '.join(done.stdout.split())
+        run = succeeds(*words.split(), cwd=tmp_path)
+    shown = ' '.join(run.stdout.split())
     assert re.search('poses of the corrected arm in .*; with those of the controller it is', shown)
     match = re.search(r'truth.yaml: translation ([\d.]+) mm', shown)
     assert match and float(match[1]) < 0.2, 'against the flange of the controller: 1.1 mm'
@@ -238,8 +239,8 @@ def test_the_truth_of_a_corrected_arm_is_of_its_flange_not_that_of_the_controlle
     T_true = se3.from_values(truth['T_corrected_sensor'])
     for folder in ('arm', 'out'):
         calibration = read_calibration(tmp_path / folder / 'calibration.yaml')
-        away = se3.difference(calibration.T_flange_sensor, T_true)
-        assert away @ np.linalg.solve(calibration.covariance, away) < ONE_IN_1000
+        error = se3.difference(calibration.T_flange_sensor, T_true)
+        assert error @ np.linalg.solve(calibration.covariance, error) < ONE_IN_1000
 
 
 @pytest.fixture(scope='module')
@@ -261,13 +262,13 @@ def test_two_recordings_give_one_answer(recorded):
     """Also with other axes of the profile: the features are those of its plane."""
     arm, session, recording, config = recorded
     config = replace(config, profile=replace(config.profile, axes=('y', 'z')))
-    whole = sources.source_of(session, recording, arm, config)
-    both, one = (sources.solve_sources(given, arm) for given in (
-        [every_other(whole, 0), every_other(whole, 1)], [whole]))
-    assert both.outcome.arm.kinds == GEOMETRY
-    assert both.outcome.chosen.left_out_rms < 6e-5
-    assert both.calibration.quality.samples_used == len(whole.samples)
-    assert squared_error(both.calibration, one.calibration) < 6
+    source = sources.source_of(session, recording, arm, config)
+    from_two, from_one = (sources.solve_sources(parts, arm) for parts in (
+        [every_other(source, 0), every_other(source, 1)], [source]))
+    assert from_two.outcome.arm.kinds == GEOMETRY
+    assert from_two.outcome.chosen.left_out_rms < 6e-5
+    assert from_two.calibration.quality.samples_used == len(source.samples)
+    assert squared_error(from_two.calibration, from_one.calibration) < 6
 
 
 def test_stops_without_joint_values_are_counted(recorded):
@@ -296,7 +297,7 @@ def test_a_urdf_of_another_robot_is_refused(recorded):
         sources.solve_sources([sources.source_of(session, recording, longer, config)], longer)
 
 
-def test_a_solve_with_a_corrected_arm_is_as_uncertain_as_the_arm_makes_it(tmp_path):
+def test_a_solve_with_a_corrected_arm_carries_its_uncertainty(tmp_path):
     stated, rng, scenario = arm_of(simulated_arm.URDF), np.random.default_rng(1), SCENARIOS[
         'sphere']
     scenario = replace(scenario, stations=(30, 0), tilt=0.6, robot=replace(

@@ -48,7 +48,7 @@ def test_time_that_goes_backwards_is_dropped_and_counted() -> None:
     assert kinds == [('dropped a pose', '4 times)'), ('dropped a profile', '1 times)')]
 
 
-def test_messages_that_come_twice_are_not_late_but_a_clock_that_stands_still_is_told() -> None:
+def test_repeated_messages_are_not_late_but_a_clock_that_stands_is_told() -> None:
     session = Session(MANUAL)
     for item in in_order(stops((0, 1)), profiles(0, 1)):
         add(session, item)
@@ -63,13 +63,13 @@ def test_messages_that_come_twice_are_not_late_but_a_clock_that_stands_still_is_
 @pytest.mark.parametrize(('tilt', 'refused'), [(0.1, True), (0.0, False)])
 def test_a_tilted_light_plane_is_told_from_an_encoder(tilt: float, refused: bool) -> None:
     spans, rng = [(3.0 * k, 3.0 * k + 1) for k in range(10)], np.random.default_rng(0)
-    seen = []
+    moved_profiles = []
     for start, end in spans:
         height = rng.uniform(-0.01, 0.01)
         beside = tilt * (np.nanmean(GOOD[:, 1]) + height) if tilt else 1e-3 * start
-        seen += [replace(p, points=p.points + [0.0, height], out_of_plane=beside)
-                 for p in profiles(start, end)]
-    session = played(stops(*spans), seen, finish=False)
+        moved_profiles += [replace(p, points=p.points + [0.0, height], out_of_plane=beside)
+                           for p in profiles(start, end)]
+    session = played(stops(*spans), moved_profiles, finish=False)
     if refused:
         with pytest.raises(InputError, match='light plane that is tilted'):
             session.evaluate_remaining()
@@ -96,35 +96,35 @@ def test_a_clock_that_is_set_back_goes_on_by_itself(config: Config) -> None:
         session.evaluate_remaining()
     assert [round(s.T_base_flange[0, 3], 3) for s in session.samples] == (
         [0.5] if config is MANUAL else [0.0, 0.1, 0.5])
-    result = [w for w in session.warnings if 'clock' in w]
-    assert result[0].startswith('the clock of the poses was set back by 63.0 s (1 times)')
-    assert result[1].startswith('the clock of the profiles was set back by 6')
+    clock_warnings = [w for w in session.warnings if 'clock' in w]
+    assert clock_warnings[0].startswith('the clock of the poses was set back by 63.0 s (1 times)')
+    assert clock_warnings[1].startswith('the clock of the profiles was set back by 6')
 
 
-def test_the_stop_of_now_is_given_while_the_robot_stands_and_again_when_it_is_over() -> None:
-    session, early = Session(CONFIG), []
+def test_a_stop_is_given_early_and_again_when_it_is_over() -> None:
+    session, seconds = Session(CONFIG), []
     for item in in_order(stops((0, 3), (4, 5)), profiles(0, 5, 40.0)):
         add(session, item)
         stop = session.early_stop()
         if stop:
-            early.append((item.stamp - START) / NS)
+            seconds.append((item.stamp - START) / NS)
             session.add_stop(session.evaluated(stop, result_of(stop, CONFIG)))
         collect(session)
     session.evaluate_remaining()
     assert len(session.samples) == session.last_number == 2
-    assert len(early) == 2 and 0.7 <= early[0] < 1.1 and 4.7 <= early[1] <= 5.0
-    whole = played(stops((0, 3), (4, 5)), profiles(0, 5, 40.0))
-    assert [s.profiles for s in session.samples] == [s.profiles for s in whole.samples]
+    assert len(seconds) == 2 and 0.7 <= seconds[0] < 1.1 and 4.7 <= seconds[1] <= 5.0
+    without_early = played(stops((0, 3), (4, 5)), profiles(0, 5, 40.0))
+    assert [s.profiles for s in session.samples] == [s.profiles for s in without_early.samples]
 
 
 def test_a_stop_without_profiles_is_reported_while_the_robot_stands() -> None:
     session = Session(CONFIG)
-    found = []
+    early_stops = []
     for item in stops((0, 3)):
         add(session, item)
-        if ready := session.early_stop():
-            found.append(((item.stamp - START) / NS, ready))
-    (seconds, stop), = found
+        if early_stop := session.early_stop():
+            early_stops.append(((item.stamp - START) / NS, early_stop))
+    (seconds, stop), = early_stops
     assert 2.0 <= seconds < 3.0 and isinstance(result_of(stop, CONFIG), Reject)
 
 
@@ -146,19 +146,19 @@ def test_a_stray_of_another_frame_is_counted_and_more_are_refused(kind: str) -> 
     for item in in_order(stops((2, 6)), profiles(2, 6)):
         add(session, item)
     assert session.conflict is None, 'only the first frame has come for some seconds'
-    back = session.copied()
+    set_back = session.copied()
     for item in in_order(stops((-500, -498)), profiles(-500, -498)):
-        add(back, item)
-        collect(back)
-    assert back.conflict is None, 'a clock that is set back brings none of them back'
+        add(set_back, item)
+        collect(set_back)
+    assert set_back.conflict is None, 'a clock that is set back brings none of them back'
     add(session, stray(500))
     assert session.conflict is None, 'one more begins a new count'
 
 
 def test_the_frames_of_a_session_that_continues_stay() -> None:
     session = Session(CONFIG, frames=('base', 'laser'))
-    for one in profiles(0, 1.2):
-        session.add_profile(replace(one, frame_id='other sensor'))
+    for p in profiles(0, 1.2):
+        session.add_profile(replace(p, frame_id='other sensor'))
     with pytest.raises(InputError, match='two frames, "laser" and "other sensor"'):
         session.evaluate_remaining()
 
@@ -171,7 +171,7 @@ SPARSE = [pose(t, x=0.1 * (t // 10)) for t in range(60)]
     ([], 3, 'no_poses'), (MOVING, 3, 'no_stops'), (SPARSE, 60, 'sparse_poses'),
     ([replace(p, translation=p.translation * 1e3) for p in MOVING], 3, 'position_unit'),
     (stops((0, 1), (2, 2.3), (4, 4.3), (6, 6.3)), 7, 'no_stops')])  # most rests are too short
-def test_why_there_are_no_stops_is_distinguished(poses, end, reason):
+def test_why_there_are_no_stops_is_told(poses: list[TimedPose], end: float, reason: str) -> None:
     with pytest.raises(DataError) as refusal:
         played(poses, profiles(0, end)).require_any_stop()
     assert refusal.value.reason == reason
@@ -204,10 +204,10 @@ IN_ORDER = key(results(played(STREAM_POSES, STREAM_PROFILES)))
 @settings(max_examples=30)
 @given(st.lists(st.booleans(), min_size=len(STREAM_POSES) + len(STREAM_PROFILES),
                 max_size=len(STREAM_POSES) + len(STREAM_PROFILES)), st.booleans())
-def test_the_order_of_arrival_changes_nothing(pose_next: list[bool], collecting: bool) -> None:
+def test_the_order_of_arrival_changes_nothing(poses_next: list[bool], collecting: bool) -> None:
     session, streams = Session(CONFIG), [list(STREAM_PROFILES), list(STREAM_POSES)]
-    for which in pose_next:
-        stream = streams[which] or streams[not which]
+    for take_pose in poses_next:
+        stream = streams[take_pose] or streams[not take_pose]
         add(session, stream.pop(0))
         if collecting:
             collect(session)
@@ -233,7 +233,7 @@ def test_one_stream_may_be_far_behind_the_other(first: str) -> None:
 @pytest.mark.parametrize('jump', [-1e9, -30.0, 1.5, 1e9])
 @pytest.mark.parametrize('kind', ['pose', 'profile'])
 @pytest.mark.parametrize('place', [0, 7])
-def test_one_wild_stamp_changes_nothing_but_that_message(jump, kind, place):
+def test_one_wild_stamp_changes_only_its_message(jump: float, kind: str, place: int) -> None:
     streams: dict[str, list[TimedPose | Profile]] = {
         'pose': [*STREAM_POSES], 'profile': [*STREAM_PROFILES]}
     wild = streams[kind][place]
@@ -271,7 +271,7 @@ def test_profiles_of_a_pass_beyond_its_poses_are_not_used() -> None:
     # as in a stored sweep after time_offset was changed
     config = with_values(CONFIG, {'sampling.mode': 'moving'}, 'test')
     track = tuple(stops((0.0, 1.0)))
-    seen = profiles(0.5, 3.0)
-    assert isinstance(result_of(Stop(track[0].stamp, track, tuple(seen)), config), Sample)
+    pass_profiles = profiles(0.5, 3.0)
+    assert isinstance(result_of(Stop(track[0].stamp, track, tuple(pass_profiles)), config), Sample)
     beyond = result_of(Stop(track[0].stamp, track, tuple(profiles(2.0, 3.0))), config)
     assert isinstance(beyond, Reject) and 'no profile has a stamp' in beyond.reason

@@ -26,13 +26,13 @@ from profiles import (
 import pytest
 
 
-@pytest.mark.parametrize('wrong', [
+@pytest.mark.parametrize('other_shape', [
     step_up_to(-0.007), lambda x: step_up_to(0.002)(x) + 0.003,
     lambda x: step_up_to(0.002, tilt=0.25)(x)])
-def test_a_profile_that_disagrees_is_outvoted(wrong: Callable[[Array], Array]) -> None:
-    right = many(step_up_to(0.002), 11)
-    line, edge = combine(right)
-    line_w, edge_w = combine([*right, *many(wrong, 2, 7)])
+def test_a_profile_that_disagrees_is_outvoted(other_shape: Callable[[Array], Array]) -> None:
+    agreeing = many(step_up_to(0.002), 11)
+    line, edge = combine(agreeing)
+    line_w, edge_w = combine([*agreeing, *many(other_shape, 2, 7)])
     assert np.linalg.norm(edge_w.point - edge.point) < edge.std
     for x in (0.005, 0.015):
         heights = [f.centre[1] + f.direction[1] / f.direction[0] * (x - f.centre[0])
@@ -41,11 +41,11 @@ def test_a_profile_that_disagrees_is_outvoted(wrong: Callable[[Array], Array]) -
 
 
 def test_an_edge_that_few_profiles_show_is_left_out() -> None:
-    def both(x: Array) -> Array:
+    def with_two_edges(x: Array) -> Array:
         return np.where(x > 0.012, np.nan, step_up_to(0.002)(x))
-    features = combine([*many(step_up_to(0.002), 8), *many(both, 3, 1)])
+    features = combine([*many(step_up_to(0.002), 8), *many(with_two_edges, 3, 1)])
     assert [f.direction[0] < 0 for f in features if isinstance(f, EdgePoint)] == [True]
-    features = combine([*many(step_up_to(0.002), 3), *many(both, 8, 1)])
+    features = combine([*many(step_up_to(0.002), 3), *many(with_two_edges, 8, 1)])
     assert len([f for f in features if isinstance(f, EdgePoint)]) == 2
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from handeye_ros.config import Config, ProfileConfig, with_values
-from handeye_ros.data import EdgePoint, NS, Profile, RawProfile
+from handeye_ros.data import EdgePoint, NS, Profile, RawProfile, TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import ProfileBuffer, PROFILES_OF_SAMPLE, Stop
@@ -37,8 +37,7 @@ def test_every_stop_gives_a_sample_with_its_pose_and_its_first_stamp() -> None:
     session = played(stops((0, 1), (2, 3), (4, 5.2)), profiles(0, 5.2))
     assert [round((s.stamp - START) / NS, 3) for s in session.samples] == [0.103, 2.103, 4.103]
     assert [round(float(s.T_base_flange[0, 3]), 6) for s in session.samples] == [0.0, 0.1, 0.2]
-    assert not session.rejects and not session.warnings
-    assert session.frame_id == 'laser'
+    assert not session.rejects and not session.warnings and session.frame_id == 'laser'
 
 
 @pytest.mark.parametrize('still_time', [0.3, 0.8])
@@ -58,8 +57,7 @@ def test_a_robot_that_creeps_does_not_stand_still() -> None:
 
 
 def test_the_sign_of_a_quaternion_is_no_motion() -> None:
-    poses = [replace(p, quaternion=p.quaternion * (-1) ** i)
-             for i, p in enumerate(stops((0, 1)))]
+    poses = [replace(p, quaternion=p.quaternion * (-1) ** i) for i, p in enumerate(stops((0, 1)))]
     sample, = played(poses, profiles(0, 1)).samples
     assert np.allclose(sample.T_base_flange[:3, :3], np.eye(3))
 
@@ -91,14 +89,13 @@ def test_a_fast_sensor_is_thinned_out_evenly() -> None:
     assert [sum(stamps < settle), sum(inside), sum(stamps > 2 * NS - settle)] == [8, 73, 8]
     assert np.diff(stamps[inside]).max() <= NS / 40 + NS / 500
     edge, = (f for f in sample.features if isinstance(f, EdgePoint))
-    few, = played(stops((0, 2)), profiles(0, 2, rate=50.0)).samples
-    other, = (f for f in few.features if isinstance(f, EdgePoint))
-    assert np.allclose(edge.point, other.point, atol=1e-9)
+    slow_sample, = played(stops((0, 2)), profiles(0, 2, rate=50.0)).samples
+    slow_edge, = (f for f in slow_sample.features if isinstance(f, EdgePoint))
+    assert np.allclose(edge.point, slow_edge.point, atol=1e-9)
 
 
-def test_a_stop_without_profiles_or_without_a_target_is_refused_with_a_reason() -> None:
-    session = played(stops((0, 1), (2, 3), (4, 5)), [
-        *profiles(0, 1), *profiles(2, 3, points=BAD)])
+def test_a_stop_without_profiles_or_target_is_refused_with_a_reason() -> None:
+    session = played(stops((0, 1), (2, 3), (4, 5)), [*profiles(0, 1), *profiles(2, 3, points=BAD)])
     assert len(session.samples) == 1
     no_edge, no_profile = session.rejects
     assert 'edge' in no_edge.reason and no_edge.stamp == START + 2 * NS
@@ -106,13 +103,13 @@ def test_a_stop_without_profiles_or_without_a_target_is_refused_with_a_reason() 
 
 
 def test_most_profiles_of_a_stop_must_show_the_target() -> None:
-    for good, count in ((12, 1), (6, 0)):
-        mixed = [replace(p, points=GOOD if i < good else BAD)
+    for with_target, count in ((12, 1), (6, 0)):
+        mixed = [replace(p, points=GOOD if i < with_target else BAD)
                  for i, p in enumerate(profiles(0.1, 0.9))]
         session = played(stops((0, 1)), mixed)
         assert len(session.samples) == count and len(session.rejects) == 1 - count
         if count:
-            assert session.samples[0].profiles == good
+            assert session.samples[0].profiles == with_target
 
 
 def test_a_stop_near_an_earlier_one_brings_nothing_new() -> None:
@@ -147,15 +144,15 @@ def raw(stamp: int, size: int) -> RawProfile:
 @given(st.lists(st.tuples(st.integers(0, 400), st.integers(0, 30), st.integers(0, 30)),
                 max_size=60))
 def test_no_more_is_kept_than_fits(steps: list[tuple[int, int, int]]) -> None:
-    kept = ProfileBuffer(1000)
+    buffer = ProfileBuffer(1000)
     for stamp, (size, behind, ahead) in enumerate(steps):
-        before, dropped = [*kept.items, raw(stamp, size)], kept.dropped
-        kept.add(before[-1:])
-        assert sum(p.held_bytes for p in kept.items) <= 1000
-        assert kept.items == before[kept.dropped - dropped:], 'the oldest go first'
+        items, dropped = [*buffer.items, raw(stamp, size)], buffer.dropped
+        buffer.add(items[-1:])
+        assert sum(p.held_bytes for p in buffer.items) <= 1000
+        assert buffer.items == items[buffer.dropped - dropped:], 'the oldest go first'
         first, last = stamp - behind, stamp - behind + ahead
-        kept.keep(first, last, stamp)
-        assert all(first <= p.stamp <= last or p.stamp > stamp for p in kept.items)
+        buffer.keep(first, last, stamp)
+        assert all(first <= p.stamp <= last or p.stamp > stamp for p in buffer.items)
 
 
 def removed_last(session: Session) -> Stop:
@@ -198,15 +195,15 @@ def test_a_sample_by_hand_is_not_taken_again_by_itself() -> None:
     assert [round(float(s.T_base_flange[0, 3]), 6) for s in session.samples] == [0.0, 0.1]
 
 
-@pytest.mark.parametrize(('poses', 'found', 'words'), [
+@pytest.mark.parametrize(('poses', 'stream', 'words'), [
     ([], [], 'no flange pose'),
     ([pose(t, x=t) for t in np.arange(0, 1, 0.02)], profiles(0, 1), '0.5 s'),
     (stops((0, 1)), [], 'no profile has a stamp'),
     (stops((0, 1)), profiles(0, 1, points=BAD), 'edge'),
     (stops((0, 1)), profiles(0, 1.32), r'no pose has come for 0\.3 s')])
-def test_why_no_sample_can_be_taken_is_reported(poses, found, words):
+def test_why_no_sample_is_taken(poses: list[TimedPose], stream: list[Profile], words: str) -> None:
     with pytest.raises(DataError, match=words):
-        taken(played(poses, found, MANUAL, finish=False))
+        taken(played(poses, stream, MANUAL, finish=False))
 
 
 def test_the_last_sample_can_be_removed() -> None:

@@ -40,8 +40,7 @@ def test_profiles_without_a_pose_on_both_sides_are_dropped_and_counted():
     scanner = Scanner(calibration(), Config())
     profiles = plane_profiles(240)
     cloud = np.concatenate(list(scanner.scan(profiles, trajectory_of(poses, 0.02))))
-    lost = [p for p in profiles if 50 < (p.stamp - T0) / STEP < 100
-            or p.stamp > poses[-1].stamp]
+    lost = [p for p in profiles if 50 < (p.stamp - T0) / STEP < 100 or p.stamp > poses[-1].stamp]
     assert scanner.count.without_pose == len(lost)
     assert len(cloud) == (240 - len(lost)) * 50
     scanner = Scanner(calibration(), Config())
@@ -209,8 +208,7 @@ def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
     assert 'of the frame' not in run.stderr
     other = replace(calibration(), child_frame='other')
     write_calibration(other, tmp_path / 'calibration.yaml')
-    run = handeye('scan', bag, '--calibration', '.', '--out', 'c.ply',
-                  cwd=tmp_path)
+    run = handeye('scan', bag, '--calibration', '.', '--out', 'c.ply', cwd=tmp_path)
     assert run.returncode == 0
     assert 'the profiles are of the frame "laser", and the calibration is of "other"' in run.stderr
 

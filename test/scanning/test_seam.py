@@ -246,10 +246,10 @@ def test_the_path_follows_what_is_asked_for_from_where_it_is_asked():
     turned = find_seam(points, line='first', start=last)  # from the other end, now the first
     assert (second.line, turned.line) == ('second', 'first')
     assert np.linalg.norm(turned.curve.position(turned.curve.first) - last) < 2e-4
-    found = []
+    stds = []
     for seam, t in ((second, second.curve.arc[1]), (turned, turned.curve.arc[1][::-1])):
-        found.append(seam.std(t))
-    np.testing.assert_allclose(*found, rtol=0.01)
+        stds.append(seam.std(t))
+    np.testing.assert_allclose(*stds, rtol=0.01)
 
 
 def test_frames_are_rotations_at_the_pitch_and_lean_as_asked():
@@ -376,9 +376,9 @@ def test_the_verb_writes_what_others_read(tmp_path):
     assert len(rows) == len(result['frames'])
     types = get_typestore(Stores.ROS2_JAZZY)
     with Reader(tmp_path / 'seam/path') as reader:
-        found = {c.msgtype: types.deserialize_cdr(data, c.msgtype)
-                 for c, _, data in reader.messages()}
-    path, poses = found['nav_msgs/msg/Path'], found['geometry_msgs/msg/PoseArray']
+        messages = {c.msgtype: types.deserialize_cdr(data, c.msgtype)
+                    for c, _, data in reader.messages()}
+    path, poses = messages['nav_msgs/msg/Path'], messages['geometry_msgs/msg/PoseArray']
     assert path.header.frame_id == poses.header.frame_id == 'base'
     assert [p.position.x for p in poses.poses] == pytest.approx(list(rows['x']), abs=1e-8)
     assert [p.pose.orientation.w for p in path.poses] == pytest.approx(list(rows['qw']), abs=1e-8)

@@ -25,9 +25,9 @@ import pytest
 
 def scenario(name: str, columns: int = 320, rate: float = 6.0) -> Scenario:
     """Return a scenario in a size that is quick to render."""
-    found = SCENARIOS[name]
-    return replace(found, sensor=replace(found.sensor, columns=columns, rate=rate),
-                   robot=replace(found.robot, rate=20.0))
+    full = SCENARIOS[name]
+    return replace(full, sensor=replace(full.sensor, columns=columns, rate=rate),
+                   robot=replace(full.robot, rate=20.0))
 
 
 @pytest.mark.parametrize('name', SCENARIOS)
@@ -54,8 +54,8 @@ def test_lost_points_are_marked_as_the_driver_does() -> None:
     lost = np.isnan(points['plate']).any(axis=1)
     assert lost.any() and np.isposinf(points['plate_inf'][lost]).all()
     for name in ('plate_inf', 'plate_omit'):
-        left = points[name][np.isfinite(points[name]).all(axis=1)]
-        assert np.array_equal(left, points['plate'][~lost])
+        returned = points[name][np.isfinite(points[name]).all(axis=1)]
+        assert np.array_equal(returned, points['plate'][~lost])
     assert len(points['plate_omit']) == np.count_nonzero(~lost)
 
 

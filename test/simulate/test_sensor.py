@@ -22,7 +22,7 @@ CLEAN = {'noise': 0.0, 'rim_bias': 0.0, 'mixed': 0.0, 'lost': 0.0, 'lost_at_edge
 FLOOR = box((-1, -1, -1), (1, 1, 0))
 
 
-def seen(sensor: SensorModel, solids: list[Solid], T: Array = DOWN) -> tuple[Array, Array]:
+def rendered(sensor: SensorModel, solids: list[Solid], T: Array = DOWN) -> tuple[Array, Array]:
     """Return ranges and angles (columns,)."""
     z, angle = sensors.render(sensor, solids, T[None])
     return z[0], angle[0]
@@ -32,7 +32,7 @@ def measured(solids: list[Solid], seed: int = 8, times: int = 50, **values: floa
              ) -> tuple[Array, Array]:
     """Return exact and measured ranges (times, 640) of a sensor with only the faults given."""
     sensor = SensorModel(columns=640, **{**CLEAN, **values})
-    z, angle = (np.tile(of, (times, 1)) for of in seen(sensor, solids))
+    z, angle = (np.tile(array, (times, 1)) for array in rendered(sensor, solids))
     return z, sensors.measure(sensor, z, angle, np.random.default_rng(seed))
 
 
@@ -42,7 +42,7 @@ def test_a_step_casts_a_shadow_where_the_geometry_says() -> None:
     turned = DOWN.copy()
     turned[:3, :3] = Rotation.from_rotvec([0, 0, 0.5]).as_matrix() @ DOWN[:3, :3]
     sensor = SensorModel(columns=2001, camera=(0.07, 0.0))
-    z, _ = seen(sensor, [step, floor], turned)
+    z, _ = rendered(sensor, [step, floor], turned)
     world = se3.apply(turned, lift(sensors.plane_points(sensor, z[None])[0][np.isfinite(z)]))
     eye = se3.apply(turned, np.array([[0.0, 0.07, 0.0]]))[0]
     # the line of sight over the top edge x = 0, z = 0 meets the floor at x = -0.02 eye_x / eye_z
@@ -57,10 +57,10 @@ def test_the_field_of_view_is_a_trapezoid(sampling: str) -> None:
     sensor, T = SensorModel(columns=801, sampling=sampling), DOWN.copy()
     for range_ in (0.151, 0.199):
         T[2, 3] = range_
-        points = sensors.plane_points(sensor, seen(sensor, [FLOOR], T)[0][None])[0]
+        points = sensors.plane_points(sensor, rendered(sensor, [FLOOR], T)[0][None])[0]
         assert np.nanmax(points[:, 0]) == pytest.approx(0.14 * range_, abs=8e-5)
     T[2, 3] = 0.201
-    assert np.isnan(seen(sensor, [FLOOR], T)[0]).all()
+    assert np.isnan(rendered(sensor, [FLOOR], T)[0]).all()
 
 
 def test_noise_and_faults_are_as_large_and_as_many_as_stated() -> None:
@@ -75,12 +75,11 @@ def test_noise_and_faults_are_as_large_and_as_many_as_stated() -> None:
 
 def test_at_a_step_points_lie_between_the_levels_and_more_are_lost() -> None:
     step = [FLOOR, box((0, -1, 0), (1, 1, 0.01))]
-    between = [(z > 0.1652) & (z < 0.1748) for _, z in (measured(step, mixed=1.0),
-                                                        measured(step))]
+    between = [(z > 0.1652) & (z < 0.1748) for _, z in (measured(step, mixed=1.0), measured(step))]
     assert between[0].any(axis=1).mean() > 0.8 and between[0].sum(axis=1).max() == 1
     assert not between[1].any()
-    exact, left = measured([box((0, -1, -1), (1, 1, 0))], lost_at_edge=0.5)
-    lost, first = np.isnan(left) & np.isfinite(exact), int(np.argmax(np.isfinite(exact[0])))
+    exact, with_lost = measured([box((0, -1, -1), (1, 1, 0))], lost_at_edge=0.5)
+    lost, first = np.isnan(with_lost) & np.isfinite(exact), int(np.argmax(np.isfinite(exact[0])))
     assert lost[:, first:first + 3].mean() == pytest.approx(0.5, abs=0.1)
     assert not lost[:, first + 3:].any()
 
@@ -111,6 +110,6 @@ def test_the_robot_errs_as_stated() -> None:
     rms = np.sqrt((errors**2).sum(axis=2).mean(axis=0))
     assert rms == pytest.approx([1.5e-4, math.radians(0.02)], rel=0.15)
     # each direction of the error is shared by the stations of a recording, in part
-    shared = [np.linalg.norm(of.mean(axis=0)[:3]) for of in recordings]
+    shared = [np.linalg.norm(recording_errors.mean(axis=0)[:3]) for recording_errors in recordings]
     assert np.mean(shared) > 4e-5
     assert (np.linalg.norm(pose_errors('bumped', 12)[:, :3], axis=1) > 1e-3).sum() == 1

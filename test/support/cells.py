@@ -70,9 +70,9 @@ def cell(scenario: str | Scenario = 'plate', seed: int = 0, **values: object) ->
 
     values: settings, __ for the dot.
     """
-    chosen = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
-    samples, truth = simulate_samples(chosen, np.random.default_rng(seed))
-    return Cell(chosen, samples, truth, settings_of(chosen, **(NO_DOUBTS | values)))
+    scenario = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
+    samples, truth = simulate_samples(scenario, np.random.default_rng(seed))
+    return Cell(scenario, samples, truth, settings_of(scenario, **(NO_DOUBTS | values)))
 
 
 def set_to(config: Config, **values: object) -> Config:
@@ -87,18 +87,18 @@ def settings_of(scenario: Scenario, **values: object) -> Config:
                                settings(scenario).items()} | values)
 
 
-def squared_error(found: Any, truth: Any) -> float:
+def squared_error(estimate: Any, truth: Any) -> float:
     """Return the squared error of a transform, in its covariance; see ONE_IN_20."""
-    error = se3.difference(found.T_flange_sensor, truth.T_flange_sensor)
-    return float(error @ np.linalg.solve(found.covariance, error))
+    error = se3.difference(estimate.T_flange_sensor, truth.T_flange_sensor)
+    return float(error @ np.linalg.solve(estimate.covariance, error))
 
 
 def exact(scenario: str | Scenario = 'plate') -> Scenario:
     """Return a scenario without any noise of sensor or robot, for samples of features."""
-    chosen = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
-    fine = {'columns': EXACT_COLUMNS} if chosen.scene in EDGED else {}
-    return replace(chosen, sensor=replace(chosen.sensor, noise=1e-12, **fine),
-                   robot=replace(chosen.robot, repeatability=(0.0, 0.0), systematic=(0.0, 0.0)))
+    scenario = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
+    fine = {'columns': EXACT_COLUMNS} if scenario.scene in EDGED else {}
+    return replace(scenario, sensor=replace(scenario.sensor, noise=1e-12, **fine),
+                   robot=replace(scenario.robot, repeatability=(0.0, 0.0), systematic=(0.0, 0.0)))
 
 
 def exact_cell(scenario: str | Scenario = 'plate', seed: int = 0, **values: object) -> Cell:
@@ -150,13 +150,13 @@ class Recorded:
 def recorded(scenario: str | Scenario = 'plate', seed: int = 0, rate: float = 10.0,
              columns: int | None = None, **values: object) -> Recorded:
     """Return a recording with fewer profiles and poses than the scenario's, to be quick."""
-    chosen = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
-    columns = columns or chosen.sensor.columns
-    sensor = replace(chosen.sensor, rate=rate, thinning=3, columns=columns)
-    chosen = replace(chosen, sensor=sensor, robot=replace(chosen.robot, rate=50.0))
-    simulated = simulate(chosen, np.random.default_rng(seed))
-    return Recorded(chosen, simulated.profiles, simulated.poses, simulated.truth,
-                    settings_of(chosen, **values))
+    scenario = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
+    sensor = replace(scenario.sensor, rate=rate, thinning=3)
+    sensor = replace(sensor, columns=columns or sensor.columns)
+    scenario = replace(scenario, sensor=sensor, robot=replace(scenario.robot, rate=50.0))
+    simulated = simulate(scenario, np.random.default_rng(seed))
+    return Recorded(scenario, simulated.profiles, simulated.poses, simulated.truth,
+                    settings_of(scenario, **values))
 
 
 every_method = pytest.mark.parametrize('name', targets.TARGETS)

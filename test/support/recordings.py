@@ -98,14 +98,14 @@ def assert_equal_recordings(recording, profiles=PROFILES, poses=POSES):
     assert [p.stamp for p in recording.profiles] == [p.stamp for p in profiles]
     assert [p.stamp for p in recording.poses] == [p.stamp for p in poses]
     for raw, expected in zip(recording.profiles, profiles, strict=True):
-        got = raw.read()
-        assert (raw.stamp, raw.frame_id) == (got.stamp, got.frame_id)
-        assert (got.frame_id, got.axes) == (expected.frame_id, expected.axes)
-        np.testing.assert_allclose(got.points, expected.points, rtol=1e-6)
-    for got, expected in zip(recording.poses, poses, strict=True):
-        assert got.parent_frame == expected.parent_frame
-        np.testing.assert_allclose(got.translation, expected.translation, rtol=1e-15)
-        np.testing.assert_allclose(got.quaternion, expected.quaternion, rtol=1e-15)
+        stored = raw.read()
+        assert (raw.stamp, raw.frame_id) == (stored.stamp, stored.frame_id)
+        assert (stored.frame_id, stored.axes) == (expected.frame_id, expected.axes)
+        np.testing.assert_allclose(stored.points, expected.points, rtol=1e-6)
+    for stored, expected in zip(recording.poses, poses, strict=True):
+        assert stored.parent_frame == expected.parent_frame
+        np.testing.assert_allclose(stored.translation, expected.translation, rtol=1e-15)
+        np.testing.assert_allclose(stored.quaternion, expected.quaternion, rtol=1e-15)
 
 
 def split(folder, target):
@@ -175,8 +175,8 @@ def transform(stamp, parent, child, translation, quaternion=(0.0, 0.0, 0.0, 1.0)
                    new('geometry_msgs/msg/Quaternion', *quaternion)))
 
 
-def cloud_message(made, stamp, frame_id='laser'):
+def cloud_message(source, stamp, frame_id='laser'):
     """Return a cloud of ros_clouds as a message that can be serialised."""
-    fields = [new('sensor_msgs/msg/PointField', *vars(f).values()) for f in made.fields]
-    return new('sensor_msgs/msg/PointCloud2', header(stamp, frame_id), made.height, made.width,
-               fields, False, made.point_step, made.row_step, made.data, True)
+    fields = [new('sensor_msgs/msg/PointField', *vars(f).values()) for f in source.fields]
+    return new('sensor_msgs/msg/PointCloud2', header(stamp, frame_id), source.height, source.width,
+               fields, False, source.point_step, source.row_step, source.data, True)

@@ -151,12 +151,12 @@ class Client:
         self._told.append(report)
 
 
-def cloud_message(made: Any, stamp: int = 0, frame_id: str = 'laser') -> PointCloud2:
+def cloud_message(source: Any, stamp: int = 0, frame_id: str = 'laser') -> PointCloud2:
     """Return the message of rclpy that is like one of ros_clouds.cloud."""
-    msg = PointCloud2(height=made.height, width=made.width, point_step=made.point_step,
-                      row_step=made.row_step, is_bigendian=made.is_bigendian,
-                      data=made.data.tobytes())
-    msg.fields = [PointField(**vars(field)) for field in made.fields]
+    msg = PointCloud2(height=source.height, width=source.width, point_step=source.point_step,
+                      row_step=source.row_step, is_bigendian=source.is_bigendian,
+                      data=source.data.tobytes())
+    msg.fields = [PointField(**vars(field)) for field in source.fields]
     set_header(msg, stamp, frame_id)
     return msg
 
@@ -212,8 +212,8 @@ def listed() -> set[tuple[str, str, str]]:
 
 def offered(client: Client) -> set[tuple[str, str, str]]:
     node = client.node
-    found = {'publishes': node.get_publisher_names_and_types_by_node,
-             'subscribes': node.get_subscriber_names_and_types_by_node,
-             'service': node.get_service_names_and_types_by_node}
-    return {(what, name, kind) for what, ask in found.items()
+    queries = {'publishes': node.get_publisher_names_and_types_by_node,
+               'subscribes': node.get_subscriber_names_and_types_by_node,
+               'service': node.get_service_names_and_types_by_node}
+    return {(what, name, kind) for what, ask in queries.items()
             for name, kinds in ask('handeye', '/') for kind in kinds}

@@ -75,8 +75,8 @@ def read_configured(name: str, folder: Path) -> TableProblem:
 def test_solve_answers_near_the_truth_and_says_how_near(name, handeye, tmp_path):
     folder, table = tmp_path / 'cell', TABLES[target_of(name)]
     for seed, options, expected in ((2, (), 0), (1, (), 2), (1, ('--force',), 0)):
-        simulated = handeye('simulate', name, folder, '--seed', seed, *options)
-        assert simulated.returncode == expected and (table in simulated.stdout or expected)
+        run = handeye('simulate', name, folder, '--seed', seed, *options)
+        assert run.returncode == expected and (table in run.stdout or expected)
     run = handeye('solve', *given(name, folder), '--out', 'out')
     assert (run.returncode, run.stderr) == (0, '')
     calibration = calibration_file.read_calibration(Path('out', 'calibration.yaml'))
@@ -99,41 +99,39 @@ def test_solve_answers_near_the_truth_and_says_how_near(name, handeye, tmp_path)
         assert hashlib.sha256(Path(path).read_bytes()).hexdigest() == digest
     read = read_configured(name, folder)
     errors = errors_against(calibration.T_flange_sensor, T_true, read.field())
-    notation = f'mapped points {errors.mapped_points * 1e3:.3f} mm RMS over {read.field_text}'
-    assert notation in run.stdout
+    sentence = f'mapped points {errors.mapped_points * 1e3:.3f} mm RMS over {read.field_text}'
+    assert sentence in run.stdout
     calibration.provenance.pop('created')
     assert equal(calibration, calibrate_table(read))
 
 
 @pytest.mark.parametrize('name', EXACT)
 def test_without_noise_all_find_the_truth(name: str, handeye: Run, tmp_path: Path) -> None:
-    simulated, folder = EXACT[name](np.random.default_rng(3)), tmp_path / 'exact'
-    if simulated.profiles:
-        bag_write.write(folder, simulated.profiles, simulated.poses, tables=simulated.tables,
-                        number='f8')
+    cell, folder = EXACT[name](np.random.default_rng(3)), tmp_path / 'exact'
+    if cell.profiles:
+        bag_write.write(folder, cell.profiles, cell.poses, tables=cell.tables, number='f8')
     else:
         folder.mkdir()
-        (folder / TABLES[target_of(name)]).write_text(next(iter(simulated.tables.values())))
+        (folder / TABLES[target_of(name)]).write_text(next(iter(cell.tables.values())))
     run = handeye('solve', *given(name, folder), '--out', 'out')
     assert run.returncode == 0, run.stderr
     calibration = calibration_file.read_calibration(Path('out', 'calibration.yaml'))
     answers = [('solve', calibration.T_flange_sensor)]
     if name != 'tracker':
-        comparison = compare_files(read_configured(name, folder), simulated.T_flange_sensor,
-                                   folds=0)
+        comparison = compare_files(read_configured(name, folder), cell.T_flange_sensor, folds=0)
         assert comparison.refusal is None
         answers += [(row.name, row.T_flange_sensor) for row in comparison.rows]
     for row, X in answers:
         assert X is not None, row
         limit = 5e-6 if name == 'tracker' else 1e-6  # the mean of an arc's bin is inside the arc
-        assert np.abs(se3.difference(X, simulated.T_flange_sensor)).max() < limit, row
+        assert np.abs(se3.difference(X, cell.T_flange_sensor)).max() < limit, row
 
 
 def test_a_wrong_row_is_left_out_and_reported(tmp_path: Path) -> None:
     write_simulated('points', 1, tmp_path / 'cell')
     file = tmp_path / 'cell' / 'points.csv'
-    header, first, *rest = file.read_text().splitlines()
-    file.write_text('\n'.join([header, first.replace(first.split(',')[0], '500.0'), *rest]))
+    header, row, *rest = file.read_text().splitlines()
+    file.write_text('\n'.join([header, row.replace(row.split(',')[0], '500.0'), *rest]))
     read = read_configured('points', tmp_path / 'cell')
     comparison = compare_files(read, folds=9)
     assert (comparison.used, comparison.rejected) == (9, 1)
@@ -170,8 +168,8 @@ def test_the_samples_of_the_tracker_are_its_rows_and_the_profiles(tmp_path: Path
     turned = with_values(config, {'profile.axes': ['y', 'z'], 'tracker.direction': [-1, 0, 0]},
                          'test')
     T_turned = calibrate_table(replace(read, config=turned)).T_flange_sensor
-    np.testing.assert_allclose(T_turned @ T_sensor_plane(turned), calibration.T_flange_sensor,
-                               atol=1e-9)
+    T = calibration.T_flange_sensor
+    np.testing.assert_allclose(T_turned @ T_sensor_plane(turned), T, atol=1e-9)
 
 
 def refused(run: CompletedProcess[str], code: int, *words: str) -> None:
@@ -303,20 +301,20 @@ def test_the_notation_of_a_controller_is_named(
     line = ['solve', *given('hand_eye', tmp_path / 'cell'),
             *(('--angles', angles) if angles else ())]
     refused(handeye(*line), 3, words)
-    if notation := words.partition('set target.angles to ')[2]:
-        assert handeye(*line, '--set', f'target.angles={notation}').returncode == 0
+    if angles_key := words.partition('set target.angles to ')[2]:
+        assert handeye(*line, '--set', f'target.angles={angles_key}').returncode == 0
 
 
 @pytest.mark.parametrize('seed', [8, 12, 19])
 def test_one_orientation_is_no_misreading(seed: int, handeye: Run, tmp_path: Path) -> None:
     # angles in the other unit are as noisy as small turns
-    simulated = measured.hand_eye(np.random.default_rng(seed), noise=4.0, tilts=(0.0, 0.0, 0.0))
-    (tmp_path / 'poses.csv').write_text(simulated.tables['poses.csv'])
+    cell = measured.hand_eye(np.random.default_rng(seed), noise=4.0, tilts=(0.0, 0.0, 0.0))
+    (tmp_path / 'poses.csv').write_text(cell.tables['poses.csv'])
     T = Table(tmp_path / 'poses.csv').poses('flange')
     abc = Rotation.from_matrix(T[:, :3, :3]).as_euler('ZYX', degrees=True)
-    header, *lines = simulated.tables['poses.csv'].splitlines()
+    header, *lines = cell.tables['poses.csv'].splitlines()
     text = ['flange_a,flange_b,flange_c,' + header, *(
-        ','.join([*map(str, one), line]) for one, line in zip(abc, lines, strict=True))]
+        ','.join([*map(str, angles), line]) for angles, line in zip(abc, lines, strict=True))]
     (tmp_path / 'poses.csv').write_text('\n'.join(text))
     refused(handeye('solve', *given('hand_eye', tmp_path), '--set', 'target.angles=kuka'), 3,
             'all poses share one orientation')
@@ -324,8 +322,8 @@ def test_one_orientation_is_no_misreading(seed: int, handeye: Run, tmp_path: Pat
 
 @pytest.mark.parametrize('eye_on_base', [False, True])
 def test_turns_about_one_axis_are_refused(eye_on_base: bool, handeye: Run, tmp_path: Path) -> None:
-    simulated = measured.hand_eye(np.random.default_rng(0), eye_on_base, tilts=(0.0, 0.0, 60.0))
-    (tmp_path / 'poses.csv').write_text(simulated.tables['poses.csv'])
+    cell = measured.hand_eye(np.random.default_rng(0), eye_on_base, tilts=(0.0, 0.0, 60.0))
+    (tmp_path / 'poses.csv').write_text(cell.tables['poses.csv'])
     name = 'hand_eye_on_base' if eye_on_base else 'hand_eye'
     refused(handeye('solve', *given(name, tmp_path)), 3, 'all poses share one rotation axis',
             'the position along it is free', 'about base' if eye_on_base else 'about flange')

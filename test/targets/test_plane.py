@@ -22,8 +22,7 @@ def test_a_profile_without_an_edge_is_a_plane_and_no_face() -> None:
     points = np.column_stack([x, 0.17 + 0.1 * x + 1e-5 * np.sin(1e5 * x)])
     points[-30:, 1] += 0.05  # 5 mm of something else
     line, beside = plane_features(points, Config())
-    assert beside.centre[0] > line.centre[0]
-    assert isinstance(line, FaceLine)
+    assert beside.centre[0] > line.centre[0] and isinstance(line, FaceLine)
     np.testing.assert_allclose(line.direction[1] / line.direction[0], 0.1, atol=1e-3)
     assert line.centre[0] < 0
     flat = np.column_stack([x[:-30], 0.17 + 0.1 * x[:-30]])
@@ -42,28 +41,29 @@ def test_one_surface_is_chosen_where_others_lie_beside(values: dict[str, float])
     plate = SCENARIOS['plate']
     recording = recorded(replace(plate, target=replace(plate.target, **values)), 1, columns=640,
                          target__type='plane')
-    found = recording.calibrate()
-    assert recording.error(found.T_flange_sensor) < 3e-4
-    assert 'samples show other surfaces too than the plane that was used' in found.target['note']
+    calibration = recording.calibrate()
+    assert recording.error(calibration.T_flange_sensor) < 3e-4
+    note = calibration.target['note']
+    assert 'samples show other surfaces too than the plane that was used' in note
 
 
 @pytest.mark.parametrize('seed', [0, *(pytest.param(k, marks=pytest.mark.thorough)
                                        for k in (1, 2, 3))])
 def test_a_plane_through_two_near_surfaces_is_no_answer(seed: int) -> None:
     """Of 24 stations some see only a table 3 mm below, and half of the others see it too."""
-    simulated = cell(replace(PLANE, stations=(24, 0)), seed, noise__robot_smooth=3e-4)
+    plane_cell = cell(replace(PLANE, stations=(24, 0)), seed, noise__robot_smooth=3e-4)
     rng = np.random.default_rng(seed)
     samples = []
-    for sample in simulated.samples:
+    for sample in plane_cell.samples:
         face, = sample.features
-        table = below(face, sample.T_base_flange @ simulated.truth.T_flange_sensor,
-                      simulated.truth.T_base_target, 3e-3)
+        table = below(face, sample.T_base_flange @ plane_cell.truth.T_flange_sensor,
+                      plane_cell.truth.T_base_target, 3e-3)
         beside = replace(table, spread=face.spread * rng.uniform(0.5, 2.0))
-        seen = (table,) if rng.random() < 0.2 else (face, beside)[:rng.integers(1, 3)]
+        lines = (table,) if rng.random() < 0.2 else (face, beside)[:rng.integers(1, 3)]
         samples.append(replace(sample, features=tuple(
-            sorted(seen, key=lambda line: -line.spread))))
-    calibration = simulated.solve(samples)
-    assert simulated.error(calibration.T_flange_sensor) < 3e-4
+            sorted(lines, key=lambda line: -line.spread))))
+    calibration = plane_cell.solve(samples)
+    assert plane_cell.error(calibration.T_flange_sensor) < 3e-4
 
 
 def below(face: FaceLine, T_base_sensor: Array, T_base_target: Array, depth: float) -> FaceLine:

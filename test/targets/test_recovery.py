@@ -28,18 +28,18 @@ def vector(point: dict[str, float]) -> Array:
     ('wedge', {}), ('groove', {}), ('sphere', {}), ('sphere', {'target__radius': 0.0})])
 @pytest.mark.parametrize('where', ['eye_in_hand', 'eye_on_base'])
 @pytest.mark.parametrize('seed', range(2))
-def test_without_noise_the_truth_is_found(scene, values, where, seed):
-    simulated = exact_cell(replace(SCENARIOS[scene], calibration_type=where), seed, **values)
-    calibration = simulated.solve()
-    off = se3.difference(calibration.T_flange_sensor, simulated.truth.T_flange_sensor)
-    assert np.abs(off).max() < 1e-6
-    target, T = calibration.target, simulated.truth.T_base_target
+def test_the_truth_is_found(scene: str, values: dict[str, object], where: str, seed: int) -> None:
+    simulated_cell = exact_cell(replace(SCENARIOS[scene], calibration_type=where), seed, **values)
+    calibration = simulated_cell.solve()
+    error = se3.difference(calibration.T_flange_sensor, simulated_cell.truth.T_flange_sensor)
+    assert np.abs(error).max() < 1e-6
+    target, T = calibration.target, simulated_cell.truth.T_base_target
     for axis, key in ((0, 'direction'), (2, 'normal')):
         if key in target:
             assert abs(np.array(target[key]) @ T[:3, axis]) == pytest.approx(1.0)
     if 'point' in target:
-        away = np.cross(vector(target['point']) - T[:3, 3], T[:3, 0])
-        assert np.linalg.norm(away) < 1e-6
+        distance = np.cross(vector(target['point']) - T[:3, 3], T[:3, 0])
+        assert np.linalg.norm(distance) < 1e-6
     if 'distance' in target:
         assert target['distance'] == pytest.approx(np.array(target['normal']) @ T[:3, 3], abs=1e-6)
     if 'face_angle' in target:
@@ -49,10 +49,10 @@ def test_without_noise_the_truth_is_found(scene, values, where, seed):
 
 
 def test_a_plane_of_which_yaw_leaves_the_position_open_is_refused() -> None:
-    simulated = cell(replace(SCENARIOS['plane'], motion='yaw_only'))
+    plane_cell = cell(replace(SCENARIOS['plane'], motion='yaw_only'))
     with pytest.raises(DataError, match=r'if it is the normal of the plane \(yaw only\) all of '
                        'the position.*tilt the tool by 15 degrees or more about flange'):
-        simulated.solve()
+        plane_cell.solve()
 
 
 DOCUMENT = Path(__file__).parents[2] / 'docs' / 'estimator.md'
@@ -76,14 +76,14 @@ def table() -> Iterator[tuple[str, str, int, int]]:
             yield motion, name.strip(), int(rank), int(unknowns)
 
 
-def at_truth(made: Cell) -> Estimate:
-    T = made.truth.T_base_target
-    radius = getattr(made.scenario.target, 'radius', 0.0)
+def at_truth(cell: Cell) -> Estimate:
+    T = cell.truth.T_base_target
+    radius = getattr(cell.scenario.target, 'radius', 0.0)
     targets = {'plate': np.append(T.ravel(), [0.0, 0.0, np.pi / 2]),
                'line': T.ravel(), 'plane': T.ravel(),
                'sphere': np.append(T.ravel(), radius),
                'wedge': np.append(T.ravel(), WEDGE_TURNS)}
-    return Estimate(made.truth.T_flange_sensor, targets[made.problem.target.name])
+    return Estimate(cell.truth.T_flange_sensor, targets[cell.problem.target.name])
 
 
 def singular_values(name: str, motion: str) -> np.ndarray:
@@ -91,11 +91,10 @@ def singular_values(name: str, motion: str) -> np.ndarray:
     target = name.split()[0]
     stations = (20, 20) if target == 'plate' else (40, 0)
     scenario = replace(SCENARIOS[target], motion=ROWS[motion], stations=stations)
-    simulated = exact_cell(scenario, **VALUES.get(name, {}))
-    problem, estimate = simulated.problem, at_truth(simulated)
+    simulated_cell = exact_cell(scenario, **VALUES.get(name, {}))
+    problem, estimate = simulated_cell.problem, at_truth(simulated_cell)
     p = problem.points_in_base(estimate.X)
-    observations = problem.target.reassign(problem.observations, p, estimate.state,
-                                           problem.config)
+    observations = problem.target.reassign(problem.observations, p, estimate.state, problem.config)
     used = observations.select(observations.kind != UNUSED)
     problem = replace(problem, observations=used)
     linear = linearise(problem, estimate)
@@ -111,7 +110,6 @@ def test_the_table_of_the_document_has_every_motion_and_target() -> None:
 
 
 @pytest.mark.parametrize(('motion', 'name', 'rank', 'unknowns'), list(table()))
-def test_a_motion_shows_as_many_unknowns_as_the_document_says(motion, name, rank, unknowns):
+def test_a_motion_shows_what_is_stated(motion: str, name: str, rank: int, unknowns: int) -> None:
     values = singular_values(name, motion)
-    assert len(values) == unknowns
-    assert int((values > ZERO).sum()) == rank
+    assert len(values) == unknowns and int((values > ZERO).sum()) == rank

@@ -22,9 +22,9 @@ import pytest
 
 def turned_about_z(sample: Sample) -> Sample:
     """Return what a sensor sees that was turned by 180 degrees about its z, x the other way."""
-    back = np.diag([-1.0, 1.0])
-    lines = [replace(line, centre=line.centre @ back, direction=-(line.direction @ back),
-                     points=line.points[::-1] @ back, points_std=line.points_std[::-1])
+    flip = np.diag([-1.0, 1.0])
+    lines = [replace(line, centre=line.centre @ flip, direction=-(line.direction @ flip),
+                     points=line.points[::-1] @ flip, points_std=line.points_std[::-1])
              for line in sample.features if isinstance(line, FaceLine)]
     half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
     return replace(sample, features=tuple(lines[::-1]),
@@ -33,11 +33,11 @@ def turned_about_z(sample: Sample) -> Sample:
 
 def test_turned_by_half_the_faces_change_sides() -> None:
     """With the sensor in the flange itself, a turned robot sees the same faces the other way."""
-    simulated = exact_cell(SCENARIOS['wedge'])
-    X = simulated.truth.T_flange_sensor
-    in_flange = [replace(s, T_base_flange=s.T_base_flange @ X) for s in simulated.samples]
+    wedge_cell = exact_cell(SCENARIOS['wedge'])
+    X = wedge_cell.truth.T_flange_sensor
+    in_flange = [replace(s, T_base_flange=s.T_base_flange @ X) for s in wedge_cell.samples]
     mixed = [turned_about_z(s) if i % 2 else s for i, s in enumerate(in_flange)]
-    calibration = simulated.solve(mixed)
+    calibration = wedge_cell.solve(mixed)
     assert np.abs(se3.difference(calibration.T_flange_sensor, np.eye(4))).max() < 1e-6
 
 
@@ -78,22 +78,22 @@ def test_a_groove_beside_the_edge_is_another_corner() -> None:
 
 @pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_a_block_on_a_table_is_distinguished_from_the_groove_at_its_foot(seed: int) -> None:
-    simulated = cell('wedge', seed)
+    wedge_cell = cell('wedge', seed)
     rng, samples = np.random.default_rng(seed), []
-    for k, sample in enumerate(simulated.samples):
+    for k, sample in enumerate(wedge_cell.samples):
         left, right = sample.features
         # the table rises from the right face's far end: where its line has gone on for 40 mm
         foot = right.centre + 0.02 * right.direction
-        out = np.array([right.direction[0], -right.direction[1]])
-        table = FaceLine(foot + 0.015 * out, out, 0.01, 1e-5)
+        outwards = np.array([right.direction[0], -right.direction[1]])
+        table = FaceLine(foot + 0.015 * outwards, outwards, 0.01, 1e-5)
         block, groove = (left, right), (right, table)
         if k % 5 == 0:
             pairs = [groove]
         else:
             pairs = [groove, block] if rng.random() < 0.5 else [block, groove]
         samples.append(replace(sample, features=tuple(line for pair in pairs for line in pair)))
-    calibration = simulated.solve(samples)
-    assert simulated.error(calibration.T_flange_sensor) < 2e-4
+    calibration = wedge_cell.solve(samples)
+    assert wedge_cell.error(calibration.T_flange_sensor) < 2e-4
 
 
 def on_a_table(sample: Sample) -> Sample:
@@ -101,19 +101,19 @@ def on_a_table(sample: Sample) -> Sample:
     left, right = sample.features
     feet = []
     for face, end in ((left, -1), (right, 1)):
-        out = face.direction * [1, -1]
+        outwards = face.direction * [1, -1]
         foot = face.centre + end * 0.02 * face.direction
-        table = FaceLine(foot + end * 0.015 * out, out, 0.01, 1e-5)
+        table = FaceLine(foot + end * 0.015 * outwards, outwards, 0.01, 1e-5)
         feet.append((face, table)[::end])
     return replace(sample, features=(*feet[0], *feet[1], left, right))
 
 
 def test_one_of_the_first_starts_is_the_block_between_two_grooves() -> None:
     """Where an offset of the clocks is looked for, three are tried of each."""
-    made = cell('wedge', 0)
-    many = problem_of_known_poses([on_a_table(sample) for sample in made.samples], made.config)
-    starts = islice(WEDGE.starts(many, np.random.default_rng(0)), 3)
-    assert min(made.error(start.X) for start in starts) < 1e-3
+    wedge_cell = cell('wedge', 0)
+    problem = problem_of_known_poses([*map(on_a_table, wedge_cell.samples)], wedge_cell.config)
+    starts = islice(WEDGE.starts(problem, np.random.default_rng(0)), 3)
+    assert min(wedge_cell.error(start.X) for start in starts) < 1e-3
 
 
 def stepped(scenario: Scenario) -> tuple[Solid, ...]:
@@ -125,7 +125,7 @@ def stepped(scenario: Scenario) -> tuple[Solid, ...]:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize('seed', [3, 5])
-def test_a_step_along_the_edge_gives_no_answer_between_two_edges(seed, monkeypatch):
+def test_a_step_along_the_edge_is_no_edge(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(scenes.SCENES, 'stepped', replace(scenes.SCENES['wedge'], solids=stepped))
     recording = recorded(replace(SCENARIOS['wedge'], scene='stepped', stations=(18, 0),
                                  stated=(('target.type', 'wedge'),)), seed)

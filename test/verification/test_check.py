@@ -35,30 +35,30 @@ class Calibrated(NamedTuple):
 @pytest.fixture(scope='module')
 def calibrated():
     """Return what was calibrated, for each kind of target."""
-    by_kind = {}
+    cells = {}
     for kind in bench.TARGETS:
         rng = np.random.default_rng(7)
         scenario, config, X, T = bench.cell(kind, rng)
-        solved = pipeline.solve(bench.samples(scenario, 18, X, T, rng), [], config, 'laser')
-        by_kind[kind] = Calibrated(scenario, config, solved, X, T)
-    return by_kind
+        calibration = pipeline.solve(bench.samples(scenario, 18, X, T, rng), [], config, 'laser')
+        cells[kind] = Calibrated(scenario, config, calibration, X, T)
+    return cells
 
 
-def checked_after(calibrated, kind, change, seed):
+def check_after(calibrated, kind, change, seed):
     return bench.one_check(change, *calibrated[kind], np.random.default_rng(seed))
 
 
 def checked(calibrated, kind, count=8, moved=(0.0, 0.0, 0.0), **scenario):
     """Return the check of a cell whose target has moved, or that is otherwise another."""
-    cell, config, solved, X, T = calibrated[kind]
+    cell, config, calibration, X, T = calibrated[kind]
     T = T @ se3.transform(np.eye(3), np.array(moved))
     return check(bench.samples(replace(cell, **scenario), count, X, T, np.random.default_rng(3)),
-                 solved, config)
+                 calibration, config)
 
 
 @pytest.mark.parametrize('change', bench.TRUTH)
 def test_what_changed_is_named_and_nothing_else(calibrated, change):
-    verdicts = [(kind, checked_after(calibrated, kind, change, seed).verdict)
+    verdicts = [(kind, check_after(calibrated, kind, change, seed).verdict)
                 for kind in bench.TARGETS for seed in range(3)]
     right = [bench.TRUTH[change] in verdict.split(' or ') for _, verdict in verdicts]
     least = {'unchanged': 1.0, 'joint 0.05': 0.8}.get(change, 0.95)  # as the bench measures
@@ -66,89 +66,93 @@ def test_what_changed_is_named_and_nothing_else(calibrated, change):
 
 
 def test_a_stop_that_is_left_out_has_its_number_among_all_stops(calibrated):
-    cell, config, solved, X, T = calibrated['plate']
+    cell, config, calibration, X, T = calibrated['plate']
     samples = list(bench.samples(cell, 14, X, T, np.random.default_rng(3)))
     wrong = samples[8].T_base_flange.copy()
     wrong[:3, 3] += [4e-3, 3e-3, 4e-3]
     samples[8] = replace(samples[8], T_base_flange=wrong)
     others = [Reject(sample.stamp, 'no edge') for sample in samples[:2]]
-    assert check(samples[2:], solved, config, others).left_out == [9]
+    assert check(samples[2:], calibration, config, others).left_out == [9]
     passes = [sample.stamp for sample in samples[::4]]  # of a sweep, with four profiles in each
-    result = check(samples[2:], solved, config, others, passes)
-    assert result.left_out == [3] and result.sentence.endswith('profiles of the passes [3]')
+    check_result = check(samples[2:], calibration, config, others, passes)
+    assert check_result.left_out == [3]
+    assert check_result.sentence.endswith('profiles of the passes [3]')
 
 
 def test_a_change_is_measured(calibrated):
-    result = checked_after(calibrated, 'sphere', 'target', 0)
-    assert result.target_moved == pytest.approx(3e-4, rel=0.2)
-    assert 'the target, or the base of the robot, moved by up to 0.3' in result.sentence
-    result = checked_after(calibrated, 'plate', 'sensor', 0)
-    assert result.sensor_moved == pytest.approx(3e-4, rel=0.3)
-    assert result.points_off > 2 * result.points_off_std
+    check_result = check_after(calibrated, 'sphere', 'target', 0)
+    assert check_result.target_moved == pytest.approx(3e-4, rel=0.2)
+    assert 'the target, or the base of the robot, moved by up to 0.3' in check_result.sentence
+    check_result = check_after(calibrated, 'plate', 'sensor', 0)
+    assert check_result.sensor_moved == pytest.approx(3e-4, rel=0.3)
+    assert check_result.points_off > 2 * check_result.points_off_std
     # 0.7 mm at the flange, and no extrapolation
-    far = checked_after(calibrated, 'plate', 'joint 0.2', 0)
-    assert far.points_off < 2e-3
+    assert check_after(calibrated, 'plate', 'joint 0.2', 0).points_off < 2e-3
 
 
 def test_beside_the_robot_the_base_moves_with_the_sensor(calibrated):
     cell, config, _, X, T = calibrated['sphere']
     config, rng = replace(config, calibration_type='eye_on_base'), np.random.default_rng(3)
 
-    def seen(count, X, T):
+    def samples_of(count, X, T):
         return [replace(s, T_base_flange=se3.inverse(s.T_base_flange))
                 for s in bench.samples(cell, count, X, T, rng)]
 
-    solved, shift = pipeline.solve(seen(18, X, T), [], config, 'laser'), np.array([0, 0, 1e-3])
-    for now, words in ((X @ se3.transform(np.eye(3), shift), T), 'the sensor, or the base'), (
-            (X, T @ se3.transform(np.eye(3), shift)), 'the target moved on the flange'):
-        assert check(seen(8, *now), solved, config).sentence.startswith(words)
+    calibration = pipeline.solve(samples_of(18, X, T), [], config, 'laser')
+    shift = se3.transform(np.eye(3), np.array([0, 0, 1e-3]))
+    for changed, words in ((X @ shift, T), 'the sensor, or the base'), (
+            (X, T @ shift), 'the target moved on the flange'):
+        assert check(samples_of(8, *changed), calibration, config).sentence.startswith(words)
 
 
 def test_where_the_target_may_have_moved_unseen_is_said(calibrated):
-    slid = checked(calibrated, 'plane', moved=(5e-3, 0, 0))
-    assert slid.verdict == 'unchanged'
-    assert 'would have shown from' in slid.sentence and 'cannot be seen' in slid.sentence
-    assert slid.target_shows[0] < 1e-4 and np.isnan(slid.target_shows[1:]).all()
-    assert np.abs(slid.target_axes[0] @ calibrated['plane'].T_base_target[:3, 2]) > 0.99
+    check_result = checked(calibrated, 'plane', moved=(5e-3, 0, 0))
+    assert check_result.verdict == 'unchanged'
+    assert 'would have shown from' in check_result.sentence
+    assert 'cannot be seen' in check_result.sentence
+    assert check_result.target_shows[0] < 1e-4 and np.isnan(check_result.target_shows[1:]).all()
+    assert np.abs(check_result.target_axes[0] @ calibrated['plane'].T_base_target[:3, 2]) > 0.99
 
 
 def test_the_edges_of_a_plate_show_a_move_in_each_direction(calibrated):
-    assert max(checked_after(calibrated, 'plate', 'unchanged', 1).target_shows) < 5e-4
+    assert max(check_after(calibrated, 'plate', 'unchanged', 1).target_shows) < 5e-4
 
 
-def test_target_and_sensor_that_stops_of_one_orientation_cannot_tell_apart_are_both_named(
+def test_stops_of_one_orientation_name_both_target_and_sensor(
         calibrated):
-    level = checked(calibrated, 'plane', 6, (0, 0, 4e-4), tilt=np.deg2rad(2))  # one orientation
-    assert set(level.verdict.split(' or ')) >= {'target', 'sensor'}
-    assert 'these stops cannot decide' in level.sentence
-    assert 'Repeat some of them with the sensor turned' in level.sentence
-    assert sum(level.odds.values()) == pytest.approx(1.0)
+    check_result = checked(calibrated, 'plane', 6, (0, 0, 4e-4), tilt=np.deg2rad(2))
+    assert set(check_result.verdict.split(' or ')) >= {'target', 'sensor'}
+    assert 'these stops cannot decide' in check_result.sentence
+    assert 'Repeat some of them with the sensor turned' in check_result.sentence
+    assert sum(check_result.odds.values()) == pytest.approx(1.0)
 
 
 def test_a_robot_that_repeats_worse_than_it_is_set_is_named(calibrated):
-    loose = checked(calibrated, 'sphere', robot=RobotModel(repeatability=(5e-4, 1e-3)))
-    assert loose.verdict == 'robot' and 'noise.robot_*' in loose.sentence
+    check_result = checked(calibrated, 'sphere', robot=RobotModel(repeatability=(5e-4, 1e-3)))
+    assert check_result.verdict == 'robot' and 'noise.robot_*' in check_result.sentence
 
 
 def test_a_stop_that_contradicts_the_others_is_left_out(calibrated):
-    scenario, config, solved, X, T = calibrated['plate']
-    seen = bench.samples(scenario, 8, X, T, np.random.default_rng(3))
-    off = se3.perturb(seen[2].T_base_flange, np.array([0, 0, 1e-3, 0, 0, 0]))
-    seen[2] = replace(seen[2], T_base_flange=off)
-    result = check(seen, solved, config)
-    assert (result.verdict, result.left_out, result.stations) == ('unchanged', [3], 7)
-    assert result.sentence.endswith('stops [3]')
+    scenario, config, calibration, X, T = calibrated['plate']
+    samples = bench.samples(scenario, 8, X, T, np.random.default_rng(3))
+    T_off = se3.perturb(samples[2].T_base_flange, np.array([0, 0, 1e-3, 0, 0, 0]))
+    samples[2] = replace(samples[2], T_base_flange=T_off)
+    check_result = check(samples, calibration, config)
+    assert (check_result.verdict, check_result.left_out) == ('unchanged', [3])
+    assert check_result.stations == 7 and check_result.sentence.endswith('stops [3]')
 
 
 def test_faces_seen_at_grazing_incidence_are_no_change(calibrated):
     config = calibrated['wedge'].config  # the simulated sensor errs in range where light grazes
     for seed in (21, 22):
-        made = simulate(replace(SCENARIOS['wedge'], stations=(26, 0)), np.random.default_rng(seed))
-        samples = pipeline.gather(made.profiles, made.poses, config).samples
-        solved = pipeline.solve(samples[:18], [], config, 'laser')
-        for some in (samples[:18], samples[18:]):  # its own stops, and others
-            result = check(some, solved, config)
-            assert (result.verdict, result.left_out) == ('unchanged', []), result.sentence
+        scenario = replace(SCENARIOS['wedge'], stations=(26, 0))
+        recording = simulate(scenario, np.random.default_rng(seed))
+        samples = pipeline.gather(recording.profiles, recording.poses, config).samples
+        calibration = pipeline.solve(samples[:18], [], config, 'laser')
+        for checked_samples in (samples[:18], samples[18:]):  # its own stops, and others
+            check_result = check(checked_samples, calibration, config)
+            assert check_result.verdict == 'unchanged', check_result.sentence
+            assert check_result.left_out == [], check_result.sentence
 
 
 def with_state(calibration, state):
@@ -157,33 +161,34 @@ def with_state(calibration, state):
 
 
 def test_a_sphere_that_an_earlier_version_wrote_is_compared_with(calibrated):
-    scenario, config, solved, X, T = calibrated['sphere']
-    seen = bench.samples(scenario, 8, X, T, np.random.default_rng(3))
-    state = solved.target['joint']['state']
-    earlier = with_state(solved, [*state[3:12:4], state[16]])  # centre and radius
-    assert check(seen, earlier, config).sentence == check(seen, solved, config).sentence
+    scenario, config, calibration, X, T = calibrated['sphere']
+    samples = bench.samples(scenario, 8, X, T, np.random.default_rng(3))
+    state = calibration.target['joint']['state']
+    earlier = with_state(calibration, [*state[3:12:4], state[16]])  # centre and radius
+    assert check(samples, earlier, config).sentence == check(samples, calibration, config).sentence
 
 
 def test_what_cannot_be_checked_is_refused(calibrated):
-    scenario, config, solved, X, T = calibrated['sphere']
-    seen = bench.samples(scenario, 8, X, T, np.random.default_rng(3))
+    scenario, config, sphere, X, T = calibrated['sphere']
+    eight = bench.samples(scenario, 8, X, T, np.random.default_rng(3))
     for samples, calibration, error, words in (
-            (seen[:3], solved, DataError, '3 usable'), ([], solved, DataError, '0 usable'),
-            (seen, replace(solved, method='points'), InputError, 'points'),
-            (seen, replace(solved, target={'centre': {}}), InputError, 'does not hold'),
-            (seen, with_state(solved, [1.0, 2.0]), InputError, 'does not hold')):
+            (eight[:3], sphere, DataError, '3 usable'), ([], sphere, DataError, '0 usable'),
+            (eight, replace(sphere, method='points'), InputError, 'points'),
+            (eight, replace(sphere, target={'centre': {}}), InputError, 'does not hold'),
+            (eight, with_state(sphere, [1.0, 2.0]), InputError, 'does not hold')):
         with pytest.raises(error, match=words):
             check(samples, calibration, config)
 
 
 @pytest.mark.thorough
 def test_the_verb_on_recordings(tmp_path):
-    made = simulate(replace(SCENARIOS['small_plate'], stations=(6, 6)), np.random.default_rng(5))
-    bag_write.write(tmp_path / 'today', made.profiles, made.poses)
+    scenario = replace(SCENARIOS['small_plate'], stations=(6, 6))
+    recording = simulate(scenario, np.random.default_rng(5))
+    bag_write.write(tmp_path / 'today', recording.profiles, recording.poses)
     succeeds('solve', 'today', '--out', '.', cwd=tmp_path)
-    solved = read_calibration(tmp_path / 'calibration.yaml')
-    moved = replace(solved, T_flange_sensor=se3.perturb(solved.T_flange_sensor, np.full(6, 3e-3)))
-    write_calibration(moved, tmp_path / 'moved.yaml')
+    calibration = read_calibration(tmp_path / 'calibration.yaml')
+    T = se3.perturb(calibration.T_flange_sensor, np.full(6, 3e-3))
+    write_calibration(replace(calibration, T_flange_sensor=T), tmp_path / 'moved.yaml')
     run = handeye('check', 'today', '--against', 'calibration.yaml', '--out', 'c.yaml',
                   cwd=tmp_path)
     assert run.returncode == 0 and 'UNCHANGED' in run.stdout, run.stderr

@@ -33,8 +33,8 @@ def of_lengths(*lengths):
 
 def with_features(artefact, change):
     """Return an artefact of which other features are seen."""
-    changed = tuple(replace(s, features=change(s)) for s in artefact.bags[0])
-    return replace(artefact, bags=(changed,))
+    bag = tuple(replace(s, features=change(s)) for s in artefact.bags[0])
+    return replace(artefact, bags=(bag,))
 
 
 def with_poses(artefact, moves):
@@ -67,9 +67,9 @@ def test_of_a_block_on_a_surface_plate_the_nearest_surface_is_taken():
         passes.append(bench.take(scenario, X, place, SCENES['plane'].stops(scenario, rng), rng))
     artefact = bench.Artefact((), X, (0.025,), passes=tuple(passes))
     calibration = bench.calibration(X, bench.covariance(rng))
-    off = se3.perturb(X, np.array([1e-3, 0, 0, 0, 9e-3, 0]))
+    X_off = se3.perturb(X, np.array([1e-3, 0, 0, 0, 9e-3, 0]))
     right, wrong = bench.runs(ROUTINES['step'], artefact, (
-        calibration, replace(calibration, T_flange_sensor=off)), 0.0)
+        calibration, replace(calibration, T_flange_sensor=X_off)), 0.0)
     assert right.verdict == 'pass' and abs(right.quantities[0].error) < 5e-5
     assert right.surface.startswith('recording 2: of 2 surfaces in sight it is the nearest')
     assert wrong.verdict == 'fail'
@@ -130,19 +130,19 @@ def test_errors_of_the_artefact_are_measured(name, change, number, error):
     artefact, calibration = measured(name)
     if name == 'point':
         change = {'reference': tuple(np.add(artefact.reference, change['reference']))}
-    report = result(name, replace(artefact, **change), calibration)
-    assert report.verdict == 'fail'
-    assert report.quantities[number].error == pytest.approx(error, abs=1e-4)
-    assert report.quantities[number].name in report.reasons[0]
+    verification = result(name, replace(artefact, **change), calibration)
+    assert verification.verdict == 'fail'
+    assert verification.quantities[number].error == pytest.approx(error, abs=1e-4)
+    assert verification.quantities[number].name in verification.reasons[0]
 
 
-def test_a_ball_of_another_size_is_measured_and_the_calibration_is_not_blamed():
+def test_a_ball_of_another_size_does_not_blame_the_calibration():
     artefact, calibration = measured('ball_bar')
-    report = result('ball_bar', artefact, calibration, radius=bench.RADIUS + 4e-4)
-    assert report.verdict == 'fail'
-    assert report.quantities[0].value == pytest.approx(bench.RADIUS, abs=5e-5)
-    assert 'check the nominal values' in ' '.join(report.reasons)
-    assert 'pattern' not in ' '.join(report.reasons)
+    verification = result('ball_bar', artefact, calibration, radius=bench.RADIUS + 4e-4)
+    assert verification.verdict == 'fail'
+    assert verification.quantities[0].value == pytest.approx(bench.RADIUS, abs=5e-5)
+    assert 'check the nominal values' in ' '.join(verification.reasons)
+    assert 'pattern' not in ' '.join(verification.reasons)
 
 
 def test_a_protocol_says_what_an_inspector_asks_for():
@@ -169,12 +169,12 @@ def test_what_could_not_have_shown_is_no_pass():
     along = calibration.T_flange_sensor[:3, 1]
     spread = with_poses(alike, {k: [*2.5e-3 * k * along, 0, 0, 0] for k in range(8)})
     assert result('plane', spread, calibration, tolerance=1e-2).verdict in ('insensitive', 'fail')
-    report = result('plane', *measured('plane', count=5))
-    assert report.verdict == 'insensitive' and 'would show only from' in report.reasons[0]
+    few = result('plane', *measured('plane', count=5))
+    assert few.verdict == 'insensitive' and 'would show only from' in few.reasons[0]
     artefact, calibration = measured('step', count=12)
-    shown = result('step', artefact, calibration).fit.error.detectable
-    assert result('step', artefact, calibration, tolerance=2.0 * shown).verdict == 'pass'
-    coarse = result('step', artefact, calibration, tolerance=0.8 * shown)
+    detectable = result('step', artefact, calibration).fit.error.detectable
+    assert result('step', artefact, calibration, tolerance=2.0 * detectable).verdict == 'pass'
+    coarse = result('step', artefact, calibration, tolerance=0.8 * detectable)
     more = math.ceil(sum(stop.used for stop in coarse.per_station) / 0.8 ** 2)
     assert coarse.verdict == 'insensitive'
     assert f'measure at about {more} stops like these' in coarse.reasons[0]
@@ -184,24 +184,26 @@ def test_what_could_not_have_shown_is_no_pass():
 
 def test_the_calibration_s_claim_takes_no_part_in_the_decision():
     artefact, calibration = measured('point')
-    claiming_3_mm = replace(calibration, covariance=1e4 * calibration.covariance)
-    judged = result('point', artefact, claiming_3_mm)
-    assert judged.verdict == 'pass' and judged.fit.claim_p > 0.5
-    assert judged.quantities[0].claimed > 1e-3 > 1e-4 > judged.quantities[0].expanded
+    modest = replace(calibration, covariance=1e4 * calibration.covariance)  # 3 mm
+    verification = result('point', artefact, modest)
+    assert verification.verdict == 'pass' and verification.fit.claim_p > 0.5
+    assert verification.quantities[0].claimed > 1e-3 > 1e-4 > verification.quantities[0].expanded
     bold = replace(calibration, covariance=1e-6 * calibration.covariance)
-    off = replace(artefact, reference=tuple(np.add(artefact.reference, [0, 0, 1e-4])))
-    judged = result('point', off, bold)
-    assert judged.verdict == 'pass' and 'larger than the calibration claims' in judged.reasons[0]
+    shifted = replace(artefact, reference=tuple(np.add(artefact.reference, [0, 0, 1e-4])))
+    verification = result('point', shifted, bold)
+    assert verification.verdict == 'pass'
+    assert 'larger than the calibration claims' in verification.reasons[0]
     # the certificate's uncertainty is part of the measurement's
-    assert result('point', off, bold, certificate=4e-4).verdict == 'undecided'
+    assert result('point', shifted, bold, certificate=4e-4).verdict == 'undecided'
 
 
-def test_stops_that_contradict_the_others_are_left_out_and_named_unless_they_are_many():
+def test_a_few_contradicting_stops_are_left_out_and_named():
     artefact, calibration = measured('line')
-    judged = result('line', with_poses(artefact, {4: [2e-3, 2e-3, 2e-3, 0, 0, 0]}), calibration)
-    assert judged.verdict == 'pass' and judged.stations == len(artefact.bags[0]) - 1
-    assert [s.name for s in judged.per_station if not s.used] == ['stop 5 of recording 1']
-    assert judged.reasons[0].startswith('stop 5 of recording 1 is left out')
+    moved = with_poses(artefact, {4: [2e-3, 2e-3, 2e-3, 0, 0, 0]})
+    verification = result('line', moved, calibration)
+    assert verification.verdict == 'pass' and verification.stations == len(artefact.bags[0]) - 1
+    assert [s.name for s in verification.per_station if not s.used] == ['stop 5 of recording 1']
+    assert verification.reasons[0].startswith('stop 5 of recording 1 is left out')
     half = with_poses(artefact, {k: [*[6e-5 * (k - 6)] * 3, 0, 0, 0] for k in range(0, 14, 2)}
                       | {5: [2e-3, 2e-3, 2e-3, 0, 0, 0]})  # no outliers, but a disagreement
     with pytest.raises(DataError, match='not what "line" measures'):
@@ -225,7 +227,7 @@ def test_of_an_artefact_on_the_flange_the_truth_lies_in_the_stated_region():
     assert inside >= 17  # fewer of a true 95 % region: p = 0.003
 
 
-def test_the_smooth_error_of_a_robot_is_part_of_the_uncertainty_and_blames_no_calibration():
+def test_the_smooth_error_of_the_robot_is_part_of_the_uncertainty():
     size, verdicts, inside = 1.5e-4, {0.0: [], 1.5e-4: []}, {0.0: [], 1.5e-4: []}
     for seed in range(8):
         artefact, calibration = measured('point', seed)
@@ -242,16 +244,16 @@ def test_the_smooth_error_of_a_robot_is_part_of_the_uncertainty_and_blames_no_ca
             for bag in artefact.bags))
         for stated in verdicts:
             try:
-                report = result('point', artefact, replace(calibration, target={
+                verification = result('point', artefact, replace(calibration, target={
                     'robot_position_error': stated}))
             except DataError:  # not what "point" measures
                 verdicts[stated].append('refused')
                 continue
-            verdicts[stated].append(report.verdict)
+            verdicts[stated].append(verification.verdict)
             inside[stated] += [abs(q.error) < 1.96 * np.hypot(q.std, q.claimed)
-                               for q in report.quantities if q.error is not None]
-            if stated and report.verdict == 'insensitive':
-                assert 'smooth error of the robot' in report.reasons[0]
+                               for q in verification.quantities if q.error is not None]
+            if stated and verification.verdict == 'insensitive':
+                assert 'smooth error of the robot' in verification.reasons[0]
     assert np.mean(inside[size]) > 0.85 > 0.5 > np.mean(inside[0.0])
     assert {*verdicts[size]} <= {'pass', 'undecided', 'insensitive'}
     assert 'fail' in verdicts[0.0]
@@ -267,28 +269,29 @@ def test_an_angle_of_more_than_90_degrees_is_told_from_one_of_less():
     errors = []
     for T in (se3.transform(turn, np.zeros(3)), se3.transform(turn.T, np.zeros(3))):
         turned = tuple(replace(s, T_base_flange=T @ s.T_base_flange) for s in artefact.bags[0])
-        turned_artefact = replace(artefact, bags=(turned, artefact.bags[1]))
-        errors.append(result('square', turned_artefact, calibration).quantities[0].error)
+        square = replace(artefact, bags=(turned, artefact.bags[1]))
+        errors.append(result('square', square, calibration).quantities[0].error)
     assert sorted(errors) == pytest.approx([-4e-3, 4e-3], abs=3e-4)
 
 
 def test_what_cannot_be_verified_is_refused():
-    sphere, of_sphere = measured('sphere')
+    sphere, sphere_calibration = measured('sphere')
     flat = with_features(sphere, lambda s: [FaceLine(
         f.points.mean(axis=0), np.array([1.0, 0.0]), 4e-3, 1e-5) for f in s.features
         if isinstance(f, Arc)])
-    bar, of_bar = measured('ball_bar')
-    plane, of_plane = measured('plane')
-    bad = replace(of_plane, covariance=-of_plane.covariance)
-    for name, given, calibration, error, words in (
-            ('plane', flat, of_sphere, DataError, 'not what "plane" measures'),
-            ('ball_bar', replace(bar, bags=(bar.bags[0],) * 2), of_bar, InputError,
+    bar, bar_calibration = measured('ball_bar')
+    plane, plane_calibration = measured('plane')
+    negative = replace(plane_calibration, covariance=-plane_calibration.covariance)
+    for name, artefact, calibration, error, words in (
+            ('plane', flat, sphere_calibration, DataError, 'not what "plane" measures'),
+            ('ball_bar', replace(bar, bags=(bar.bags[0],) * 2), bar_calibration, InputError,
              'the same stops'),
-            ('plane', plane, bad, InputError, 'negative variance'),
+            ('plane', plane, negative, InputError, 'negative variance'),
             ('sphere', *measured('sphere', count=3), DataError, '3 usable stations'),
-            ('ball_bar', replace(bar, bags=((), bar.bags[0])), of_bar, DataError, '0 usable')):
+            ('ball_bar', replace(bar, bags=((), bar.bags[0])), bar_calibration, DataError,
+             '0 usable')):
         with pytest.raises(error, match=words):
-            result(name, given, calibration)
+            result(name, artefact, calibration)
     for name, lengths, bags, words in (('step', (0.1,), 1, 'needs 2 bags, and got 1'),
                                        ('step', (0.1,) * 4, 4, '5 or 6 bags, and got 4'),
                                        ('cube', (), 1, 'no routine "cube"'),
@@ -313,38 +316,41 @@ def test_teeth_of_another_gauge_never_pass(lengths):
 def test_passes_that_contradict_the_others_are_told():
     artefact, calibration = measured('tooth', 1)
     config = of_lengths(*artefact.lengths)
-    seen = bench.scanned(artefact, config)
-    move = np.where(seen.recording_of_pose == 1, 6e-4, 0.0)[:, None] * [1, 1, 1, 0, 0, 0]
-    off = replace(seen, problem=replace(
-        seen.problem, poses=se3.perturb(seen.problem.poses, move)))
-    for given, told in (seen, False), (off, True):
-        judged = verify(ROUTINES['tooth'], given, calibration)
-        assert told == (judged.verdict != 'pass')
-        assert told == any(reason.startswith('stop 1 of recording 2 contradict the others')
-                           for reason in judged.reasons)
+    stations = bench.scanned(artefact, config)
+    move = np.where(stations.recording_of_pose == 1, 6e-4, 0.0)[:, None] * [1, 1, 1, 0, 0, 0]
+    contradicting = replace(stations, problem=replace(
+        stations.problem, poses=se3.perturb(stations.problem.poses, move)))
+    for measured_stations, named in (stations, False), (contradicting, True):
+        verification = verify(ROUTINES['tooth'], measured_stations, calibration)
+        assert named == (verification.verdict != 'pass')
+        assert named == any(reason.startswith('stop 1 of recording 2 contradict the others')
+                            for reason in verification.reasons)
 
 
 @pytest.mark.parametrize('seed', (1, 2, 3))
 def test_an_artefact_that_moved_halfway_does_not_pass(seed):
     artefact, calibration = measured('line', seed)
     moved = with_poses(artefact, {k: [3e-4, 3e-4, 3e-4, 0, 0, 0] for k in range(7, 14)})
-    report = result('line', moved, calibration)
-    assert report.verdict != 'pass' and 'contradict the others' in ' '.join(report.reasons)
+    verification = result('line', moved, calibration)
+    assert verification.verdict != 'pass'
+    assert 'contradict the others' in ' '.join(verification.reasons)
 
 
 def test_of_points_without_noise_none_is_an_outlier():
     artefact = bench.tooth(np.random.default_rng(0), replace(bench.PLAIN, noise=0.0),
                            replace(bench.ROBOT, repeatability=(0.0, 0.0)))
-    report = teeth(artefact, bench.calibration(artefact.T_flange_sensor, np.diag(bench.STD ** 2)))
-    assert report.verdict == 'pass' and max(abs(q.error) for q in report.quantities) < 1e-6
-    assert report.fit.scatter.points > 0.5 * len(artefact.passes) * 960
+    calibration = bench.calibration(artefact.T_flange_sensor, np.diag(bench.STD ** 2))
+    verification = teeth(artefact, calibration)
+    assert verification.verdict == 'pass'
+    assert max(abs(q.error) for q in verification.quantities) < 1e-6
+    assert verification.fit.scatter.points > 0.5 * len(artefact.passes) * 960
 
 
 @pytest.mark.parametrize('name', ('plane', 'square'))
 def test_steep_faces_disagree_no_more_than_their_doubtful_range(name):
-    seen = []
+    verifications = []
     for seed in (1, 2, 3):  # the simulated sensor errs in range where light grazes
         artefact, calibration = measured(name, seed, take=bench.take, tilt=np.radians(66.0))
         bags = bench.stops_of(ROUTINES[name], artefact, Config(noise=bench.NOISE))
-        seen.append(result(name, replace(artefact, bags=tuple(bags)), calibration))
-    assert all(one.fit.scatter.p > 1e-3 and one.verdict == 'pass' for one in seen)
+        verifications.append(result(name, replace(artefact, bags=tuple(bags)), calibration))
+    assert all(v.fit.scatter.p > 1e-3 and v.verdict == 'pass' for v in verifications)

@@ -35,13 +35,13 @@ def output_of(*words, exit_code=0):
     return run.output
 
 
-def options(name, made):
+def options(name, artefact):
     """Return what the command is told of the artefact."""
-    keys = {'lengths': list(map(float, made.lengths))}
+    keys = {'lengths': list(map(float, artefact.lengths))}
     if name in ('sphere', 'ball_bar'):
         keys['radius'] = f'{1e3 * bench.RADIUS} mm'
     if name == 'point':
-        keys |= {'reference': list(map(float, made.reference)), 'aim': bench.FINE_AIM}
+        keys |= {'reference': list(map(float, artefact.reference)), 'aim': bench.FINE_AIM}
     return [word for key, value in keys.items() for word in ('--set', f'verify.{key}={value}')]
 
 
@@ -55,22 +55,22 @@ def within(result):
 @pytest.mark.parametrize('name', [
     name if name in QUICK else pytest.param(name, marks=pytest.mark.thorough)
     for name in ROUTINES])
-def test_a_routine_on_bags_passes_the_right_calibration_and_fails_a_wrong_one(tmp_path, name):
+def test_a_routine_passes_the_right_calibration_and_fails_a_wrong_one(tmp_path, name):
     rng = np.random.default_rng(2)
-    made = bench.RENDERED[name](rng)
-    bags = [tmp_path / f'bag_{k}' for k in range(len(made.passes))]
-    for bag, part in zip(bags, made.passes, strict=True):
+    artefact = bench.RENDERED[name](rng)
+    bags = [tmp_path / f'bag_{k}' for k in range(len(artefact.passes))]
+    for bag, part in zip(bags, artefact.passes, strict=True):
         bag_write.write(bag, part.profiles, part.poses)
-    X = se3.perturb(made.T_flange_sensor, bench.STD * rng.normal(size=6))
+    X = se3.perturb(artefact.T_flange_sensor, bench.STD * rng.normal(size=6))
     results = []
     for T, exit_code in ((X, 0), (se3.perturb(X, WRONG), 1)):
         write_calibration(stated(T, provenance={'config': flatten(Config(noise=bench.NOISE))}),
                           tmp_path / 'calibration.yaml')
-        text = output_of('verify', name, *bags, '--calibration', tmp_path, '--out',  # or its file
-                         tmp_path / 'told.yaml', *options(name, made),
-                         exit_code=exit_code)
+        stdout = output_of('verify', name, *bags, '--calibration', tmp_path, '--out',
+                           tmp_path / 'told.yaml', *options(name, artefact),  # or its file
+                           exit_code=exit_code)
         results.append(yaml.safe_load((tmp_path / 'told.yaml').read_text()))
-        assert text.startswith(f'{name}: {results[-1]["verdict"].upper()}')
+        assert stdout.startswith(f'{name}: {results[-1]["verdict"].upper()}')
     right, wrong = results
     assert within(right) and (right['verdict'], wrong['verdict']) == ('pass', 'fail')
     assert wrong['inputs'] == list(map(str, bags)) and wrong['recorded']
@@ -142,6 +142,6 @@ def test_profiles_of_a_sweep_that_show_another_edge_do_not_refuse_it():
 
 def test_each_face_of_a_step_is_swept_by_itself():
     samples, calibration, config = sweep('plane', 0.02, 0.9, -0.02)
-    seen = stations_of(ROUTINES['step'], [samples, samples], calibration, replace(
+    stations = stations_of(ROUTINES['step'], [samples, samples], calibration, replace(
         config, verify=replace(config.verify, lengths=(0.02,))))
-    assert seen.counts[0] == seen.counts[1] > 10
+    assert stations.counts[0] == stations.counts[1] > 10
