@@ -8,16 +8,31 @@ from concurrent.futures import Future
 from dataclasses import replace
 import tempfile
 
-from cells import recorded, set_to
+from cells import Recorded, recorded, set_to
 from handeye_ros.bags.session_files import OutputFolders, settings_and_session
 from handeye_ros.config import Config
 from handeye_ros.data import TimedPose
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.pool import Pool
+from handeye_ros.sampling.stops import StopFinder
 from streams import in_order
 
 SPHERE = recorded('sphere')
 PLACES = []  # folders of sessions that name none, until the tests end
+
+
+def parted(recording: Recorded, count: int) -> list[Recorded]:
+    """Return the recording of the first so many stops, and that of the rest."""
+    finder = StopFinder(recording.config.sampling)
+    ends = [stop.end for pose in recording.poses if (stop := finder.add(pose))]
+    return [replace(recording, **{name: tuple(
+        item for item in getattr(recording, name) if (item.stamp > ends[count - 1] + 1) == in_rest)
+        for name in ('profiles', 'poses')}) for in_rest in (False, True)]
+
+
+PARTS = parted(SPHERE, 8)
+TO_VERIFY = set_to(SPHERE.config, verify__routine='sphere', verify__radius=0.04,
+                   verify__tolerance=2e-3, verify__angle_tolerance=0.02)
 
 
 class Inline(Pool):

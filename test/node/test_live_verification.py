@@ -1,0 +1,90 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""A running session without ROS: verification, whose stops are no samples."""
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from handeye_ros.errors import DataError, InputError
+from handeye_ros.node.state import state_of
+from handeye_ros.verification.routines import routine_of
+from live_sessions import changed, computed, feed, later, new, PARTS, TO_VERIFY, verdict
+import pytest
+import yaml
+
+
+def test_the_progress_is_told_while_a_verification_ends() -> None:
+    live = new(TO_VERIFY)
+
+    class Ending(type(live.verification)):
+        routine = property(lambda _: next(routines), lambda *_: None)
+
+    routines = iter([routine_of('sphere'), None, None])
+    assert Ending(live).text == 'sphere: 0 usable stops of 0'
+
+
+def test_stops_after_the_start_verify_and_are_no_samples() -> None:
+    live = new(TO_VERIFY)
+    with pytest.raises(DataError, match='no verification was started'):
+        verdict(live)
+    with pytest.raises(DataError, match='there is no calibration to verify'):
+        live.verification.verify_start()
+    feed(live, PARTS[0].messages)
+    computed(live)
+    before = [stop.number for stop in live.session_copy().stops]
+    changed(live, verify__routine='tooth', verify__lengths=(0.015, 0.005))
+    with pytest.raises(InputError, match='call "handeye verify tooth"'):
+        live.verification.verify_start()
+    changed(live, verify__routine='sphere', verify__lengths=())
+    assert live.verification.verify_start().startswith('sphere: 0 usable stops of 0; move on')
+    assert 'stops are not samples' in ' '.join(state_of(live)['session']['notes'])
+    with pytest.raises(DataError, match='0 usable stations, fewer than 4'):
+        verdict(live)
+    feed(live, PARTS[1].messages)
+    text = verdict(live)
+    assert text.startswith('sphere: PASS, 6 stations; radius ')
+    assert [stop.number for stop in live.session_copy().stops] == before
+    assert state_of(live)['calibration']['state'] == 'current'
+    written = Path(live.folders.folder(live.config)) / 'verification_sphere.yaml'
+    assert str(written) in text
+    report = yaml.safe_load(written.read_text())
+    assert (report['verdict'], report['stations']) == ('pass', 6)
+    assert report['created'] and not report['calibration_file']  # it is the answer, no file
+    assert not state_of(live)['session']['notes']
+
+
+def test_the_verification_of_a_saved_answer_names_its_file() -> None:
+    live = new(TO_VERIFY)
+    feed(live, PARTS[0].messages)
+    computed(live)
+    live.answer.save_calibration()
+    live.verification.verify_start()
+    feed(live, PARTS[1].messages)
+    verdict(live)
+    folder = Path(live.folders.folder(live.config))
+    stated = yaml.safe_load((folder / 'verification_sphere.yaml').read_text())['calibration_file']
+    file = folder / 'calibration.yaml'
+    assert Path(stated['path']) == file
+    assert stated['sha256'] == hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def test_a_verification_begun_anew_says_what_is_dropped() -> None:
+    live = new(TO_VERIFY)
+    feed(live, PARTS[0].messages)
+    computed(live)
+    live.verification.verify_start()
+    changed(live, verify__lengths=(0.1,))
+    feed(live, PARTS[1].messages)
+    with pytest.raises(InputError, match='sphere needs 0 lengths'):
+        verdict(live)
+    changed(live, verify__lengths=(), verify__tolerance=1e-5)
+    with pytest.raises(DataError, match='^sphere: INSENSITIVE, 6 stations; ') as refused:
+        verdict(live)
+    assert str(refused.value).count('decides nothing') == 1, 'each reason once'
+    changed(live, verify__tolerance=3e-4)
+    assert verdict(live).startswith('sphere: PASS, 6 stations; ')
+    live.verification.verify_start()
+    feed(live, later(PARTS[1].messages, 1000))
+    assert live.verification.verify_start().endswith(
+        '; what was measured before is dropped (sphere: 6 usable stops of 6)')
