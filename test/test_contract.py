@@ -91,7 +91,7 @@ def test_the_public_names_are_those_listed() -> None:
         _ = handeye_ros.nonsense
 
 
-def test_the_example_of_the_library_prints_what_the_page_says(tmp_path, monkeypatch):
+def test_the_example_prints_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code, printed = re.findall(r'```(?:python|text)\n(.*?)```', LIBRARY, re.DOTALL)
     for folder in ('config', 'bags'):
         (tmp_path / folder).symlink_to(ROOT / folder)

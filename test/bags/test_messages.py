@@ -168,7 +168,7 @@ def test_a_row_step_that_was_left_unset_is_worked_out(height: int) -> None:
     ({'fields': [field('x', 0, 9), field('z', 8)]}, 'no fields are named "x"'),
     ({'fields': [field('x', 0, 7, 3), field('z', 8)]}, 'are named "x" and hold one number'),
     ({'fields': [field('x', 0), field('x', 4), field('z', 8)]}, '2 fields are named "x"')])
-def test_malformed_clouds_are_refused_with_a_reason(changes, reason):
+def test_malformed_clouds_are_refused_with_a_reason(changes: dict, reason: str) -> None:
     scan = cloud({'x': X, 'z': Z}, XZ, 12)
     vars(scan).update(changes)
     with pytest.raises(UnusableMessageError, match=reason):

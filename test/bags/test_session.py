@@ -165,7 +165,7 @@ def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
     assert np.abs(third.answer.calibration.T_flange_sensor - T).max() < 1e-9
 
 
-def test_a_restart_keeps_the_frames_of_poses_and_profiles(tmp_path):
+def test_a_restart_keeps_the_frames_of_poses_and_profiles(tmp_path: Path) -> None:
     other = again(feed(stored(tmp_path), stops=3))
     settings = other.session.with_base(other.config)
     assert settings.robot_base_frame == 'base', 'before the first message'
@@ -329,7 +329,7 @@ def test_what_is_no_session_is_reported(tmp_path: Path) -> None:
 @pytest.mark.parametrize(('of_node', 'count', 'fewest'), [
     pytest.param((), 20, 10, marks=pytest.mark.once),
     pytest.param(('--node',), 4, 2, marks=pytest.mark.ros)])
-def test_nothing_acknowledged_is_lost_by_kills(of_node, count, fewest):
+def test_kills_lose_no_sample(of_node: tuple[str, ...], count: int, fewest: int) -> None:
     if of_node:
         pytest.importorskip('rclpy', reason='needs rclpy')
     run = subprocess.run([sys.executable, 'bench/kills.py', *of_node, '--count', str(count)],

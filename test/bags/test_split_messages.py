@@ -78,7 +78,7 @@ def test_rows_that_part_the_line_are_points() -> None:
 
 @pytest.mark.parametrize(('stamp', 'reach'), [('first', (0, 40)), ('middle', (20, 20)),
                                               ('last', (40, 0))])
-def test_without_a_period_it_is_known_about_when_a_row_was_taken(stamp, reach):
+def test_without_a_period_a_row_has_a_range_of_times(stamp: str, reach: tuple[int, int]) -> None:
     rows = profiles([batch(START + i * 40 * MS, 8) for i in range(3)], ProfileConfig(stamp=stamp))
     assert len(rows) == 16, 'nobody knows how long the first took'
     assert all(p.reach == (reach[0] * MS, reach[1] * MS) for p in rows)

@@ -67,7 +67,7 @@ def started(module: str, *arguments: object) -> AbstractContextManager[subproces
         ('main', ['--ros-args', '-p', 'profile_topic:=my profile'], 'cannot name a topic'),
         ('main', ['--ros-args', '-p', 'target.size:=[1.0, 2]'], 'ROS does not start: '),
         ('main', ['--ros-args', 'nonsense'], 'ROS does not start: ')))])
-def test_wrong_arguments_are_refused_in_a_sentence(module, arguments, reason):
+def test_wrong_arguments_are_refused(module: str, arguments: list[str], reason: str) -> None:
     run = run_module(module, *arguments)
     assert run.returncode == 2 and reason in run.stderr and 'Traceback' not in run.stderr
 
@@ -186,7 +186,7 @@ def test_scanned_points_are_published_in_the_base(tmp_path: Path, client: Client
     np.testing.assert_allclose(z, 0.1, atol=1e-6)
 
 
-def test_profiles_from_before_the_clock_was_set_back_are_not_scanned(tmp_path, client):
+def test_profiles_before_a_clock_reset_are_not_scanned(tmp_path: Path, client: Client) -> None:
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
     clouds: list[PointCloud2] = []
     client.node.create_subscription(PointCloud2, '/handeye_scan/points', clouds.append, 100)

@@ -124,7 +124,7 @@ def test_what_is_set_here_wins_over_the_file(monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.mark.thorough
 @pytest.mark.ros
-def test_a_bag_is_calibrated_in_a_namespace(monkeypatch, tmp_path):
+def test_a_bag_is_solved_in_a_namespace(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     pytest.importorskip('rclpy', reason='needs rclpy')
     from command import running
     from ros_helpers import Client

@@ -41,7 +41,7 @@ def documented(topic: str, key: str = '') -> set[str]:
 # -- samples and answer
 
 
-def test_the_answer_is_that_of_the_recording_and_solved_once(monkeypatch):
+def test_one_solve_gives_the_answer_of_the_recording(monkeypatch: pytest.MonkeyPatch) -> None:
     live, solves, answer = fed(), [], pipeline.answer_samples
     monkeypatch.setattr(pipeline, 'answer_samples',
                         lambda *args: solves.append(args) or answer(*args))
@@ -154,7 +154,7 @@ def test_settings_that_change_as_a_stop_ends_lose_no_profiles() -> None:
 
 
 @pytest.mark.parametrize(('before', 'lost'), [(4.8, 4), (-4.8, 4), (0.02, 0), (-0.02, 0)])
-def test_a_time_offset_that_changes_during_a_stop_holds_for_that_too(before, lost):
+def test_a_time_offset_set_during_a_stop_holds_for_it_too(before: float, lost: int) -> None:
     live = new(set_to(SPHERE.config, time_offset=before))
     began = fed().session_copy().stops[3].stamp
     received = {profile.stamp: profile.points for profile in SPHERE.profiles}
@@ -352,7 +352,7 @@ def test_a_base_frame_unlike_that_of_the_poses_is_refused() -> None:
     assert live.answer.calibration is not None
 
 
-def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(monkeypatch):
+def test_the_newest_stops_are_kept_and_others_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lives, 'MOST_STOPS', 5)
     state, newest = state_of(fed()), SPHERE.poses[-1].stamp - 15 * 10**9
     assert sample_count(state) == 5, 'the newest that waited'

@@ -100,7 +100,7 @@ def test_a_stop_that_takes_long_is_told_meanwhile() -> None:
     assert 'a stop is evaluated' in working and state_of(live)['session']['working'] == ''
 
 
-def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(monkeypatch):
+def test_a_stop_is_not_lost_where_its_process_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     live, ended = new(), Future()
     ended.set_exception(PoolEndedError())
     submit = live.pool.submit
@@ -130,7 +130,7 @@ def test_an_answer_whose_process_ended_is_computed_again(monkeypatch: pytest.Mon
     assert not state_of(live)['session']['trouble']
 
 
-def test_a_review_that_is_ready_late_does_not_replace_a_newer_one(monkeypatch):
+def test_a_late_review_does_not_replace_a_newer_one(monkeypatch: pytest.MonkeyPatch) -> None:
     live = fed()
     late_review, submit = Future(), live.pool.submit
     monkeypatch.setattr(live.pool, 'submit', lambda *args: late_review)
@@ -146,7 +146,7 @@ def test_a_review_that_is_ready_late_does_not_replace_a_newer_one(monkeypatch):
     assert live.answer.review is newest_review
 
 
-def test_of_two_answers_the_one_that_was_asked_for_last_stays(monkeypatch):
+def test_of_two_answers_the_last_asked_for_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     live = fed()
     live.call_on_worker(live.evaluate_all)
     jobs, submit = [], live.pool.submit
@@ -233,7 +233,7 @@ if __name__ == '__main__':
 """
 
 
-def test_a_pool_ends_with_a_node_that_is_killed(tmp_path) -> None:
+def test_a_pool_ends_with_a_node_that_is_killed(tmp_path: Path) -> None:
     script = tmp_path / 'parent.py'
     script.write_text(PARENT)
     with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True) as parent:

@@ -121,7 +121,7 @@ def test_a_bag_through_the_node_gives_the_offline_result(tmp_path: Path, client:
 
 
 @pytest.mark.skipif(TFMessage is None, reason='tf2_msgs is not built: make tf2_msgs')
-def test_poses_come_from_tf_and_a_late_subscriber_hears_tf_static(tmp_path, client):
+def test_poses_come_from_tf_and_tf_static_is_latched(tmp_path: Path, client: Client) -> None:
     settings = load(SPHERE)
     recording = read(ROOT / 'bags' / 'sphere', settings)
     offline = calibrate(recording.profiles, recording.poses, settings)
@@ -170,7 +170,7 @@ def test_without_tf2_msgs_poses_from_tf_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_session_corrects_the_arm_and_a_solve_loses_no_profiles(tmp_path, client):
+def test_a_session_corrects_the_arm_and_loses_no_profiles(tmp_path: Path, client: Client) -> None:
     pytest.importorskip('pinocchio', reason='needs pinocchio')
     bag = ROOT / 'bags' / 'arm'
     recording = read(bag, load(SPHERE))

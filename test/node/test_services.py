@@ -101,7 +101,7 @@ def test_it_offers_what_the_contract_lists_and_the_layouts_show(client, node):
             assert durable or topic['Durability Policy'] == 'Volatile'
 
 
-def test_nothing_listens_but_dds(node: subprocess.Popen[str]) -> None:
+def test_nothing_listens_but_dds(node):
     rows = [line.split() for name in ('tcp', 'tcp6')
             for line in Path(f'/proc/{node.pid}/net/{name}').read_text().splitlines()[1:]]
     listening = {f'socket:[{row[9]}]' for row in rows if row[3] == '0A'}  # TCP_LISTEN
@@ -284,7 +284,7 @@ def test_topics_change_while_it_runs_and_a_wrong_type_is_reported(client, node):
 
 
 @pytest.mark.thorough
-def test_every_request_that_waits_is_answered(tmp_path: Path, client: Client) -> None:
+def test_every_request_that_waits_is_answered(tmp_path, client):
     with running_node(tmp_path):
         client.connect()
         save = client.node.create_client(Trigger, '/handeye/save_calibration',
