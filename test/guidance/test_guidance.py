@@ -194,7 +194,7 @@ def test_before_the_first_sample_it_tells_how_to_take_it() -> None:
 
 def test_a_sensor_that_is_not_roughly_known_is_not_aimed(fitted: tuple[Cell, Solution]) -> None:
     simulated_cell, solution = fitted
-    vague = replace(solution, report=solution,
+    vague = replace(solution, conservative=solution,
                     added_covariances={'a test': ROUGHLY_KNOWN ** 2 * 2 * np.eye(6)})
     advice = advice_for((simulated_cell, vague))
     assert advice.next is None and advice.move is not None
