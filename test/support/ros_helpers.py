@@ -183,10 +183,16 @@ def sphere_profile(stamp: int) -> PointCloud2:
 
 
 def stand_still(client: Client, start: int, seconds: float = 1.0, x: float = 0.0) -> None:
-    """Publish a robot that stands still, and what its sensor sees, 20 times a second."""
-    for stamp in range(start, start + round(seconds * 1e9), 50_000_000):
-        client.poses.publish(pose_message(stamp, (x, 0.0, 0.0)))
+    """
+    Publish what the sensor of a robot that stands still sees, and its poses, 20 times a second.
+
+    All profiles come first: they are larger, and a stop is looked at as its poses are read.
+    """
+    stamps = range(start, start + round(seconds * 1e9), 50_000_000)
+    for stamp in stamps:
         client.profiles.publish(sphere_profile(stamp + 1))
+    for stamp in stamps:
+        client.poses.publish(pose_message(stamp, (x, 0.0, 0.0)))
 
 
 def set_parameter(client: Client, name: str, value: Any) -> SetParametersResult:
