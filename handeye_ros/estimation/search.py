@@ -73,9 +73,9 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
 
 def quick_solution(problem: Problem) -> Solution | None:
     """Return the solution from the first two starts, None if neither fits."""
-    with suppress(HandeyeError):
+    with suppress(HandeyeError, np.linalg.LinAlgError):
         for start in islice(problem.target.starts(problem, np.random.default_rng(0)), 2):
-            with suppress(np.linalg.LinAlgError):
+            with suppress(np.linalg.LinAlgError):  # from this start
                 robust = refined_robustly(problem, start)
                 if typical_square(station_squares(robust)) < LARGEST_SQUARE:
                     return without_outliers(robust)

@@ -3,6 +3,7 @@
 """The solver: invariances and derivatives; the same for every method."""
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 from cells import (
@@ -19,6 +20,7 @@ from cells import (
 from handeye_ros import se3
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Estimate, linearise, Problem
+from handeye_ros.estimation.search import quick_solution
 from handeye_ros.estimation.solve import map_solution, Solution
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import problem_of_known_poses
@@ -142,3 +144,25 @@ def test_derivatives_by_pose_point_and_feature_are_those_of_differences(name: st
             expected = by([replace(at_problem, observations=replace(
                 obs, points=obs.points + s * h * direction)) for s in (1, -1)])
             assert np.abs(derivative[:, k] - expected).max() < 2e-7
+
+
+def test_a_quick_solution_needs_one_start_that_can_be_solved(monkeypatch: pytest.MonkeyPatch
+                                                             ) -> None:
+    problem = noisy('plate').problem
+    truth = solution_of('plate').estimate
+    nowhere = replace(truth, X=np.full((4, 4), np.nan))
+
+    def starts(*estimates: Estimate) -> Iterator[Estimate]:
+        yield from estimates
+        raise np.linalg.LinAlgError('no further start can be computed')
+
+    def quick(*estimates: Estimate) -> Solution | None:
+        monkeypatch.setattr(type(problem.target), 'starts', lambda *_: starts(*estimates))
+        return quick_solution(problem)
+
+    for estimates in ((truth,), (nowhere, truth)):
+        solution = quick(*estimates)
+        assert solution is not None
+        assert apart(solution.estimate.X, truth.X) < 1e-6
+    assert quick(nowhere) is None
+    assert quick() is None
