@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from cells import recorded
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import face_features
+from handeye_ros.profiles.lines import bin_means
 from handeye_ros.sampling.features import combine
 from handeye_ros.sampling.session import Session
 import numpy as np
@@ -59,6 +61,19 @@ def test_a_station_that_was_bumped_is_refused_with_a_reason(apart: float) -> Non
         halves = [*many(step_up_to(0.002), 7), *many(step_up_to(0.002 + apart), count, 1)]
         with pytest.raises(FeatureError, match='where the edge is'):
             combine(halves)
+
+
+@pytest.mark.parametrize(('coarse_count', 'shake'), [(1, 0.0), (4, 5e-5)])
+def test_the_finer_lines_are_combined_though_some_profiles_show_fewer_points(
+        coarse_count: int, shake: float) -> None:
+    shaken = [many(lambda x, by=by: step_up_to(0.002)(x) + by, 1, seed)[0]
+              for seed, by in enumerate(np.random.default_rng(0).normal(size=9) * shake)]
+    coarse = [(replace(line, bins=bin_means(line.bins, 6)[0]), *edges)
+              for line, *edges in shaken[:coarse_count]]
+    fine_line, line = combine(shaken)[0], combine([*coarse, *shaken[coarse_count:]])[0]
+    assert len(line.bins) == len(fine_line.bins)
+    # those of each profile tell how much a robot shakes
+    assert line.std == pytest.approx(fine_line.std, rel=0.1)
 
 
 @pytest.mark.parametrize('count', [1, 8])
