@@ -36,8 +36,8 @@ def _log_half_t(freedom: float, scale: float) -> Array:
 
 # For the report: 1.3 times as configured in the mean square, and with some chance several times.
 REPORT_PRIOR = _log_half_t(3.0, 0.8)
-# Of one parameter, which says little about a scale: 1.8 times. Not a Cauchy prior: a
-# sigma would grow by half or more as samples are added that fit (see estimator.md).
+# Of one parameter, which says little about a scale: 1.7 times. Not a Cauchy prior: a sigma would
+# grow by half or more as samples are added that fit (see estimator.md).
 SINGLE_REPORT_PRIOR = _log_half_t(2.0, 0.8)
 # For the estimate: zero, unless the data show something.
 MAP_PRIOR = _log_half_t(1.0, 0.01)

@@ -111,6 +111,14 @@ def test_chi_squared_takes_arrays_and_is_nan_without_a_degree_of_freedom() -> No
     np.testing.assert_allclose(probabilities[2:], stats.chi2.sf(2.0, [1, 3]))
 
 
+@pytest.mark.parametrize(('count', 'scale'), [(2, 1.3), (10, 1.3), (1, 1.7)])
+def test_without_evidence_a_scale_is_for_the_report_as_documented(count: int, scale: float
+                                                                  ) -> None:
+    _, for_report = prior_variances(
+        np.eye(count), np.zeros(count), [count], np.ones(1), np.array([400.0]))
+    assert float(np.sqrt(for_report[0])) == pytest.approx(scale, abs=0.05)
+
+
 def conservative(value: float, std: float) -> float:
     """Return the scale of a single parameter that the data alone put at value +- std."""
     information = 1 / std ** 2
