@@ -249,7 +249,8 @@ def main() -> None:
     parser.add_argument('--stops', action='store_true')
     parser.add_argument('--publish', type=float, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    options.seconds = max(options.seconds, 30.0 * options.stops)
+    if options.stops:  # long enough for many solves
+        options.seconds = max(options.seconds, 30.0)
     if options.publish:
         publish(options.publish, options.seconds, Scene(1.5 if options.stops else 0.0))
         return

@@ -6,10 +6,9 @@ Whether sensor or target moved in the middle of a recording.
 If the samples fit no answer, each hypothesis is two parts of the recording, fitted separately. If
 they do, a move after station i is two more blocks of nuisance parameters, linearised at the
 answer, (14) of estimator.md. It must be larger than the smooth error of the robot, and two tests
-must agree. The Bayes factor: noise and scales are
-estimated again with and without the move, since they absorb part of it otherwise. A permutation
-test: random orders of the stations must seldom show as clear a move, since robot errors that are
-not in the model look like moves in any order.
+must agree. The Bayes factor: noise and scales are estimated again with and without the move, since
+they absorb part of it otherwise. A permutation test: random orders of the stations must seldom
+show as clear a move, since robot errors that are not in the model look like moves in any order.
 """
 from __future__ import annotations
 

@@ -143,11 +143,12 @@ def require_tested(solution: Solution) -> None:
     Also if a sample is probably wrong, and without it too few conditions would remain or others
     may be wrong too.
     """
-    used, dropped, redundancy = (
-        len(solution.used), len(solution.dropped_squares), solution.redundancy)
+    used, dropped = len(solution.used), len(solution.dropped_squares)
+    redundancy = solution.redundancy
 
-    def needed(dropped: int) -> int:
-        return FEWEST_REDUNDANT * (1 + dropped) + (dropped > 0)
+    def needed(outliers: int) -> int:
+        return FEWEST_REDUNDANT * (1 + outliers) + (outliers > 0)
+
     if redundancy < needed(dropped):
         why = f' ({dropped} of them contradict the others)' if dropped else ''
         raise UnexplainedError(

@@ -7,10 +7,10 @@ A stated measure of the target that is wrong is estimated instead; scales that d
 """
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from handeye_ros.calibration import block_estimates, NOTED_SIGMAS
+from handeye_ros.calibration import block_estimates, BlockEstimate, NOTED_SIGMAS
 from handeye_ros.checks.hypotheses import Fit, fit_of_problem, Hypothesis
 from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.errors import DataError
@@ -78,10 +78,14 @@ def with_free_size_if_needed(solution: Solution) -> Solution:
     wrong = any(abs(with_free[name].value)
                 > max(FREED_FROM_SIGMAS * with_free[name].std, 2 * stated[name][1])
                 for name in lengths if name in with_free)
-    scale_seen, scale_seen_when_free = (
-        scale is not None and abs(scale.value) > FREED_FROM_SIGMAS * scale.std
-        for scale in (estimates.get('scale') for estimates in (with_stated, with_free)))
-    return free if wrong or (scale_seen and not scale_seen_when_free) else solution
+    scale_vanishes = _shows_scale(with_stated) and not _shows_scale(with_free)
+    return free if wrong or scale_vanishes else solution
+
+
+def _shows_scale(estimates: Mapping[str, BlockEstimate]) -> bool:
+    """Return whether a scale error of the robot is seen; estimates: by the names of blocks."""
+    scale = estimates.get('scale')
+    return scale is not None and abs(scale.value) > FREED_FROM_SIGMAS * scale.std
 
 
 def scale_hypothesis(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypothesis]:

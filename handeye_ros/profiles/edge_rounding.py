@@ -13,6 +13,8 @@ the face, and v, below it; each has its own `start`, the u where it leaves the f
 """
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from handeye_ros.data import Array
 import numpy as np
 
@@ -32,18 +34,32 @@ LEAST_LIKELY = -100.0  # smallest log likelihood of a shape that matters
 TINY = 1e-30  # smallest information, for points that all lie on the face
 
 
-def fitted_bend(u: Array, v: Array, end_u: float, pitch: float, noise: float
-                ) -> tuple[float, Array, float, float, float]:
+@dataclass(frozen=True, eq=False)
+class Bend:
     """
-    Return how a face bends down at its end in one profile, by the last points of the face.
+    How a face bends down at its end in one profile.
+
+    depth: v of the end (m), the mean over all shapes by their likelihoods
+    shape_log_odds: (k + 1,) log likelihoods of roundings with the k TRIED_RADII, and of a bevel, 0
+        for the best
+    arc_u, arc_v: the part of the likeliest rounding that is located best (m): the steepest points
+        have most weight, so it hardly depends on the radius
+    arc_std: 1 sigma of arc_u for a given radius
+    """
+
+    depth: float
+    shape_log_odds: Array
+    arc_u: float
+    arc_v: float
+    arc_std: float
+
+
+def fitted_bend(u: Array, v: Array, end_u: float, pitch: float, noise: float) -> Bend:
+    """
+    Return the bend through the last points of a face.
 
     u, v (n,): of the points, in order; end_u: of the end; pitch: distance of neighbouring points
     along the face; noise: 1 sigma of v (m).
-
-    Returned: v of the end, the mean over all shapes by their likelihoods (m); (k + 1,) log
-    likelihoods of roundings with the k TRIED_RADII, and of a bevel, 0 for the best; u and v of the
-    part of the likeliest rounding that is located best (m): the steepest points have most weight,
-    so it hardly depends on the radius; and 1 sigma of this u for a given radius.
     """
     start, slope, weights, misfit = _fitted_shapes(u, v, pitch, noise)
     log_likelihood = np.maximum((misfit.min() - misfit) / 2, LEAST_LIKELY)
@@ -56,9 +72,9 @@ def fitted_bend(u: Array, v: Array, end_u: float, pitch: float, noise: float
     total = max(float(information.sum()), TINY)
     sine = float(information @ (slope[best] / np.sqrt(1 + slope[best] ** 2))) / total
     radius = float(TRIED_RADII[best, 0])
-    return (float(posterior @ depths / posterior.sum()), log_odds - log_odds.max(),
-            float(start[best, 0]) + radius * sine, radius * (1 - (1 - sine ** 2) ** 0.5),
-            total ** -0.5)
+    return Bend(float(posterior @ depths / posterior.sum()), log_odds - log_odds.max(),
+                float(start[best, 0]) + radius * sine, radius * (1 - (1 - sine ** 2) ** 0.5),
+                total ** -0.5)
 
 
 def _fitted_shapes(u: Array, v: Array, pitch: float, noise: float

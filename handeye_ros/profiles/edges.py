@@ -387,13 +387,13 @@ def _edge_before_drop(end: FaceEnd, tail: NDArray[np.intp], ending: str,
     # sampling/edge_shapes.py); its last points are the worst
     before = end.segment.columns[-max(2 * len(tail), SHORTEST_ROUNDING):]
     inner = tail[:len(tail) - min(len(tail) // RIM_SHARE, LONGEST_RIM)]
-    depth, shape_log_odds, arc_u, arc_v, arc_std = fitted_bend(
-        *end.in_frame(np.concatenate([before, inner])), edge_u, pitch, noise)
+    bend = fitted_bend(*end.in_frame(np.concatenate([before, inner])), edge_u, pitch, noise)
     # an end that goes down but not outwards is no bend, but a hardly visible wall
-    depth = min(depth, STEEPEST_ROUNDING * (plate_end - flat_end) + FLAT_SIGMAS * noise)
+    depth = min(bend.depth, STEEPEST_ROUNDING * (plate_end - flat_end) + FLAT_SIGMAS * noise)
     _, outwards, down = end.frame
-    return replace(edge, drop=depth * down, shape_log_odds=shape_log_odds,
-                   arc_offset=(arc_u - edge_u) * outwards + arc_v * down, arc_std=arc_std)
+    return replace(edge, drop=depth * down, shape_log_odds=bend.shape_log_odds,
+                   arc_offset=(bend.arc_u - edge_u) * outwards + bend.arc_v * down,
+                   arc_std=bend.arc_std)
 
 
 LONGEST_RAMP = 16  # points between two levels: a wider transition is a surface

@@ -340,7 +340,8 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0
     quantities, deviation, deviation_wrt_errors, region = _values(shape, q, J, gain, E, claim)
     # what the shape does not take up
     r_left, E_left, freedom = r - J @ (gain @ r), E - J @ (gain @ E), max(len(r) - len(gain), 1)
-    sizes, square = np.abs(linear.residuals), likeliest(E_left @ claim, r_left)[2]
+    sizes = np.abs(linear.residuals)
+    square = likeliest(E_left @ claim, r_left)[2]
     scatter = Scatter(len(sizes), float(sizes.mean()), float(sizes.std()), rms(sizes),
                       float(sizes.max()), float(chi2_sf(square, freedom)))
     variances = np.square(by_robot).sum(axis=1)  # of the distances, due to robot and sensor
