@@ -225,11 +225,11 @@ def test_one_that_is_killed_disturbs_no_other_call(pool: Pool, tmp_path: Path) -
 
 
 PARENT = """
-import os, sys, time
+import os, signal
 from handeye_ros.node.pool import Pool
 if __name__ == '__main__':
     print(Pool().submit(os.getpid).result(), flush=True)
-    time.sleep(60)
+    signal.pause()  # until it is killed
 """
 
 
