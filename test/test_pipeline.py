@@ -210,7 +210,8 @@ def test_the_real_sphere_is_better_than_the_published_transform() -> None:
     calibration = pipeline.calibrate(real.profiles, real.poses, config)
     # of the plain points: the robot's smooth error, of 0.2 mm, is in them
     quality = calibration.quality
-    assert quality.residual_rms < 0.098e-3 and quality.samples_used >= 13
+    assert quality.residual_rms < 0.098e-3
+    assert quality.samples_used >= 13
     assert quality.residual_rms < quality.holdout_rms < 0.138e-3
 
 

@@ -253,7 +253,8 @@ def test_edges_that_are_less_certain_do_not_explain_more() -> None:
         return fit_of_samples(samples, plate_cell.config, [s.stamp for s in samples])
 
     waved, stray = fit_of(6e-5, 2e-5), fit_of(2e-4, 3e-4)
-    assert stray.variance_factor < waved.variance_factor and stray.evidence_over(waved) < 0
+    assert stray.variance_factor < waved.variance_factor
+    assert stray.evidence_over(waved) < 0
 
 
 def tilted(raw: Raw, types: dict[str, str], degrees: float, each: bool = True) -> Raw:

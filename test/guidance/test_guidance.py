@@ -100,7 +100,9 @@ def test_the_limits_are_kept(fitted: tuple[Cell, Solution]) -> None:
 
 def test_limits_that_allow_nothing_are_reported(fitted: tuple[Cell, Solution]) -> None:
     advice = advice_for(fitted, guidance__reach=0.0, guidance__accuracy=1e-6)
-    assert advice.next is None and not advice.enough and 'widen them' in advice.text
+    assert advice.next is None
+    assert not advice.enough
+    assert 'widen them' in advice.text
 
 
 def test_a_failed_pose_is_not_proposed_again(fitted: tuple[Cell, Solution]) -> None:
@@ -156,7 +158,9 @@ def test_the_words_lead_from_the_last_sample_to_the_pose(fitted: tuple[Cell, Sol
 def test_samples_whose_answer_is_refused_are_never_enough(fitted: tuple[Cell, Solution]) -> None:
     advice = advice_for(fitted, refusal=DataError('only 2 samples show an edge'),
                         guidance__accuracy=0.05)
-    assert advice.next and not advice.enough and advice.why == 'only 2 samples show an edge'
+    assert advice.next
+    assert not advice.enough
+    assert advice.why == 'only 2 samples show an edge'
 
 
 def test_a_sweep_goes_on_until_it_is_enough(fitted: tuple[Cell, Solution]) -> None:

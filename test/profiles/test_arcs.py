@@ -61,7 +61,8 @@ def test_gross_outliers_do_not_move_an_arc(share: float) -> None:
         is_outlier = rng.random(len(points)) < share
         points[is_outlier, 1] += rng.uniform(-8e-3, 8e-3, is_outlier.sum())
         arc, = arc_features(points, KNOWN)
-        assert np.linalg.norm(arc.centre - CENTRE) < 1.5e-4 and abs(arc.radius - 0.03) < 1.5e-4
+        assert np.linalg.norm(arc.centre - CENTRE) < 1.5e-4
+        assert abs(arc.radius - 0.03) < 1.5e-4
 
 
 def in_clutter(height: Callable[[Array], Array], share: float, noise: float, alike: int,

@@ -42,7 +42,8 @@ TOWARDS = with_values(CONFIG, {'profile.range_sign': -1}, 'test')
 def features_of(points: Array, config: Config = CONFIG) -> tuple[FaceLine, list[EdgePoint]]:
     """Return the face line and the edges of a profile, left to right."""
     line, *edges = face_features(points, config)
-    assert isinstance(line, FaceLine) and all(isinstance(edge, EdgePoint) for edge in edges)
+    assert isinstance(line, FaceLine)
+    assert all(isinstance(edge, EdgePoint) for edge in edges)
     return line, sorted(edges, key=lambda edge: edge.point[0])
 
 
@@ -304,7 +305,8 @@ def test_a_few_deep_ends_are_no_bevel_of_all() -> None:
     depths = [*[0.0] * 6, *[3e-5] * 4, 2.4e-4, 2.5e-4, 3.3e-4, 7e-4]
     samples = [Sample(k, np.eye(4), (LINE, replace(sharp, drop=np.array([0.0, depth]))))
                for k, depth in enumerate(depths)]
-    assert common_shape(samples).size == 0 and common_shape(samples[-4:]).size > 2e-4
+    assert common_shape(samples).size == 0
+    assert common_shape(samples[-4:]).size > 2e-4
 
 
 @pytest.mark.parametrize('drop', [0.003, 0.012])
@@ -314,7 +316,8 @@ def test_a_smoothed_step_is_cut_at_half_its_height(drop: float) -> None:
         smooth = np.convolve(np.pad(z, 4, mode='edge'), np.ones(9) / 9, 'valid')
         smooth[[int(seed * 3 + 300), 320]] = np.nan
         edge = edge_of(np.column_stack([X, smooth]))
-        assert abs(edge.point[0] - at) < PITCH < 2 * edge.std and edge.ending == 'step'
+        assert abs(edge.point[0] - at) < PITCH < 2 * edge.std
+        assert edge.ending == 'step'
 
 
 WORST: list[tuple[str, dict[str, Any], float]] = [

@@ -37,7 +37,9 @@ def test_every_stop_gives_a_sample_with_its_pose_and_its_first_stamp() -> None:
     session = played(stops((0, 1), (2, 3), (4, 5.2)), profiles(0, 5.2))
     assert [round((s.stamp - START) / NS, 3) for s in session.samples] == [0.103, 2.103, 4.103]
     assert [round(float(s.T_base_flange[0, 3]), 6) for s in session.samples] == [0.0, 0.1, 0.2]
-    assert not session.rejects and not session.warnings and session.frame_id == 'laser'
+    assert not session.rejects
+    assert not session.warnings
+    assert session.frame_id == 'laser'
 
 
 @pytest.mark.parametrize('still_time', [0.3, 0.8])

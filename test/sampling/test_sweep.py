@@ -102,7 +102,8 @@ def test_a_rest_during_a_sweep_is_one_pass() -> None:
     finder = StopFinder(with_values(Config(), {'sampling.mode': 'moving'}, 'a test').sampling)
     ended = [finder.add(pose) for pose in [*poses(times), *rest, *second_pass]]
     spans = [(dwell.start / NS, dwell.end / NS) for dwell in ended if dwell]
-    assert [end - start > 3.0 for start, end in spans].count(True) == 1 and len(spans) == 4
+    assert [end - start > 3.0 for start, end in spans].count(True) == 1
+    assert len(spans) == 4
 
 
 def sweep(target: str, offset: float, **values: object) -> Scenario:
@@ -129,7 +130,8 @@ def test_a_sweep_gives_transform_and_time_offset(target: str, offset: float, kin
     profiles = [replace(p, stamp=p.stamp + config.offset_ns) for p in recording.profiles]
     calibration = pipeline.calibrate(profiles, recording.poses, config)
     errors = errors_against(calibration.T_flange_sensor, recording.truth.T_flange_sensor)
-    assert errors.mapped_points < 6e-5 and calibration.time_offset is not None
+    assert errors.mapped_points < 6e-5
+    assert calibration.time_offset is not None
     offset_error = calibration.time_offset.value - offset
     assert abs(offset_error) < 2e-4 and abs(offset_error) < 4 * calibration.time_offset.std < 1e-3
 
@@ -271,7 +273,8 @@ def test_profiles_in_gaps_between_the_poses_do_not_pull_the_time_offset() -> Non
     assert abs(timed.samples[0].clock_values.offset - 0.02) < 5e-4
     calibration = pipeline.calibrate(recording.profiles, poses, config)
     delta = se3.difference(calibration.T_flange_sensor, recording.truth.T_flange_sensor)
-    assert np.linalg.norm(delta[:3]) < 5e-5 and calibration.quality.weakest_std < 1e-4
+    assert np.linalg.norm(delta[:3]) < 5e-5
+    assert calibration.quality.weakest_std < 1e-4
 
 
 def test_a_late_rotation_and_an_exposure_are_part_of_the_model() -> None:

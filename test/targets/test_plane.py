@@ -22,7 +22,8 @@ def test_a_profile_without_an_edge_is_a_plane_and_no_face() -> None:
     points = np.column_stack([x, 0.17 + 0.1 * x + 1e-5 * np.sin(1e5 * x)])
     points[-30:, 1] += 0.05  # 5 mm of something else
     line, beside = plane_features(points, Config())
-    assert beside.centre[0] > line.centre[0] and isinstance(line, FaceLine)
+    assert beside.centre[0] > line.centre[0]
+    assert isinstance(line, FaceLine)
     np.testing.assert_allclose(line.direction[1] / line.direction[0], 0.1, atol=1e-3)
     assert line.centre[0] < 0
     flat = np.column_stack([x[:-30], 0.17 + 0.1 * x[:-30]])

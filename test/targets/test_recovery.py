@@ -112,4 +112,5 @@ def test_the_table_of_the_document_has_every_motion_and_target() -> None:
 @pytest.mark.parametrize(('motion', 'name', 'rank', 'unknowns'), list(table()))
 def test_a_motion_shows_what_is_stated(motion: str, name: str, rank: int, unknowns: int) -> None:
     values = singular_values(name, motion)
-    assert len(values) == unknowns and int((values > ZERO).sum()) == rank
+    assert len(values) == unknowns
+    assert int((values > ZERO).sum()) == rank
