@@ -22,7 +22,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.estimation.basis import bent_line, distortion_fields
-from handeye_ros.estimation.blocks import line_bend
+from handeye_ros.estimation.blocks import line_bend, points_on_target, sensor_scale
 from handeye_ros.estimation.noise import EDGES, FACES, POSES
 from handeye_ros.estimation.problem import linearise, PoseModel, Problem
 from handeye_ros.estimation.solve import map_solution, Solution
@@ -115,6 +115,20 @@ def test_a_distortion_is_no_motion_of_the_plane() -> None:
                    np.stack([z, -x], 1)):
         assert np.abs(np.einsum('mi,mik->k', motion, fields)).max() < 1e-9
     assert np.sqrt((fields ** 2).sum(axis=2).mean(axis=0)) == pytest.approx([1, 1], rel=0.1)
+
+
+@pytest.mark.parametrize('target', ['plate', 'sphere'])
+def test_a_scale_of_the_sensor_changes_residuals_as_stretched_points_do(target: str) -> None:
+    solution = solved(cell(target, 1, noise__robot_scale=7e-4).problem)
+    linear, h = linearise(solution.problem, solution.estimate), 1e-4
+    observations, middle = solution.problem.observations, points_on_target(linear).mean(axis=0)
+    longer, shorter = (linearise(replace(solution.problem, observations=replace(
+        observations, points=middle + (1 + scale) * (observations.points - middle))),
+        solution.estimate).residuals for scale in (h, -h))
+    [block] = sensor_scale(linear)
+    assert block.std == 0.3 * solution.problem.config.noise.robot_scale
+    assert block.columns[:, 0] / block.std == pytest.approx((longer - shorter) / (2 * h),
+                                                            rel=1e-2, abs=1e-3)
 
 
 @pytest.mark.thorough

@@ -290,6 +290,18 @@ def test_a_late_rotation_and_an_exposure_are_part_of_the_model() -> None:
 
 
 @pytest.mark.thorough
+def test_edges_that_a_long_exposure_shifts_are_no_scale() -> None:
+    scenario = sweep('plate', 0.02, exposure=0.02)
+    recording = simulate(scenario, np.random.default_rng(2))
+    exposed, instant = (with_values(config_of(scenario), {'profile.exposure': exposure}, 'a test')
+                        for exposure in (0.02, 0.0))
+    calibration = pipeline.calibrate(recording.profiles, recording.poses, exposed)
+    assert squared_error(calibration, recording.truth) < ONE_IN_20
+    with pytest.raises(DataError, match='lengths of robot and sensor differ'):
+        pipeline.calibrate(recording.profiles, recording.poses, instant)
+
+
+@pytest.mark.thorough
 def test_jitter_of_the_stamps_is_noise_along_the_path() -> None:
     scenario = sweep('sphere', 0.02, stamp_jitter=1e-3)
     recording = simulate(scenario, np.random.default_rng(4))
