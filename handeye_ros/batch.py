@@ -20,7 +20,7 @@ from typing import Any, TypeAlias
 from handeye_ros import __version__
 from handeye_ros.bags.reader import SUFFIXES
 from handeye_ros.config import read_yaml
-from handeye_ros.errors import InputError, without_numbers
+from handeye_ros.errors import count_of, InputError, without_numbers
 from handeye_ros.output import csv_text, rendered, write_atomically
 from handeye_ros.tables import Table
 from handeye_ros.trend import AXES
@@ -107,8 +107,9 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
     uses = Counter(folder for label in labels for folder in (label, *label.parents))
     for label in labels:  # results replace the folder of their label
         if not label.parts or uses[label] > 1 or label.is_absolute() or '..' in label.parts:
-            raise InputError(f'the label "{label}" is no folder of its own inside that of the '
-                             'results: give other labels in a CSV list (bag,label)')
+            raise InputError(f'the label "{label}" ({count_of(uses[label], "recording")}) is no '
+                             'folder of its own inside that of the results: give each another '
+                             'label in a CSV list (bag,label)')
     return jobs
 
 

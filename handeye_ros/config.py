@@ -534,10 +534,21 @@ def _with_record(config: Config, key: str, value: Any) -> Config:
     return replace(config, record=tuple((n, t) for n, t in record.items() if t))
 
 
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """Refuses a key that stands twice: PyYAML takes the second, a node merges both."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        """Return a mapping as SafeLoader does; raises YAMLError."""
+        names = [key.value for key, _ in node.value]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise yaml.YAMLError(f'the key "{twice[0]}" stands twice{node.start_mark}')
+        return super().construct_mapping(node, deep)
+
+
 def read_yaml(path: Path) -> Any:
     """Return the content of a YAML file; raises InputError."""
     try:
-        return yaml.safe_load(path.read_text(encoding='utf-8'))
+        return yaml.load(path.read_text(encoding='utf-8'), _UniqueKeyLoader)
     except OSError as error:
         raise unusable_file(path, error.strerror or str(error)) from error
     except BAD_YAML as error:

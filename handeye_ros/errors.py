@@ -140,7 +140,8 @@ class UnwritableError(InputError):
 
     def __init__(self, path: object, error: OSError) -> None:
         reason = error.strerror or str(error)  # a sentence of this package holds its remedy
-        remedy = {None: '', errno.ENOSPC: '; free some space', errno.EDQUOT: '; free some space'}
+        remedy = {None: '', errno.ENOSPC: '; free some space', errno.EDQUOT: '; free some space',
+                  errno.EEXIST: ', and is no folder; choose another place'}
         super().__init__(f'cannot write {path}: {reason}'
                          f'{remedy.get(error.errno, "; choose another place")}')
 

@@ -166,6 +166,8 @@ def test_a_parameter_file_is_put_into_a_configuration(tmp_path, text, values):
     ('/1/handeye: {ros__parameters: {name: a}}\n/2/handeye: {ros__parameters: {name: b}}',
      'keep those of one'),
     ('/**: {ros__parameters: {1: 2}}', '"1"'),
+    ('/**:\n  ros__parameters:\n    noise: {sensor: 1.0e-4}\n    noise: {flatness: 1.0e-5}\n',
+     'key "noise" stands twice'),
     ('/**: {ros__parameters: {sampling: {still: 1.0}}}',
      r'"sampling.still" in .*c.yaml; did you mean')])
 def test_a_file_of_another_form_is_refused(tmp_path, content, words):

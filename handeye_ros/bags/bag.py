@@ -144,8 +144,8 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     gap = max(profiles[0].stamp - poses[-1].stamp, poses[0].stamp - profiles[-1].stamp)
     if gap > 0:
         raise DataError(f'profiles and poses share no time: {gap * 1e-9:.1f} s are between them; '
-                        'the clocks of sensor and robot differ, or they were not recorded '
-                        'together')
+                        'the clocks of sensor and robot differ, one of the two topics ended '
+                        'early, or they were not recorded together')
     return Recording(tuple(profiles), poses, joints if len(joints) else None, reader.warnings,
                      reader.files)
 

@@ -29,8 +29,8 @@ def target_for(config: Config) -> ProfileTarget:
     Raises InputError for a name that does not exist, or a target that is solved from files.
     """
     if config.target.type in FROM_FILES:
-        raise InputError(f'target.type {config.target.type} is solved from files, not from a '
-                         'stream of profiles: run "handeye solve INPUT --config FILE"')
+        raise InputError(f'target.type {config.target.type} is solved from files ("handeye solve '
+                         'INPUT --config FILE"), and profiles show no such target')
     key, name = ('target.type', config.target.type) if config.method == 'auto' else (
         'method', config.method)
     if name not in TARGETS:

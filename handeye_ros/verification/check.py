@@ -181,6 +181,12 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
             f'{_shifts_in_words(sensor_axes, sensor_shows, mount_frame(config))} on')
     else:
         verdict, sentence = _verdict_and_sentence(causes, odds)
+        if 'robot' in verdict and (off := rms(comparison.linear.residuals)) > MOVE_SCALES[-1]:
+            raise DataError(
+                f'this recording is off by {mm(off)} RMS from what the calibration has, which '
+                'neither a small move nor an error of the robot explains: check that the '
+                'calibration is of this sensor, robot and target, and that the target still '
+                'stands there; if it does not, calibrate again', reason='other_cell')
     stamps = passes or sorted([*(sample.stamp for sample in samples),
                                *(reject.stamp for reject in others)])
     left_out = sorted({bisect_right(stamps, samples[k].stamp) for k in contradicting})

@@ -36,6 +36,8 @@ ONE_SIDED_95 = 1.64
 SIGNIFICANCE = 0.01  # level of the tests of a calibration error
 INCONSISTENT_P = 1e-3  # level of the test that the points agree
 UNEXPLAINED_P = 1e-6  # below this p no error of the calibration explains the points
+OTHER_SIZE = ('the points fit the shape, and no error of the calibration explains these '
+              'deviations: check the nominal values (verify.radius, verify.lengths)')
 # decisions of ISO 14253-1
 CONFORMS, VIOLATES, UNDECIDED = 'conforms', 'does not conform', 'not decided'
 
@@ -127,10 +129,11 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
         freed = refit_shape(shape, X, calibration.covariance, smooth_std)
         if freed.error.p_explained < UNEXPLAINED_P and freed.scatter.maximum > limits.tolerance:
             raise DataError(
-                f'this is not what "{routine.name}" measures: no error of the calibration brings '
-                f'all points closer than {mm(freed.scatter.maximum)} to its shape. Check which '
-                'object was under the sensor, that it did not move, that nothing else was in view '
-                '(verify.near), and, of a sweep, that the clocks are as they were (handeye check)')
+                f'this is not what "{routine.name}" measures: no small error of the calibration '
+                f'brings all points closer than {mm(freed.scatter.maximum)} to its shape. Check '
+                'that the calibration is of this sensor, which object was under it, that the '
+                'object did not move, that nothing else was in view (verify.near), and, of a '
+                'sweep, that the clocks are as they were (handeye check)')
     quantities = (*fit.quantities, *routine.scatter(shape.stations, fit.distances))
     per_station = _station_results(stations, shape.stations, fit, p, dropped)
     verdict, reasons = _decide(fit, quantities, per_station, limits, smooth_std)
@@ -197,7 +200,8 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Sta
             'this decides nothing: an error of the calibration would show only from '
             f'{mm(fit.error.detectable)} on ({fit.error.weakest_direction}), and the tolerance is '
             f'{mm(limits.tolerance)}{remedy(fit.error.detectable, limits.tolerance)}'))
-    return verdict, (*failed, *undecided, *_notes(fit, other_size, results))
+    return verdict, tuple(dict.fromkeys(
+        [*failed, *undecided, *_notes(fit, other_size, results)]))
 
 
 def decision(deviation: float, U: float, tolerance: float) -> str:
@@ -253,8 +257,8 @@ def _points_off(fit: ShapeFit, results: Sequence[StationResult], limits: VerifyC
     if fit.error.p_chance <= SIGNIFICANCE and outcome == VIOLATES and not other_size:
         yield VIOLATES, f'the pattern of the distances matches {error} at the points'
     elif fit.error.p_chance <= SIGNIFICANCE and outcome != CONFORMS:
-        yield UNDECIDED, (f'the points suggest {error}, which may exceed the tolerance: measure '
-                          'at more stops')
+        yield UNDECIDED, OTHER_SIZE if other_size else (
+            f'the points suggest {error}, which may exceed the tolerance: measure at more stops')
     contradicting = [s.name for s in results if s.used and s.p * len(results) < FALSE_ALARM]
     if contradicting:
         yield UNDECIDED, (f'{", ".join(contradicting)} contradict the others under every possible '
@@ -269,7 +273,9 @@ def _notes(fit: ShapeFit, other_size: bool, results: Sequence[StationResult]) ->
                f'explain (p = {fit.scatter.p:.1g}): the calibration is worse than it claims, the '
                'artefact moved, or the noise is set too small')
     if other_size:
-        yield ('the points fit the shape, and no error of the calibration explains these '
-               'deviations: check the nominal values (verify.radius, verify.lengths)')
+        yield OTHER_SIZE
+    if unknown := [q.name for q in fit.quantities if q.error is None]:
+        yield (f'without a nominal value (verify.radius, verify.reference) nothing is said about '
+               f'{", ".join(unknown)}')
     if fit.claim_p < SIGNIFICANCE:
         yield f'the deviations are larger than the calibration claims (p = {fit.claim_p:.1g})'

@@ -169,11 +169,15 @@ def test_a_sphere_that_an_earlier_version_wrote_is_compared_with(calibrated):
     assert check(samples, earlier, config).sentence == check(samples, calibration, config).sentence
 
 
+FAR = se3.perturb(np.eye(4), np.array([0.1, 0.05, 0.0, 0.0, 0.0, 1.0]))  # another sensor's place
+
+
 def test_what_cannot_be_checked_is_refused(calibrated):
     scenario, config, sphere, X, T = calibrated['sphere']
     eight = bench.samples(scenario, 8, X, T, np.random.default_rng(3))
     for samples, calibration, error, words in (
             (eight[:3], sphere, DataError, '3 usable'), ([], sphere, DataError, '0 usable'),
+            (eight, replace(sphere, T_flange_sensor=X @ FAR), DataError, 'is of this sensor'),
             (eight, replace(sphere, method='points'), InputError, 'points'),
             (eight, replace(sphere, target={'centre': {}}), InputError, 'does not hold'),
             (eight, with_state(sphere, [1.0, 2.0]), InputError, 'does not hold')):
