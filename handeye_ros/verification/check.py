@@ -52,6 +52,7 @@ from handeye_ros.verification.fit import (
     root_of,
 )
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import softmax
 
 FORMAT = 'handeye_ros/check/2'
@@ -61,6 +62,7 @@ SMALLEST_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
 MOVE_SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
 TURN_LEVER = 0.1  # m: a scale over it is that of a turn
 MOST_ITERATIONS = 6
+LARGEST_LOST_SHARE = 0.2  # of the stations: with edges far from those of the target
 NAMED_FROM = 0.95  # probability with which one cause, or some together, are named
 MOST_OF_SWEEP = 30  # samples of a sweep: neighbours share the errors of the robot
 UNSEEN_SHIFT = 0.01  # m: a shift that would show only from here on is called unseen
@@ -257,12 +259,27 @@ def _observed(samples: Sequence[Sample], calibrated: _Calibrated, config: Config
               others: Sequence[Reject]) -> Problem:
     """Return the samples as a problem, with only what they show of the calibrated target."""
     target, estimate = calibrated.target, calibrated.estimate
-    problem = Problem(target, frames.mount_poses_of(samples, config), target.observe(samples),
-                      config, long_errors=True)
-    require_stations([len(np.unique(problem.observations.station))], others)
-    labelled = target.reassign(problem.observations, problem.points_in_base(estimate.X),
-                               estimate.state, config)
-    return replace(problem, observations=labelled.select(labelled.kind != UNUSED))
+    observations = target.observe(samples)
+    problem = Problem(target, frames.mount_poses_of(samples, config), observations, config,
+                      long_errors=True)
+    require_stations([len(np.unique(observations.station))], others)
+    p = problem.points_in_base(estimate.X)
+
+    def labelled(groups: NDArray[np.intp]) -> Problem:
+        """Return the problem with the points of each group assigned to the edges near them."""
+        kind = observations.kind.copy()
+        for group in np.unique(groups):
+            rows = groups == group
+            kind[rows] = target.reassign(
+                observations.select(rows), p[rows], estimate.state, config).kind
+        return replace(problem, observations=replace(
+            observations, kind=kind).select(kind != UNUSED))
+    together = labelled(np.zeros_like(observations.station))
+    # alone, the edge of a station is near whatever its distance: the target may have slid along
+    # its face
+    alone = labelled(observations.station)
+    lost = alone.shows_essential & ~together.shows_essential
+    return alone if lost.mean() > LARGEST_LOST_SHARE else together
 
 
 @dataclass(frozen=True, eq=False)
