@@ -134,14 +134,18 @@ def _label_of(bag: Path) -> str:
 
 def words_of(args: str, config: Path | str | None, settings: Iterable[str],
              folder: Path = Path()) -> tuple[str, ...]:
-    """Return the words of a command with absolute paths of its files, for workers."""
-    files = ['--config', str((folder / config).absolute())] if config else []
+    """Return the words of a command with absolute paths of what it names, for workers."""
     try:
         words = shlex.split(args)
     except ValueError as error:
         raise InputError(f'args: {args!r} has a quotation mark that is not closed') from error
-    return (*(str((folder / word).absolute()) if (folder / word).is_file() else word
-              for word in words), *files, *(f'--set={text}' for text in settings))
+    for k, word in enumerate(words):
+        option, equals, value = word.partition('=') if word[:2] == '--' else ('', '', word)
+        path, of_option = folder / value, equals or (k and words[k - 1][:2] == '--')
+        if value and (path.is_file() or (of_option and path.is_dir())):  # no folder "sphere"
+            words[k] = f'{option}{equals}{path.absolute()}'
+    files = ['--config', str((folder / config).absolute())] if config else []
+    return (*words, *files, *(f'--set={text}' for text in settings))
 
 
 def _listed(path: Path, base: Job) -> Iterator[Job]:

@@ -16,7 +16,7 @@ from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.scanning.cloud import read_cloud, write_cloud
 from handeye_ros.scanning.scan import point_std, Scanner, ScanOptions
-from moving_scan import calibration, moving, plane_profiles, STEP, T0, true_flange
+from moving_scan import calibration, moving, plane_profile, plane_profiles, STEP, T0, true_flange
 import numpy as np
 from plyfile import PlyData, PlyElement
 import pypcd4
@@ -172,6 +172,9 @@ def test_clouds_of_others_are_read(tmp_path):
     for encoding in (pypcd4.Encoding.ASCII, pypcd4.Encoding.BINARY):
         cloud.save(tmp_path / 'o.pcd', encoding)
         np.testing.assert_allclose(read_cloud(tmp_path / 'o.pcd'), points, rtol=1e-6)
+    (tmp_path / 'o.pcd').write_text('FIELDS normal x y z\nSIZE 4 4 4 4\nTYPE F F F F\n'
+                                    'COUNT 3 1 1 1\nPOINTS 1\nDATA ascii\n0 0 1 10 20 30\n')
+    np.testing.assert_array_equal(read_cloud(tmp_path / 'o.pcd'), [[10, 20, 30]])
     even = pypcd4.PointCloud.from_xyz_points(np.ones((7, 3), np.float32))
     even.save(tmp_path / 'o.pcd', pypcd4.Encoding.BINARY_COMPRESSED)
     with pytest.raises(InputError, match='not compressed'):
@@ -197,11 +200,12 @@ def test_damaged_clouds_are_refused_and_one_that_breaks_off_is_not_there(tmp_pat
 
 def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
-    bag_write.write(tmp_path / 'bag', plane_profiles(100), moving(100))
+    beside = replace(plane_profile(0), points=np.empty((0, 2)))  # the part
+    bag_write.write(tmp_path / 'bag', [beside, *plane_profiles(101)[1:]], moving(101))
     bag = with_layout(tmp_path / 'bag', tmp_path, POINTS['scancontrol'])
     run = succeeds('scan', bag, '--calibration', 'calibration.yaml', '--out', 'c.ply',
                    '--std', '--range', '-1m', 'inf', '--voxel', '0um', cwd=tmp_path)
-    assert run.stdout.startswith('100 profiles, 5000 returns\n')
+    assert run.stdout.startswith('101 profiles, 5000 returns\n')
     vertex = PlyData.read(tmp_path / 'c.ply')['vertex']
     assert [p.name for p in vertex.properties] == ['x', 'y', 'z', 'intensity', 'std']
     np.testing.assert_allclose(vertex['z'], 0.1, atol=1e-6)
