@@ -351,7 +351,7 @@ def _left_out(data: ComparedData, estimator: Estimator, folds: int, progress: Pr
 def tables(comparison: Comparison) -> RenderableType:
     """Return the transforms of all rows, and below them their figures."""
     rows = comparison.rows
-    with_errors = any(row.error_mapped_points for row in rows)
+    with_errors = any(row.error_mapped_points is not None for row in rows)
     shown = {name: column for name, column in ROW_FIGURES.items()
              if with_errors or not name.startswith('error')}
     transforms = figures_table('estimator', 'x, y, z (mm)\nroll, pitch, yaw (degrees)',

@@ -8,7 +8,7 @@ from dataclasses import replace
 from command import assert_refused, handeye, succeeds
 from handeye_ros import se3, trend
 from handeye_ros.data import SampleReport
-from handeye_ros.errors import InputError
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 import numpy as np
 import pytest
@@ -50,6 +50,21 @@ def test_only_calibrations_of_one_sensor_are_compared(tmp_path):
         assert len(entries) == 3 and 'rear on flange, not of laser on flange' in warning
     entries, warnings = trend.trend(tmp_path, replace(calibration, child_frame='rear'))
     assert len(entries) == 1 and len(warnings) == 3
+    for day in (1, 2):
+        write_calibration(replace(calibration, covariance=np.zeros((6, 6))),
+                          tmp_path / f'day_{day}/calibration.yaml')
+    with pytest.raises(DataError, match='1 readable calibration.yaml of laser on flange: '):
+        trend.trend(tmp_path)
+
+
+def test_a_drift_in_small_steps_is_told(tmp_path):
+    for k in range(20):
+        step = np.repeat([k * 0.8, 0], 3) * bench.STD
+        write_calibration(stated(se3.perturb(np.eye(4), step), provenance={'created': f'{k:02}'}),
+                          tmp_path / f'{k}/calibration.yaml')
+    entries, _ = trend.trend(tmp_path)
+    assert min(entry.p_before for entry in entries) > 0.5
+    assert trend.since_when(entries).startswith('the calibration drifted: 05 differs')
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):

@@ -149,6 +149,7 @@ def check(
     from handeye_ros.verification.check import check_recording, plain_values
     calibration, settings = open_calibration(against, config, assignments, kinematics)
     checks: list[tuple[str, Check]] = []
+    since: Path | None = None  # the first of the latest recordings, if these are changed
     for bag in bags:
         recording = read_bag(bag, settings)
         warn_of_frame(recording, calibration)
@@ -156,13 +157,13 @@ def check(
             result = check_recording(recording.profiles, recording.poses, calibration, settings)
         _warn_of_calibration_samples(bag, [result.stamp], calibration)
         checks.append((str(bag), result))
+        since = None if result.verdict == 'unchanged' else since or bag
         typer.echo(f'{bag} ({result.stations} stations): {result.verdict.upper()}: '
                    f'{result.sentence}')
-    changed = [name for name, result in checks if result.verdict != 'unchanged']
-    if changed and len(checks) > 1:
-        typer.echo(f'since {changed[0]}')
+    if since and len(checks) > 1:
+        typer.echo(f'since {since}')
     write_yaml(out, plain_values(checks, str(against)))
-    if changed:
+    if any(result.verdict != 'unchanged' for _, result in checks):
         raise typer.Exit(NOT_AS_WANTED)
 
 
