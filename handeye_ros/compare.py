@@ -19,7 +19,7 @@ from handeye_ros import pipeline, se3, targets
 from handeye_ros.calibration import measured_points
 from handeye_ros.checks.refusals import missing_motion, require_certain
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, Reject, rms, Sample
+from handeye_ros.data import Arc, Array, Indices, Reject, rms, Sample
 from handeye_ros.errors import DataError, InputError, SingularError
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import Estimate, Problem
@@ -33,7 +33,6 @@ from handeye_ros.tabulated.pairs import PairedRows, PosePairs
 from handeye_ros.tabulated.values import answer_table, TableProblem
 from handeye_ros.targets import line, plate, TARGETS
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from rich.text import Text
 
@@ -83,12 +82,12 @@ class ComparedStations:
         """Return points (k, 3) in the sensor plane over which errors are reported."""
         return field_points()
 
-    def subset(self, stations: NDArray[np.intp]) -> ComparedStations:
+    def subset(self, stations: Indices) -> ComparedStations:
         """Return some of the stations (ascending indices)."""
         return replace(self, samples=tuple(self.samples[i] for i in stations),
                        problem=self.problem.subset(stations))
 
-    def residuals(self, X: Array, fitted: NDArray[np.intp], measured: NDArray[np.intp]) -> Array:
+    def residuals(self, X: Array, fitted: Indices, measured: Indices) -> Array:
         """Return distances (m) of `measured` stations for X, the target fitted to `fitted`."""
         part = self.problem.subset(fitted)
         target_alone = _TargetProblem(part.target, part.poses, part.observations, part.config)
@@ -102,7 +101,7 @@ class _TargetProblem(Problem):
     """A problem with only the target unknown, and the transform given."""
 
     @property
-    def free_columns(self) -> NDArray[np.intp]:
+    def free_columns(self) -> Indices:
         return super().free_columns[6:]
 
 

@@ -30,7 +30,7 @@ from handeye_ros.config import assignment, SAVE_FORMATS
 from handeye_ros.errors import InputError, NoRosError
 import typer
 
-Saved = Annotated[Path, typer.Argument(
+CalibrationPath = Annotated[Path, typer.Argument(
     metavar='CALIBRATION', help='A calibration.yaml, or the folder that holds it.')]
 
 
@@ -134,7 +134,7 @@ def samples(
 
 @app.command()
 def report(
-    path: Saved,
+    path: CalibrationPath,
     bag: Annotated[NoPath, typer.Option(
         metavar='BAG', help='The recording or session; if not given, the one that the calibration '
         'names.')] = None,
@@ -167,7 +167,7 @@ def report(
 
 @app.command()
 def export(
-    path: Saved,
+    path: CalibrationPath,
     name: Annotated[str, typer.Option(
         '--format', autocompletion=lambda: list(SAVE_FORMATS),
         help=f'One of {", ".join(SAVE_FORMATS)}.')],

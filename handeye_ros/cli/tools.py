@@ -57,7 +57,7 @@ def kinematics(
                                  'points')
     settings = configuration(config, assignments)
     from handeye_ros.arm import read_urdf
-    from handeye_ros.results.calibration_file import input_values
+    from handeye_ros.results.file_values import input_values
     from handeye_ros.robot.arm_answer import table
     from handeye_ros.robot.sources import solve_sources, solve_table, source_of
     text, arm = read_urdf(urdf, base, flange)

@@ -23,7 +23,7 @@ from handeye_ros.arm import (
 from handeye_ros.data import Calibration
 from handeye_ros.output import write_atomically, yaml_text
 from handeye_ros.results import exports
-from handeye_ros.results.calibration_file import dated, NEWEST
+from handeye_ros.results.calibration_file import dated
 from handeye_ros.results.table import figures_table
 from handeye_ros.robot.selection import ArmOutcome, UNCHANGED_ARM
 from handeye_ros.sampling.stops import evenly_chosen
@@ -90,7 +90,7 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
     outcome, arm, calibration = answer.outcome, answer.outcome.arm, answer.calibration
     stored = evenly_chosen(len(arm.configurations), MOST_CONFIGURATIONS)
     return {
-        'format': f'{FORMAT}{NEWEST}', 'name': calibration.name, 'base': arm.base,
+        'format': FORMAT, 'name': calibration.name, 'base': arm.base,
         'flange': arm.flange, 'joints': answer.joints, 'end': se3.transform_values(arm.end),
         'zero_offsets_degrees': {
             joint.name: round(math.degrees(offset), 5)

@@ -94,11 +94,11 @@ class Scanner:
         self._fields: np.dtype[np.void] | None = None  # of a point, as the first profile has them
         self._filled = set[int]()  # cubes that have their point
 
-    def scan(self, profiles: Iterable[Profile], track: Trajectory) -> Iterator[Points]:
+    def scan(self, profiles: Iterable[Profile], trajectory: Trajectory) -> Iterator[Points]:
         """Yield the points of profiles in pieces; raises DataError where there are none."""
         source, count = iter(profiles), self.count
         while batch := list(islice(source, BATCH_PROFILES)):
-            yield self.points(batch, track)
+            yield self.points(batch, trajectory)
         if count.profiles == count.without_pose > 0:
             raise DataError(
                 f'none of the {count.profiles} profiles has a pose before and after it within '
@@ -109,18 +109,18 @@ class Scanner:
                             'returns: widen the limits (--range, --incidence), or, without '
                             'returns, check range and exposure of the sensor')
 
-    def points(self, profiles: Sequence[Profile], track: Trajectory) -> Points:
+    def points(self, profiles: Sequence[Profile], trajectory: Trajectory) -> Points:
         """Return the points of some profiles: x, y, z in the frame (m), intensity, std."""
         if self._fields is None:
             optional = {'intensity': profiles[0].intensity is not None, 'std': self.options.std}
             self._fields = np.dtype([(name, '<f4') for name in (
                 *'xyz', *compress(optional, optional.values()))])
         stamps = np.array([p.stamp for p in profiles], dtype=np.int64) + self.config.offset_ns
-        flange = track.at(stamps, self.lag)
+        flange = trajectory.at(stamps, self.lag)
         self.count.profiles += len(profiles)
         self.count.without_pose += len(profiles) - int(flange.inside.sum())
         T = mount_poses(flange.T_base_flange, self.config) @ self.calibration.T_flange_sensor
-        stds = track.std(stamps) if self.options.std else np.zeros((len(profiles), 2))
+        stds = trajectory.std(stamps) if self.options.std else np.zeros((len(profiles), 2))
         used = compress(zip(profiles, T, stds, strict=True), flange.inside)
         cloud = np.concatenate([np.empty(0, self._fields), *(
             self._of_profile(self._fields, *item) for item in used)])
@@ -181,7 +181,7 @@ def point_std(calibration: Calibration, noise: NoiseConfig, lever: Array, pose_s
 
     lever: (n, 3) from the sensor to the points, in the axes of its mount (m).
     Its square is the mean squared length of the position's error, the trace of its covariance:
-    of the calibration (6x6), of the range, of single poses (noise), and of the track of the poses
+    of the calibration (6x6), of the range, of single poses (noise), and of the trajectory
     (pose_std (2,), per axis, m and rad).
     """
     X, C = calibration.T_flange_sensor, calibration.covariance

@@ -33,7 +33,7 @@ from handeye_ros.frames import T_sensor_plane
 from handeye_ros.profiles.arcs import arc_features
 from handeye_ros.profiles.faces import corner_features
 from handeye_ros.published import jing2020
-from handeye_ros.results.calibration_file import input_values
+from handeye_ros.results.file_values import input_values
 from handeye_ros.results.truth import field_points, FIELD_TEXT
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.tables import LENGTH, Table, TableError

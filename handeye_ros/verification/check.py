@@ -28,6 +28,7 @@ from handeye_ros.data import (
     Array,
     Calibration,
     ClockEstimate,
+    Indices,
     Reject,
     rms,
     Sample,
@@ -45,7 +46,6 @@ from handeye_ros.targets.profile_target import grazing, out_of_face
 from handeye_ros.verification.fit import (
     fit_without_outliers,
     GroupFit,
-    Indices,
     largest_displacement,
     likeliest,
     require_stations,
@@ -154,25 +154,25 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     calibrated = _Calibrated.read(calibration, config)
     problem = _observed(samples, calibrated, config, others)
 
-    def compared_at(stops: Indices) -> GroupFit[_Comparison]:
-        comparison = _comparison(problem.subset(stops), calibrated)
-        station = comparison.linear.problem.observations.station
+    def compared_at(stops: Indices) -> GroupFit[_Prediction]:
+        prediction = _predicted(problem.subset(stops), calibrated)
+        station = prediction.linear.problem.observations.station
         require_stations([len(np.unique(station))])
         # whatever moved, and however the calibration errs
-        moves = [comparison.moved(name)[1] * _move_sigmas(MOVE_SCALES[-1]) for name in MOVABLE]
-        return GroupFit(comparison, comparison.residuals, np.hstack([comparison.errors, *moves]),
+        moves = [prediction.moved(name)[1] * _move_sigmas(MOVE_SCALES[-1]) for name in MOVABLE]
+        return GroupFit(prediction, prediction.residuals, np.hstack([prediction.errors, *moves]),
                         stops[station])
 
-    comparison, _, contradicting = fit_without_outliers(
+    prediction, _, contradicting = fit_without_outliers(
         np.unique(problem.observations.station), compared_at)
-    target, sensor = (_moved(comparison, name) for name in MOVABLE)
+    target, sensor = (_moved(prediction, name) for name in MOVABLE)
     causes = {'target': target, 'sensor': sensor,
-              'robot': _Cause(_robot_likelihood(comparison), ROBOT_CHANGED)}
+              'robot': _Cause(_robot_likelihood(prediction), ROBOT_CHANGED)}
     likelihoods = [cause.likelihood for cause in causes.values()]
-    evidence = _log_mean(likelihoods) - _log_likelihood(comparison.residuals, comparison.errors)
+    evidence = _log_mean(likelihoods) - _log_likelihood(prediction.residuals, prediction.errors)
     odds = dict(zip(causes, softmax(likelihoods).tolist(), strict=True))
     (target_axes, target_shows), (sensor_axes, sensor_shows) = (
-        _smallest_shifts(comparison, name) for name in MOVABLE)
+        _smallest_shifts(prediction, name) for name in MOVABLE)
     if evidence < math.log(LEAST_EVIDENCE):
         verdict, sentence = 'unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
@@ -188,8 +188,8 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
         what = 'profiles of the passes' if passes else 'stops'
         sentence += f'. Left out, as they contradict the others: {what} {left_out}'
     return Check(
-        samples[0].stamp, verdict, sentence, len(comparison.linear.problem.poses),
-        rms(comparison.linear.residuals), math.exp(min(evidence, 700.0)), odds, target.shift,
+        samples[0].stamp, verdict, sentence, len(prediction.linear.problem.poses),
+        rms(prediction.linear.residuals), math.exp(min(evidence, 700.0)), odds, target.shift,
         target.turn, sensor.shift, sensor.turn, sensor.displacement, sensor.std,
         target_shows.tolist(), target_axes.tolist(), sensor_shows.tolist(), sensor_axes.tolist(),
         left_out)
@@ -260,7 +260,7 @@ def _observed(samples: Sequence[Sample], calibrated: _Calibrated, config: Config
 
 
 @dataclass(frozen=True, eq=False)
-class _Comparison:
+class _Prediction:
     """
     What a recording shows where a calibration is right and nothing has changed.
 
@@ -296,7 +296,7 @@ class _Comparison:
         return self.whiten(linear.residuals), self.whiten(wrt_move), lever
 
 
-def _comparison(problem: Problem, calibrated: _Calibrated) -> _Comparison:
+def _predicted(problem: Problem, calibrated: _Calibrated) -> _Prediction:
     """Return what a recording shows at the calibrated estimate."""
     obs, config, estimate = problem.observations, problem.config, calibrated.estimate
     # the range of faces seen at grazing incidence may be off by as much as a calibration allows
@@ -319,7 +319,7 @@ def _comparison(problem: Problem, calibrated: _Calibrated) -> _Comparison:
     errors = np.column_stack([
         linear.jacobian @ calibrated.root, wrt_smooth(linear.wrt_pose, differences), *setbacks,
         *ranges])
-    return _Comparison(linear, whiten, whiten(linear.residuals), whiten(errors))
+    return _Prediction(linear, whiten, whiten(linear.residuals), whiten(errors))
 
 
 def _log_likelihood(residuals: Array, errors: Array) -> float:
@@ -358,7 +358,7 @@ class _Cause(NamedTuple):
     std: float = 0.0
 
 
-def _moved(comparison: _Comparison, name: str) -> _Cause:
+def _moved(prediction: _Prediction, name: str) -> _Cause:
     """
     Return the cause "target" or "sensor" (name): that it moved.
 
@@ -366,17 +366,17 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
     """
     move, sigmas = NO_MOVE, _move_sigmas(MOVE_SCALES[-1])
     for _ in range(MOST_ITERATIONS):
-        r, D, lever = comparison.moved(name, move)
+        r, D, lever = prediction.moved(name, move)
         r = r + D @ move  # of no move, in this linearisation
-        x, C, _ = likeliest(np.hstack([comparison.errors, D * sigmas]), r)
+        x, C, _ = likeliest(np.hstack([prediction.errors, D * sigmas]), r)
         move, C = sigmas * x[-6:], C[-6:, -6:] * np.outer(sigmas, sigmas)
         likelihoods = [_log_likelihood(r, np.hstack([
-            comparison.errors, D * _move_sigmas(scale)])) for scale in MOVE_SCALES]
+            prediction.errors, D * _move_sigmas(scale)])) for scale in MOVE_SCALES]
         sigmas = _move_sigmas(MOVE_SCALES[int(np.argmax(likelihoods))])
     shift, turn = np.linalg.norm(move.reshape(2, 3), axis=1).tolist()
     displacement, std = largest_displacement(lever, move, C)
     off, turned = f'{mm(displacement)} ± {mm(2 * std)}', f'{math.degrees(turn):.3f} degrees'
-    on_flange = (name == 'sensor') == comparison.linear.problem.config.in_hand
+    on_flange = (name == 'sensor') == prediction.linear.problem.config.in_hand
     what = f'the {name} moved on the flange' if on_flange else (
         f'the {name}, or the base of the robot, moved')
     sentence = (
@@ -386,9 +386,9 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
     return _Cause(_log_mean(likelihoods), sentence, shift, turn, displacement, std)
 
 
-def _robot_likelihood(comparison: _Comparison) -> float:
+def _robot_likelihood(prediction: _Prediction) -> float:
     """Return the log likelihood of a robot whose poses err otherwise, smoothly or each alone."""
-    problem, wrt_pose = comparison.linear.problem, comparison.whiten(comparison.linear.wrt_pose)
+    problem, wrt_pose = prediction.linear.problem, prediction.whiten(prediction.linear.wrt_pose)
     smooth = problem.smooth_error_basis
     # the root of four is alike over twice the distance, as one joint's error reaches further
     values, axes = np.linalg.eigh(np.abs(smooth @ smooth.T) ** 0.25)
@@ -397,19 +397,19 @@ def _robot_likelihood(comparison: _Comparison) -> float:
         of_rows = root[problem.observations.station]
         for scale in MOVE_SCALES:
             by_twists = (wrt_pose * _move_sigmas(scale))[:, :, None] * of_rows[:, None]
-            likelihoods.append(_log_likelihood(comparison.residuals, np.hstack([
-                comparison.errors, by_twists.reshape(len(of_rows), -1)])))
+            likelihoods.append(_log_likelihood(prediction.residuals, np.hstack([
+                prediction.errors, by_twists.reshape(len(of_rows), -1)])))
     return _log_mean(likelihoods)
 
 
-def _smallest_shifts(comparison: _Comparison, name: str) -> tuple[Array, Array]:
+def _smallest_shifts(prediction: _Prediction, name: str) -> tuple[Array, Array]:
     """
     Return axes (3, 3), as rows, and the smallest detectable shift along each (3,), in m.
 
     name: of what moves, target or sensor. The smallest comes first; nan where none would show.
     """
-    _, D, _ = comparison.moved(name)
-    A = comparison.errors  # a move that they explain as well does not show
+    _, D, _ = prediction.moved(name)
+    A = prediction.errors  # a move that they explain as well does not show
     information = D.T @ (D - A @ np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T @ D))
     occam = np.linalg.slogdet(np.eye(6) + information * _move_sigmas(1e-3) ** 2)[1]
     # of the shift for the evidence, which takes several causes and scales; and with 95 %

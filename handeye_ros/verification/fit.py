@@ -17,11 +17,11 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 import math
-from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Reject, rms
+from handeye_ros.data import Array, Indices, Reject, rms
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.blocks import wrt_smooth
 from handeye_ros.estimation.least_squares import (
@@ -62,8 +62,7 @@ LEFT_BY_OTHERS_SHARE = 1e-3
 NOISE = Noise(np.array([1.0, 1.0, 0.0, 1.0, 1.0]))  # without what differs of the distortion
 MOST_OUTLIERS = 0.2  # of the groups: more are no outliers, but a disagreement
 
-T = TypeVar('T')
-Indices: TypeAlias = NDArray[np.intp]
+Result = TypeVar('Result')
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,7 +295,7 @@ class ShapeFit:
     error: CalibrationError
 
 
-class GroupFit(NamedTuple, Generic[T]):
+class GroupFit(NamedTuple, Generic[Result]):
     """
     A fit to some groups of points.
 
@@ -305,7 +304,7 @@ class GroupFit(NamedTuple, Generic[T]):
     group: (m,) of each
     """
 
-    result: T
+    result: Result
     residuals: Array
     wrt_unknowns: Array
     group: Indices
@@ -481,8 +480,8 @@ def root_of(C: Array) -> Array:
     return np.asarray(vectors * np.sqrt(np.maximum(value, 0.0)))
 
 
-def fit_without_outliers(groups: Indices, fitted: Callable[[Indices], GroupFit[T]]
-                         ) -> tuple[T, dict[int, float], list[int]]:
+def fit_without_outliers(groups: Indices, fitted: Callable[[Indices], GroupFit[Result]]
+                         ) -> tuple[Result, dict[int, float], list[int]]:
     """
     Return the fit of the groups that agree, the p-value of each group, and those left out.
 
@@ -490,7 +489,7 @@ def fit_without_outliers(groups: Indices, fitted: Callable[[Indices], GroupFit[T
     """
     p_values, most = dict[int, float](), int(MOST_OUTLIERS * len(groups))
 
-    def of_groups(_: object, used: Indices) -> tuple[T, Array, Indices]:
+    def of_groups(_: object, used: Indices) -> tuple[Result, Array, Indices]:
         fit = fitted(used)
         squares, freedom = _left_out_squares(fit, used)
         of_used = chi2_sf(squares * freedom, freedom)
@@ -505,7 +504,7 @@ def fit_without_outliers(groups: Indices, fitted: Callable[[Indices], GroupFit[T
     return of_groups(None, groups)[0], p_values, []
 
 
-def _left_out_squares(fit: GroupFit[T], groups: Indices) -> tuple[Array, Indices]:
+def _left_out_squares(fit: GroupFit[Result], groups: Indices) -> tuple[Array, Indices]:
     """
     Return how well the others predict each of groups (g,): mean squares of (12), and freedom.
 

@@ -21,6 +21,7 @@ from handeye_ros.data import (
     EdgePoint,
     FaceLine,
     Feature,
+    Indices,
     Profile,
     ROTATION_LAG,
     Sample,
@@ -33,7 +34,7 @@ from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.profile_target import edge_error_factor, ObservationRows
-from handeye_ros.verification.fit import Indices, LEAST_STATIONS, StationSet
+from handeye_ros.verification.fit import LEAST_STATIONS, StationSet
 from handeye_ros.verification.routines import Routine
 import numpy as np
 
