@@ -55,7 +55,7 @@ def demo(bag: Path, config: Path, out: Path, rate: float) -> None:
                           ['--params-file', str(config), '-p', f'output_dir:={saved}'])
         calibration = _with_bag(
             calibration_file.read_calibration(next(saved.glob('*/calibration.yaml'))), bag, out)
-    written = exports.save_all(calibration, out)
+    written = exports.save_all(calibration, out, ())
     terminal = sys.stdout.isatty()
     Console(width=None if terminal else 160).print(table.table(calibration))
     if T_true is not None:

@@ -167,7 +167,7 @@ def format_of(name: str) -> Format:
     return FORMATS[name]
 
 
-def save_all(calibration: Calibration, folder: Path, formats: Sequence[str] = (YAML,)) -> Saved:
+def save_all(calibration: Calibration, folder: Path, formats: Sequence[str]) -> Saved:
     """
     Write a calibration into a folder in all given formats, always also calibration.yaml.
 

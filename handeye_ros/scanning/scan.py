@@ -84,12 +84,10 @@ class Scanner:
     frame: the id of the frame of the points; count: the numbers so far
     """
 
-    def __init__(self, calibration: Calibration, config: Config,
-                 options: ScanOptions | None = None) -> None:
-        """Start without profiles; without options all points are kept."""
+    def __init__(self, calibration: Calibration, config: Config, options: ScanOptions) -> None:
+        """Start without profiles."""
         self.calibration, self.config, self.frame = calibration, config, target_frame(config)
-        self.options = options or ScanOptions()
-        self.count = ScanCount()
+        self.options, self.count = options, ScanCount()
         self.lag = float(calibration.target.get(ROTATION_LAG, 0.0))  # s
         self._fields: np.dtype[np.void] | None = None  # of a point, as the first profile has them
         self._filled = set[int]()  # cubes that have their point
