@@ -96,7 +96,7 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
         if not source.exists():
             raise InputError(f'{source} is not there: give bags, folders of bags, or a CSV list')
         if source.suffix == '.csv' and source.is_file():
-            jobs += _listed(source, base)
+            jobs += _jobs_of_list(source, base)
         else:
             jobs += [replace(base, bag=str(bag.absolute()), label=label)
                      for bag, label in _bags_in(source, several=len(sources) > 1)]
@@ -148,7 +148,7 @@ def words_of(args: str, config: Path | str | None, settings: Iterable[str],
     return (*words, *files, *(f'--set={text}' for text in settings))
 
 
-def _listed(path: Path, base: Job) -> Iterator[Job]:
+def _jobs_of_list(path: Path, base: Job) -> Iterator[Job]:
     """Yield the jobs of a list, whose paths are relative to it."""
     table, folder = Table(path), path.absolute().parent
     if not LIST_COLUMNS.issuperset(table.columns) or '' in table.text('bag'):
