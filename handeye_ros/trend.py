@@ -40,11 +40,6 @@ class Entry:
     p_before: float
     residual: float
 
-    @property
-    def least_p(self) -> float:
-        """Return the lesser p-value of the two differences."""
-        return min(self.p_first, self.p_before)
-
 
 def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], list[str]]:
     """
@@ -107,11 +102,12 @@ def table(entries: Sequence[Entry]) -> Table:
     rows = []
     for entry in entries:
         shift, turn = np.split(entry.difference, 2)
+        least = min(entry.p_first, entry.p_before)
         rows.append((
             entry.recorded, *(f'{metres * 1e3:.3f}' for metres in shift),
             f'{np.degrees(np.linalg.norm(turn)):.4f}', f'{entry.p_first:.3g}',
-            f'{entry.p_before:.3g}', 'CHANGED' if entry.least_p < CHANGED_P else
-            'watch' if entry.least_p < WATCH_P else ''))
+            f'{entry.p_before:.3g}',
+            'CHANGED' if least < CHANGED_P else 'watch' if least < WATCH_P else ''))
     return figures_table(
         'recorded', 'x [mm]', 'y [mm]', 'z [mm]', 'rotation [degrees]', 'p to the first',
         'p to the previous', '', rows=rows, right=range(7), title='differences from the first')

@@ -12,7 +12,7 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 import numpy as np
 import pytest
-from verifications import bench, stated
+from verifications import bench, bench_calibration
 
 DAY = 86_400_000_000_000  # ns
 
@@ -23,7 +23,7 @@ def write(folder, days, jump_at=np.inf):
     for k, day in enumerate(days):
         step = bench.STD * rng.normal(size=6) + (5e-4 if day >= jump_at else 0.0)
         stamp = 1_700_000_000_000_000_000 + day * DAY
-        calibration = replace(stated(se3.perturb(np.eye(4), step)),
+        calibration = replace(bench_calibration(se3.perturb(np.eye(4), step)),
                               samples=(SampleReport(stamp, True),),
                               provenance={'created': f'2026-01-{k + 1:02d}T08:00:00+00:00'})
         write_calibration(calibration, folder / f'day_{day}' / 'calibration.yaml')
@@ -60,7 +60,8 @@ def test_only_calibrations_of_one_sensor_are_compared(tmp_path):
 def test_a_drift_in_small_steps_is_told(tmp_path):
     for k in range(20):
         step = np.repeat([k * 0.8, 0], 3) * bench.STD
-        write_calibration(stated(se3.perturb(np.eye(4), step), provenance={'created': f'{k:02}'}),
+        created = {'created': f'{k:02}'}
+        write_calibration(bench_calibration(se3.perturb(np.eye(4), step), provenance=created),
                           tmp_path / f'{k}/calibration.yaml')
     entries, _ = trend.trend(tmp_path)
     assert min(entry.p_before for entry in entries) > 0.5

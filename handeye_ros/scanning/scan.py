@@ -3,6 +3,9 @@
 """
 Profiles and poses to points in the robot's base: a scan.
 
+A message becomes a Profile with only its returns (`returns_of` in bags/messages.py). Trajectory.at
+gives the flange at its stamp, and the base to the sensor is T_base_flange @ T_flange_sensor; the
+two coordinates of a return count along `unit_vectors` of the profile's axes in the sensor frame.
 With eye_on_base the points are in the frame of the flange, which carries the workpiece past the
 sensor. The poses are interpolated by a spline at the stamp of each profile plus time_offset; the
 rotation is taken later by the rotation lag that the calibration estimated. A profile outside the

@@ -73,6 +73,23 @@ MORE_STOPS = ('Repeat some of them with the sensor turned by 90 degrees about it
 
 
 @dataclass(frozen=True)
+class Move:
+    """
+    What a check says of the target, or of the sensor.
+
+    moved (m), turned (rad): its most likely move if it is the cause
+    shows: the smallest detectable shifts along the axes (m); nan: not detectable
+    axes: rows; of the target in the base, of the sensor in the flange, with eye_on_base the other
+        way round
+    """
+
+    moved: float
+    turned: float
+    shows: list[float]
+    axes: list[list[float]]
+
+
+@dataclass(frozen=True)
 class Check:
     """
     Result of a check.
@@ -83,12 +100,7 @@ class Check:
         fixed to the other), robot (its pose errors changed), clock, with "or" or "and"
     evidence: how many times as likely the recording is with a change as without
     odds: probability of each cause if something changed
-    target_moved (m), target_turned (rad): the most likely move if the target is the cause
-    sensor_moved, sensor_turned: the same for the sensor in the flange
-    points_off: the largest error of points in this case, and its std (m)
-    target_shows, sensor_shows: smallest detectable shifts along target_axes, sensor_axes (m); nan:
-        not detectable. The axes of the target in the base, of the sensor in the flange; with
-        eye_on_base the other way round
+    points_off: the largest error of points if the sensor is the cause, and its std (m)
     rms: of the residuals (m)
     left_out: numbers of the stops, of a sweep of the passes, with what contradicts the others
     time_offset_changed: of a sweep, and its 1 sigma (s)
@@ -101,16 +113,10 @@ class Check:
     rms: float
     evidence: float
     odds: dict[str, float]
-    target_moved: float
-    target_turned: float
-    sensor_moved: float
-    sensor_turned: float
+    target: Move
+    sensor: Move
     points_off: float
     points_off_std: float
-    target_shows: list[float]
-    target_axes: list[list[float]]
-    sensor_shows: list[float]
-    sensor_axes: list[list[float]]
     left_out: list[int]
     time_offset_changed: float = math.nan
     time_offset_changed_std: float = math.nan
@@ -171,14 +177,14 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     likelihoods = [cause.likelihood for cause in causes.values()]
     evidence = _log_mean(likelihoods) - _log_likelihood(prediction.residuals, prediction.errors)
     odds = dict(zip(causes, softmax(likelihoods).tolist(), strict=True))
-    (target_axes, target_shows), (sensor_axes, sensor_shows) = (
-        _smallest_shifts(prediction, name) for name in MOVABLE)
+    target_move, sensor_move = (
+        Move(causes[name].shift, causes[name].turn, *_smallest_shifts(prediction, name))
+        for name in MOVABLE)
     if evidence < math.log(LEAST_EVIDENCE):
         verdict, sentence = 'unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
-            f'have shown from {_shifts_in_words(target_axes, target_shows, target_frame(config))} '
-            f'on, one of the sensor from '
-            f'{_shifts_in_words(sensor_axes, sensor_shows, mount_frame(config))} on')
+            f'have shown from {_shifts_in_words(target_move, target_frame(config))} on, one of '
+            f'the sensor from {_shifts_in_words(sensor_move, mount_frame(config))} on')
     else:
         verdict, sentence = _verdict_and_sentence(causes, odds)
     stamps = passes or sorted([*(sample.stamp for sample in samples),
@@ -189,10 +195,8 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
         sentence += f'. Left out, as they contradict the others: {what} {left_out}'
     return Check(
         samples[0].stamp, verdict, sentence, len(prediction.linear.problem.poses),
-        rms(prediction.linear.residuals), math.exp(min(evidence, 700.0)), odds, target.shift,
-        target.turn, sensor.shift, sensor.turn, sensor.displacement, sensor.std,
-        target_shows.tolist(), target_axes.tolist(), sensor_shows.tolist(), sensor_axes.tolist(),
-        left_out)
+        rms(prediction.linear.residuals), math.exp(min(evidence, 700.0)), odds, target_move,
+        sensor_move, sensor.displacement, sensor.std, left_out)
 
 
 def _verdict_and_sentence(causes: Mapping[str, _Cause], odds: Mapping[str, float]
@@ -402,12 +406,8 @@ def _robot_likelihood(prediction: _Prediction) -> float:
     return _log_mean(likelihoods)
 
 
-def _smallest_shifts(prediction: _Prediction, name: str) -> tuple[Array, Array]:
-    """
-    Return axes (3, 3), as rows, and the smallest detectable shift along each (3,), in m.
-
-    name: of what moves, target or sensor. The smallest comes first; nan where none would show.
-    """
+def _smallest_shifts(prediction: _Prediction, name: str) -> tuple[list[float], list[list[float]]]:
+    """Return shows and axes of the Move of target or sensor (name), the smallest shift first."""
     _, D, _ = prediction.moved(name)
     A = prediction.errors  # a move that they explain as well does not show
     information = D.T @ (D - A @ np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T @ D))
@@ -416,12 +416,13 @@ def _smallest_shifts(prediction: _Prediction, name: str) -> tuple[Array, Array]:
     sigmas = np.sqrt(2 * np.log(3 * len(MOVE_SCALES) * LEAST_EVIDENCE) + occam) + 1.64
     values, axes = np.linalg.eigh(information[:3, :3])
     sizes = (sigmas / np.sqrt(np.maximum(values, 1e-300)))[::-1]
-    return axes.T[::-1], np.where(sizes < UNSEEN_SHIFT, sizes, np.nan)
+    return np.where(sizes < UNSEEN_SHIFT, sizes, np.nan).tolist(), axes.T[::-1].tolist()
 
 
-def _shifts_in_words(axes: Array, shifts: Array, frame: str) -> str:
-    """Return in words from which size on shifts along the axes (3, 3) show, and which do not."""
-    along = [(size, name_direction(axis, frame)) for size, axis in zip(shifts, axes, strict=True)]
+def _shifts_in_words(move: Move, frame: str) -> str:
+    """Return in words from which size on shifts along the axes show, and which do not."""
+    along = [(size, name_direction(np.array(axis), frame))
+             for size, axis in zip(move.shows, move.axes, strict=True)]
     unseen = ' or '.join(name for size, name in along if np.isnan(size))
     return ', '.join(f'{mm(size)} along {name}' for size, name in along if size < UNSEEN_SHIFT) + (
         f' (a slide along {unseen} cannot be seen)' if unseen else '')
@@ -445,5 +446,10 @@ def _with_offset(result: Check, offset: ClockEstimate, calibration: Calibration)
 
 def plain_values(checks: Sequence[tuple[str, Check]], against: str) -> dict[str, Any]:
     """Return checks, each with the name of its recording, as plain values."""
-    return {'format': FORMAT, 'against': against,
-            'checks': [{'input': name, **asdict(result)} for name, result in checks]}
+    contents = []
+    for recording, result in checks:
+        content = {'input': recording, **asdict(result)}
+        for name in MOVABLE:
+            content |= {f'{name}_{key}': value for key, value in content.pop(name).items()}
+        contents.append(content)
+    return {'format': FORMAT, 'against': against, 'checks': contents}
