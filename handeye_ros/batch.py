@@ -136,14 +136,14 @@ def words_of(args: str, config: Path | str | None, settings: Iterable[str],
              folder: Path = Path()) -> tuple[str, ...]:
     """Return the words of a command with absolute paths of what it names, for workers."""
     try:
-        words = shlex.split(args)
+        words = [part for word in shlex.split(args)
+                 for part in (word.split('=', 1) if word[:2] == '--' else [word])]
     except ValueError as error:
         raise InputError(f'args: {args!r} has a quotation mark that is not closed') from error
     for k, word in enumerate(words):
-        option, equals, value = word.partition('=') if word[:2] == '--' else ('', '', word)
-        path, of_option = folder / value, equals or (k and words[k - 1][:2] == '--')
-        if value and (path.is_file() or (of_option and path.is_dir())):  # no folder "sphere"
-            words[k] = f'{option}{equals}{path.absolute()}'
+        path, is_value = folder / word, k > 0 and words[k - 1][:2] == '--'
+        if path.is_file() or (is_value and word and path.is_dir()):  # no folder called "sphere"
+            words[k] = str(path.absolute())
     files = ['--config', str((folder / config).absolute())] if config else []
     return (*words, *files, *(f'--set={text}' for text in settings))
 

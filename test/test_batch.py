@@ -101,8 +101,8 @@ def test_lists_name_their_recordings_relative_to_them(tmp_path):
     assert [job.label for job in jobs] == ['first', 'b', 'second']
     assert jobs[0].words == ('--config', 'c', '--set=target.radius=0.02', '--set=name=x')
     assert jobs[0].bag == str(tmp_path / 'a')
-    assert jobs[1].words == ('--config', 'c', 'sphere', f'--calibration={tmp_path}/cal',
-                             '--kinematics', f'{tmp_path}/cal', '--set=a=sphere')
+    assert jobs[1].words == ('--config', 'c', 'sphere', '--calibration', f'{tmp_path}/cal',
+                             '--kinematics', f'{tmp_path}/cal', '--set', 'a=sphere')
     for text, sentence in (
             ('bag,lable\na,first\n', 'it has the columns bag, lable; expected'),
             ('bag,settings\na,verify.lengths=[0.1,0.2] name=x\n', 'row 1 has 3 values'),
