@@ -143,7 +143,7 @@ def by_tracker(seed: int) -> dict[str, np.ndarray]:
     pieces = [Piece(0, kind, np.array(points))
               for kind, points in reflector.items()]
     session = TrackerSession(config, [*pieces, *swept], ball, q30)
-    found = session.published_answer(session.readings).T_flange_sensor
+    found = session.answer.T_flange_sensor
     x, z = np.meshgrid((-0.02, 0.0, 0.02), (0.16, 0.175, 0.19))
     field = np.column_stack([x.ravel(), np.zeros(x.size), z.ravel()])
     return {'Jing 2020': trials.errors(found, cell.T_flange_sensor, field)}

@@ -25,7 +25,7 @@ from handeye_ros.errors import InputError, nearest, unusable_file
 from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.noise import TURN_LENGTH, whitening
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.results.calibration_file import require_format, transform_from
+from handeye_ros.results.file_values import require_format, transform_from
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -37,7 +37,7 @@ ERROR_KINDS = np.array([OFFSET, DIRECTION, DIRECTION, POSITION, POSITION])  # th
 # prior 1 sigma of them (rad or m), 0: it has no such error
 PRIOR_STDS = {REVOLUTE: (1e-3, 5e-4, 5e-4, 5e-4, 5e-4), PRISMATIC: (5e-4, 5e-4, 5e-4, 0.0, 0.0)}
 MOST_ROUNDS, LARGEST_STEP = 20, 0.2  # of the search for joint values (rad or m)
-FORMAT, KINEMATICS_FILE = 'handeye_ros/kinematics/', 'kinematics.yaml'
+FORMAT, KINEMATICS_FILE = 'handeye_ros/kinematics/1', 'kinematics.yaml'
 FLANGE_FRAMES = ('tool0', 'flange', 'tool', 'tcp')  # usual names of the last frame
 
 

@@ -96,7 +96,7 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
         if not source.exists():
             raise InputError(f'{source} is not there: give bags, folders of bags, or a CSV list')
         if source.suffix == '.csv' and source.is_file():
-            jobs += _listed(source, base)
+            jobs += _jobs_of_list(source, base)
         else:
             jobs += [replace(base, bag=str(bag.absolute()), label=label)
                      for bag, label in _bags_in(source, several=len(sources) > 1)]
@@ -135,17 +135,21 @@ def _label_of(bag: Path) -> str:
 
 def words_of(args: str, config: Path | str | None, settings: Iterable[str],
              folder: Path = Path()) -> tuple[str, ...]:
-    """Return the words of a command with absolute paths of its files, for workers."""
-    files = ['--config', str((folder / config).absolute())] if config else []
+    """Return the words of a command with absolute paths of what it names, for workers."""
     try:
-        words = shlex.split(args)
+        words = [part for word in shlex.split(args)
+                 for part in (word.split('=', 1) if word[:2] == '--' else [word])]
     except ValueError as error:
         raise InputError(f'args: {args!r} has a quotation mark that is not closed') from error
-    return (*(str((folder / word).absolute()) if (folder / word).is_file() else word
-              for word in words), *files, *(f'--set={text}' for text in settings))
+    for k, word in enumerate(words):
+        path, is_value = folder / word, k > 0 and words[k - 1][:2] == '--'
+        if path.is_file() or (is_value and word and path.is_dir()):  # no folder called "sphere"
+            words[k] = str(path.absolute())
+    files = ['--config', str((folder / config).absolute())] if config else []
+    return (*words, *files, *(f'--set={text}' for text in settings))
 
 
-def _listed(path: Path, base: Job) -> Iterator[Job]:
+def _jobs_of_list(path: Path, base: Job) -> Iterator[Job]:
     """Yield the jobs of a list, whose paths are relative to it."""
     table, folder = Table(path), path.absolute().parent
     if not LIST_COLUMNS.issuperset(table.columns) or '' in table.text('bag'):

@@ -13,13 +13,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 import math
 import time
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.calibration import measured_points
 from handeye_ros.checks.refusals import missing_motion, require_certain
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, Reject, rms, Sample
+from handeye_ros.data import Arc, Array, Indices, Reject, rms, Sample
 from handeye_ros.errors import DataError, InputError, SingularError
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import Estimate, Problem
@@ -33,7 +33,6 @@ from handeye_ros.tabulated.pairs import PairedRows, PosePairs
 from handeye_ros.tabulated.values import answer_table, TableProblem
 from handeye_ros.targets import line, plate, TARGETS
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from rich.text import Text
 
@@ -83,12 +82,12 @@ class ComparedStations:
         """Return points (k, 3) in the sensor plane over which errors are reported."""
         return field_points()
 
-    def subset(self, stations: NDArray[np.intp]) -> ComparedStations:
+    def subset(self, stations: Indices) -> ComparedStations:
         """Return some of the stations (ascending indices)."""
         return replace(self, samples=tuple(self.samples[i] for i in stations),
                        problem=self.problem.subset(stations))
 
-    def residuals(self, X: Array, fitted: NDArray[np.intp], measured: NDArray[np.intp]) -> Array:
+    def residuals(self, X: Array, fitted: Indices, measured: Indices) -> Array:
         """Return distances (m) of `measured` stations for X, the target fitted to `fitted`."""
         part = self.problem.subset(fitted)
         target_alone = _TargetProblem(part.target, part.poses, part.observations, part.config)
@@ -102,14 +101,26 @@ class _TargetProblem(Problem):
     """A problem with only the target unknown, and the transform given."""
 
     @property
-    def free_columns(self) -> NDArray[np.intp]:
+    def free_columns(self) -> Indices:
         return super().free_columns[6:]
 
 
 ComparedData: TypeAlias = ComparedStations | PairedRows
-# of the target's own method: the data that it believes, and all estimators are given; its
-# transform (4, 4) from the mount to the sensor plane; why that is no answer, or None
-OwnAnswer: TypeAlias = tuple[ComparedData, Array, DataError | None]
+"""What estimators are given: both can be counted, cut to a subset, and give residuals of an X."""
+
+
+class OwnAnswer(NamedTuple):
+    """
+    The answer of the target's own method.
+
+    data: what it believes, and all estimators are given
+    X: (4, 4) from the mount to the sensor plane
+    refusal: why it is no answer, or None
+    """
+
+    data: ComparedData
+    X: Array
+    refusal: DataError | None
 
 
 @dataclass(frozen=True)
@@ -278,7 +289,7 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
         used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used)
         stations = ComparedStations(used, config, solution.problem, solution.estimate,
                                     solution.noise)
-        return stations, solution.estimate.X, answer.refusal
+        return OwnAnswer(stations, solution.estimate.X, answer.refusal)
     return _comparison(config.target.type, solve_own, len(samples) + len(rejects), T_true, folds,
                        progress)
 
@@ -296,7 +307,7 @@ def compare_files(given: TableProblem, T_true: Array | None = None, folds: int =
             answer.require_trusted(given)
         except DataError as error:
             refusal = error
-        return given.subset(np.flatnonzero(answer.used)), answer.X, refusal
+        return OwnAnswer(given.subset(np.flatnonzero(answer.used)), answer.X, refusal)
     return _comparison(given.name, solve_own, len(given), T_true, folds, progress)
 
 
@@ -351,7 +362,7 @@ def _left_out(data: ComparedData, estimator: Estimator, folds: int, progress: Pr
 def tables(comparison: Comparison) -> RenderableType:
     """Return the transforms of all rows, and below them their figures."""
     rows = comparison.rows
-    with_errors = any(row.error_mapped_points for row in rows)
+    with_errors = any(row.error_mapped_points is not None for row in rows)
     shown = {name: column for name, column in ROW_FIGURES.items()
              if with_errors or not name.startswith('error')}
     transforms = figures_table('estimator', 'x, y, z (mm)\nroll, pitch, yaw (degrees)',

@@ -23,7 +23,8 @@ from handeye_ros.estimation.search import reassigned
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_poses
 from handeye_ros.pipeline import Answer
-from handeye_ros.results.calibration_file import config_of, input_values
+from handeye_ros.results.calibration_file import config_of
+from handeye_ros.results.file_values import input_values
 from handeye_ros.results.report import SolvedRecording
 from handeye_ros.results.scene import Agreement, StopSnapshot
 from handeye_ros.results.table import figures_table, sample_summary

@@ -46,7 +46,7 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], 
     Return the calibrations below a folder by time, and a warning for each file left out.
 
     first: the reference, the oldest if not given; only those between its frames are compared.
-    Raises DataError for a single one, InputError for a folder without any.
+    Raises DataError for a single one of these, InputError for a folder without any.
     """
     if not folder.is_dir():
         raise InputError(f'there is no folder {folder}: name one that holds calibrations')
@@ -57,14 +57,16 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], 
         except InputError as error:
             warnings.append(str(error))
             continue
+        if np.linalg.eigvalsh(calibration.covariance)[0] <= 0:
+            warnings.append(f'{path} is left out: its covariance is not positive definite')
+            continue
         stamp = min((report.stamp for report in calibration.samples), default=0)
         created = str(calibration.provenance.get('created', ''))
         calibrations.append((output.time_of(stamp) or created, path, calibration))
     calibrations.sort(key=lambda item: item[:2])
-    if len(calibrations) < 2 - (first is not None):
-        raise (DataError if calibrations else InputError)(
-            f'{folder} holds {len(calibrations)} readable calibration.yaml: a trend needs two, '
-            'or one with --against')
+    if not calibrations:
+        raise InputError(f'{folder} holds 0 readable calibration.yaml: a trend needs two, or one '
+                         'with --against')
     reference = before = first or calibrations[0][2]
     entries = []
     for recorded, path, calibration in calibrations:
@@ -77,6 +79,9 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], 
         entries.append(Entry(path, recorded, difference, std, p_first, p_before,
                              calibration.quality.residual_rms))
         before = calibration
+    if len(entries) < 2 - (first is not None):
+        raise DataError(f'{folder} holds {len(entries)} readable calibration.yaml of '
+                        f'{_frames(reference)}: a trend needs two, or one with --against')
     return entries, warnings
 
 
@@ -97,22 +102,27 @@ def table(entries: Sequence[Entry]) -> Table:
     rows = []
     for entry in entries:
         shift, turn = np.split(entry.difference, 2)
+        least = min(entry.p_first, entry.p_before)
         rows.append((
             entry.recorded, *(f'{metres * 1e3:.3f}' for metres in shift),
             f'{np.degrees(np.linalg.norm(turn)):.4f}', f'{entry.p_first:.3g}',
-            f'{entry.p_before:.3g}', 'CHANGED' if entry.p_before < CHANGED_P else
-            'watch' if min(entry.p_before, entry.p_first) < WATCH_P else ''))
+            f'{entry.p_before:.3g}',
+            'CHANGED' if least < CHANGED_P else 'watch' if least < WATCH_P else ''))
     return figures_table(
         'recorded', 'x [mm]', 'y [mm]', 'z [mm]', 'rotation [degrees]', 'p to the first',
         'p to the previous', '', rows=rows, right=range(7), title='differences from the first')
 
 
 def since_when(entries: Sequence[Entry]) -> str:
-    """Return a sentence on the first change between consecutive calibrations."""
+    """Return a sentence on the first change, else on the first difference from the first one."""
     for entry in entries:
         if entry.p_before < CHANGED_P:
             return (f'the calibration changed between {entry.recorded or entry.path} and the '
                     'previous one')
+    for entry in entries:
+        if entry.p_first < CHANGED_P:
+            return (f'the calibration drifted: {entry.recorded or entry.path} differs from the '
+                    'first, and none from its previous one')
     return 'no calibration differs from the previous one by more than their uncertainties explain'
 
 

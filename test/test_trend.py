@@ -8,11 +8,11 @@ from dataclasses import replace
 from command import assert_refused, handeye, succeeds
 from handeye_ros import se3, trend
 from handeye_ros.data import SampleReport
-from handeye_ros.errors import InputError
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 import numpy as np
 import pytest
-from verifications import bench, stated
+from verifications import bench, bench_calibration
 
 DAY = 86_400_000_000_000  # ns
 
@@ -23,7 +23,7 @@ def write(folder, days, jump_at=np.inf):
     for k, day in enumerate(days):
         step = bench.STD * rng.normal(size=6) + (5e-4 if day >= jump_at else 0.0)
         stamp = 1_700_000_000_000_000_000 + day * DAY
-        calibration = replace(stated(se3.perturb(np.eye(4), step)),
+        calibration = replace(bench_calibration(se3.perturb(np.eye(4), step)),
                               samples=(SampleReport(stamp, True),),
                               provenance={'created': f'2026-01-{k + 1:02d}T08:00:00+00:00'})
         write_calibration(calibration, folder / f'day_{day}' / 'calibration.yaml')
@@ -50,6 +50,22 @@ def test_only_calibrations_of_one_sensor_are_compared(tmp_path):
         assert len(entries) == 3 and 'rear on flange, not of laser on flange' in warning
     entries, warnings = trend.trend(tmp_path, replace(calibration, child_frame='rear'))
     assert len(entries) == 1 and len(warnings) == 3
+    for day in (1, 2):
+        write_calibration(replace(calibration, covariance=np.zeros((6, 6))),
+                          tmp_path / f'day_{day}/calibration.yaml')
+    with pytest.raises(DataError, match='1 readable calibration.yaml of laser on flange: '):
+        trend.trend(tmp_path)
+
+
+def test_a_drift_in_small_steps_is_told(tmp_path):
+    for k in range(20):
+        step = np.repeat([k * 0.8, 0], 3) * bench.STD
+        created = {'created': f'{k:02}'}
+        write_calibration(bench_calibration(se3.perturb(np.eye(4), step), provenance=created),
+                          tmp_path / f'{k}/calibration.yaml')
+    entries, _ = trend.trend(tmp_path)
+    assert min(entry.p_before for entry in entries) > 0.5
+    assert trend.since_when(entries).startswith('the calibration drifted: 05 differs')
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):

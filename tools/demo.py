@@ -27,6 +27,7 @@ from handeye_ros.errors import DataError, InputError, UnwritableError
 from handeye_ros.node.main import exit_code, ros
 from handeye_ros.output import write_atomically
 from handeye_ros.results import calibration_file, exports, report, table
+from handeye_ros.results.file_values import input_values
 from handeye_ros.results.truth import errors_against, true_transform
 from handeye_ros.review import solved_recording
 import rclpy
@@ -54,7 +55,7 @@ def demo(bag: Path, config: Path, out: Path, rate: float) -> None:
                           ['--params-file', str(config), '-p', f'output_dir:={saved}'])
         calibration = _with_bag(
             calibration_file.read_calibration(next(saved.glob('*/calibration.yaml'))), bag, out)
-    written = exports.save_all(calibration, out)
+    written = exports.save_all(calibration, out, ())
     terminal = sys.stdout.isatty()
     Console(width=None if terminal else 160).print(table.table(calibration))
     if T_true is not None:
@@ -70,7 +71,7 @@ def _with_bag(calibration: Calibration, bag: Path, out: Path) -> Calibration:
     topics = [item for item in provenance['inputs'] if 'topic' in item]
     reader = Reader(bag)
     list(reader.messages())
-    provenance['inputs'] = [*topics, *map(calibration_file.input_values, reader.files)]
+    provenance['inputs'] = [*topics, *map(input_values, reader.files)]
     provenance['config'] = {**provenance['config'], 'output_dir': str(out)}
     return replace(calibration, provenance=provenance)
 

@@ -30,7 +30,7 @@ from handeye_ros.errors import (
     require_type,
     UnusableMessageError,
 )
-from handeye_ros.results.calibration_file import input_values
+from handeye_ros.results.file_values import input_values
 from handeye_ros.sampling.stream import (
     by_stamp,
     FEW_SHARE,

@@ -160,6 +160,8 @@ def view(cloud: Any, name: str) -> np.ndarray[Any, np.dtype[Any]]:
     field, = usable
     dtype = np.dtype(('>' if cloud.is_bigendian else '<') + DATATYPES[field.datatype])
     height, width, point_step = cloud.height, cloud.width, cloud.point_step
+    if height * width == 0:
+        return np.empty((height, width), dtype)
     least = width * point_step
     row_step = least if height == 1 else cloud.row_step or least  # drivers often leave it unset
     if (field.offset + dtype.itemsize > point_step or row_step < least
@@ -399,7 +401,7 @@ def returns_of(raw: RawProfile) -> Profile:
                         'profile.period')
     cloud, config = message_of(CLOUD_TYPE, raw.fetch()), raw.config
     points, is_return = _points(cloud, config)
-    has_intensity = is_return.any() and INTENSITY in [field.name for field in cloud.fields]
+    has_intensity = INTENSITY in [field.name for field in cloud.fields]
     return Profile(raw.stamp, raw.frame_id, points[is_return, :2],
                    (config.axes[0], config.axes[1]),
                    intensity=column(cloud, INTENSITY)[is_return] if has_intensity else None)

@@ -48,13 +48,13 @@ from handeye_ros.config import Config, flatten, RECORD_PREFIX, with_values
 from handeye_ros.data import Reject
 from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.output import atomic_file, folder_name, write_errors_for
-from handeye_ros.results.calibration_file import NEWEST, require_format
+from handeye_ros.results.file_values import require_format
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import NO_STOP, NOT_EVALUATED, Stop
 
 LAST_SESSION = 'last'
-FORMAT = 'handeye_ros/session/'
+FORMAT = 'handeye_ros/session/1'
 CONFIGURATION_TOPIC = '/handeye_ros/session/configuration'
 OUTCOME_TOPIC = '/handeye_ros/session/outcome'
 STOP, REMOVED, CONFIGURED = 'stop', 'removed', 'configured'  # events
@@ -260,7 +260,7 @@ def _messages(event: str, config: Config, stop: Stop, joints: Sequence[tuple[int
                'taken': stop.sample is not None, 'refused': stop.final_reason}
     end = stop.end if stop.poses else time.time_ns()
     for topic, content in ((CONFIGURATION_TOPIC, settings), (OUTCOME_TOPIC, outcome)):
-        text = json.dumps({'format': f'{FORMAT}{NEWEST}', **content})
+        text = json.dumps({'format': FORMAT, **content})
         messages.append(Raw(topic, STRING_TYPE, end, string_cdr(text)))
     return sorted(messages, key=lambda message: message.log_time)
 

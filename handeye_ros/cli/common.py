@@ -62,44 +62,36 @@ class OpenedInput:
     settings: with which it was read
     inputs: path and sha256 of its files, for the provenance of an answer
     session: the samples, None of a table
-    recording: the messages, None of a table, and of a session unless its joint values are read
     table: the measured values, None of a recording and of a session
     """
 
     settings: 'Config'
     inputs: 'Sequence[Any]'
     session: 'Session | None' = None
-    recording: 'Recording | None' = None
     table: 'TableProblem | None' = None
 
 
 def open_input(path: Path, config: Path | None, assignments: list[str], angles: str = '',
-               kinematics: Path | None = None, arm: 'Arm | None' = None) -> OpenedInput:
+               kinematics: Path | None = None) -> OpenedInput:
     """
     Return what a bag, a session's folder or a table holds; print warnings about it.
 
-    arm: gives the poses from the joint values, which are then read, also those of a session; it
-    takes the place of the key kinematics. Raises InputError, DataError.
+    Raises InputError, DataError.
     """
+    from handeye_ros import tabulated
     from handeye_ros.bags.session_files import is_session, read_session
     stored = read_session(path) if is_session(path) else None
     settings = configuration(config, assignments, stored.config if stored else None, angles,
                              kinematics)
-    from handeye_ros import tabulated
-    if arm:
-        settings = replace(settings, kinematics='')
-    elif is_table(path) or tabulated.is_solved_from_files(settings):
+    if is_table(path) or tabulated.is_solved_from_files(settings):
         with progress_bar('reading the files'):
             table = tabulated.read(path, settings)
         warn(*table.warnings)
         return OpenedInput(settings, table.inputs, table=table)
-    recording = read_bag(path, settings, arm) if arm or not stored else None
     if stored:
-        return OpenedInput(settings, [{'path': str(path.absolute())}], stored.session(settings),
-                           recording)
-    assert recording
-    return OpenedInput(settings, list(recording.inputs), collect_samples(recording, settings),
-                       recording)
+        return OpenedInput(settings, [{'path': str(path.absolute())}], stored.session(settings))
+    recording = read_bag(path, settings)
+    return OpenedInput(settings, list(recording.inputs), collect_samples(recording, settings))
 
 
 def configuration(file: Path | None, assignments: list[str], base: 'Config | None' = None,

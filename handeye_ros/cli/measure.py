@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from handeye_ros.verification.check import Check
 
 NOT_AS_WANTED = 1  # exit code: measured, and not passed, or changed
-LARGEST_PLAIN = 10.0  # a position without a unit that is larger was meant in mm: refused
 THINNING_SIZE = 2e-4  # m: edge of the cubes of which each keeps one point
 PATH_LINES = ('auto', 'centre', 'root', 'first', 'second')  # that the path of a tool may follow
 
@@ -149,6 +148,7 @@ def check(
     from handeye_ros.verification.check import check_recording, plain_values
     calibration, settings = open_calibration(against, config, assignments, kinematics)
     checks: list[tuple[str, Check]] = []
+    since: Path | None = None  # the first of the latest recordings, if these are changed
     for bag in bags:
         recording = read_bag(bag, settings)
         warn_of_frame(recording, calibration)
@@ -156,13 +156,13 @@ def check(
             result = check_recording(recording.profiles, recording.poses, calibration, settings)
         _warn_of_calibration_samples(bag, [result.stamp], calibration)
         checks.append((str(bag), result))
+        since = None if result.verdict == 'unchanged' else since or bag
         typer.echo(f'{bag} ({result.stations} stations): {result.verdict.upper()}: '
                    f'{result.sentence}')
-    changed = [name for name, result in checks if result.verdict != 'unchanged']
-    if changed and len(checks) > 1:
-        typer.echo(f'since {changed[0]}')
+    if since and len(checks) > 1:
+        typer.echo(f'since {since}')
     write_yaml(out, plain_values(checks, str(against)))
-    if changed:
+    if any(result.verdict != 'unchanged' for _, result in checks):
         raise typer.Exit(NOT_AS_WANTED)
 
 
@@ -261,19 +261,12 @@ def seam(
         '--bag', help='Write nav_msgs/Path and geometry_msgs/PoseArray to DIR/path too.')] = False,
 ) -> None:
     """Find the seam in a cloud, and tool frames along it."""
-    from handeye_ros.config import parse_length
-    from handeye_ros.scanning.seam import find_seam, sentences, tool_frames, write
-    import numpy as np
-    limits = [parse_length(text, '--box', LARGEST_PLAIN) for text in box]
-    low, high = np.reshape(limits, (3, 2)).T
-    widest_m = parse_length(widest, '--widest', 0.1, 1e-4)
-    pitch_m = parse_length(pitch, '--pitch', 0.1, 1e-5)
-    start_m = [parse_length(text, '--start', LARGEST_PLAIN, -1e3) for text in start if any(start)]
+    from handeye_ros.scanning.seam import find_seam, SeamOptions, sentences, tool_frames, write
+    options = SeamOptions.of_texts(box, widest, line, start, towards, pitch, travel, work)
     points, frame = _cloud(path, calibration, config, assignments)
-    points = points[((points >= low) & (points <= high)).all(axis=1)]
     with progress_bar('looking for the seam'):
-        result = find_seam(points, widest_m, towards, line, start_m or None)
-        frames = tool_frames(result, pitch_m, towards, math.radians(travel), math.radians(work))
+        result = find_seam(points, options)
+        frames = tool_frames(result, options)
     write(out, result, frames, frame)
     if bag:
         import time

@@ -30,9 +30,6 @@ from handeye_ros.config import assignment, SAVE_FORMATS
 from handeye_ros.errors import InputError, NoRosError
 import typer
 
-Saved = Annotated[Path, typer.Argument(
-    metavar='CALIBRATION', help='A calibration.yaml, or the folder that holds it.')]
-
 
 @app.command()
 def solve(
@@ -134,7 +131,8 @@ def samples(
 
 @app.command()
 def report(
-    path: Saved,
+    path: Annotated[Path, typer.Argument(metavar='RESULT', help=(
+        'A calibration.yaml, or the folder that holds it, or the file of a verification.'))],
     bag: Annotated[NoPath, typer.Option(
         metavar='BAG', help='The recording or session; if not given, the one that the calibration '
         'names.')] = None,
@@ -167,7 +165,8 @@ def report(
 
 @app.command()
 def export(
-    path: Saved,
+    path: Annotated[Path, typer.Argument(
+        metavar='CALIBRATION', help='A calibration.yaml, or the folder that holds it.')],
     name: Annotated[str, typer.Option(
         '--format', autocompletion=lambda: list(SAVE_FORMATS),
         help=f'One of {", ".join(SAVE_FORMATS)}.')],

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The other verbs: errors of the arm; many recordings; publish and simulate a recording."""
 from collections import Counter
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, TYPE_CHECKING
@@ -11,6 +12,7 @@ from handeye_ros.cli.common import (
     app,
     Assignments,
     Bag,
+    collect_samples,
     ConfigFile,
     configuration,
     File,
@@ -18,8 +20,8 @@ from handeye_ros.cli.common import (
     INTERRUPTED_EXIT_CODE,
     is_table,
     one_of,
-    open_input,
     progress_bar,
+    read_bag,
     show,
     warn,
 )
@@ -57,7 +59,8 @@ def kinematics(
                                  'points')
     settings = configuration(config, assignments)
     from handeye_ros.arm import read_urdf
-    from handeye_ros.results.calibration_file import input_values
+    from handeye_ros.bags.session_files import is_session, read_session
+    from handeye_ros.results.file_values import input_values
     from handeye_ros.robot.arm_answer import table
     from handeye_ros.robot.sources import solve_sources, solve_table, source_of
     text, arm = read_urdf(urdf, base, flange)
@@ -67,10 +70,14 @@ def kinematics(
     else:
         measured = []
         for path in sources:
-            opened = open_input(path, config, assignments, arm=arm)
-            assert opened.session and opened.recording
-            measured.append(source_of(opened.session, opened.recording, arm, opened.settings,
-                                      opened.inputs))
+            stored = read_session(path) if is_session(path) else None
+            read_with = replace(configuration(
+                config, assignments, stored.config if stored else None), kinematics='')
+            recording = read_bag(path, read_with, arm)
+            measured.append(source_of(
+                stored.session(read_with) if stored else collect_samples(recording, read_with),
+                recording, arm, read_with,
+                [{'path': str(path.absolute())}] if stored else recording.inputs))
         with progress_bar('solving'):
             answer = solve_sources(measured, arm, [input_values(urdf)])
     warn(*answer.warnings)

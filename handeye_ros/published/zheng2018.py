@@ -45,6 +45,9 @@ FACTOR = 1e-2
 STEP = 1e-9
 """Er: the search ends when a round of Powell moves the parameters by less (in LENGTH_UNIT)."""
 
+MOST_ROUNDS, FIRST_ADVANCE = 2000, 0.05
+"""Of Powell for one factor; the first step of a line search, as a share of its direction."""
+
 ENOUGH = 1e-18
 """Err1: the penalty rounds end when M is less (LENGTH_UNIT^2); or when u has settled."""
 
@@ -127,10 +130,10 @@ def _penalty(problem: _Problem, x: Array, k: int) -> Array:
     return x
 
 
-def minimise(problem: _Problem, x: Array, factor: float, limit: int = 2000) -> Array:
+def minimise(problem: _Problem, x: Array, factor: float) -> Array:
     """Return the minimum of M(., factor) by the modified Powell method, steps (1) to (7)."""
     directions = np.eye(len(x))
-    for _ in range(limit):
+    for _ in range(MOST_ROUNDS):
         start, values = x, [problem.along(x, directions[0], factor)[0]]
         for direction in directions:
             line = problem.along(x, direction, factor)
@@ -160,10 +163,10 @@ def quartic(coefficients: Sequence[float], s: float) -> float:
     return (((c4 * s + c3) * s + c2) * s + c1) * s + c0
 
 
-def line_search(line: Sequence[float], step: float = 0.05) -> float:
+def line_search(line: Sequence[float]) -> float:
     """Return the minimum of a quartic near 0: advance and retreat, then the 0.618 method."""
     try:
-        s = float(golden(lambda s: quartic(line, s), brack=(0.0, step), maxiter=45))
+        s = float(golden(lambda s: quartic(line, s), brack=(0.0, FIRST_ADVANCE), maxiter=45))
     except RuntimeError:  # it falls to neither side
         return 0.0
     return s if quartic(line, s) < line[0] else 0.0

@@ -1,34 +1,31 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-Writes and reads calibration.yaml, and checks the values of other files in the same way.
-
-A refusal of a file names it and the key.
-"""
+"""Writes and reads calibration.yaml."""
 from __future__ import annotations
 
-from dataclasses import asdict, fields, is_dataclass, MISSING, replace
+from dataclasses import asdict, replace
 from datetime import datetime, UTC
-from functools import cache
-import hashlib
 import math
 from pathlib import Path
 import re
-import sys
-from typing import Any, cast, get_args, get_type_hints, TypeVar
+from typing import Any
 
 from handeye_ros import __version__, se3
 from handeye_ros.config import Config, from_provenance, read_yaml
 from handeye_ros.data import Array, Calibration, ClockEstimate, Quality, SampleReport
 from handeye_ros.errors import path_of, require_type, unusable_file
 from handeye_ros.output import write_atomically, yaml_text
+from handeye_ros.results.file_values import (
+    Kind,
+    numbers_of,
+    require_format,
+    transform_from,
+    value_of,
+)
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-Kind = TypeVar('Kind')
-
-FORMAT = 'handeye_ros/calibration/'
-NEWEST = 1  # largest number of a format that is understood, of each format that is read again
+FORMAT = 'handeye_ros/calibration/1'
 NAME = 'calibration.yaml'
 SI_TEXT = ('Metres and radians; quaternions are x y z w; roll pitch yaw turn about the fixed axes '
            'x, y, z, as in URDF; covariances (6x6) are of x y z rx ry rz, in the parent frame.')
@@ -86,7 +83,7 @@ def content_of(calibration: Calibration) -> dict[str, Any]:
     provenance = dict(calibration.provenance)
     config = provenance.pop('config', {})
     return {
-        'format': f'{FORMAT}{NEWEST}',
+        'format': FORMAT,
         'name': calibration.name, 'method': calibration.method,
         'parent_frame': calibration.parent_frame, 'child_frame': calibration.child_frame,
         'transform': se3.transform_values(T), 'rpy': se3.rpy(T),
@@ -97,13 +94,6 @@ def content_of(calibration: Calibration) -> dict[str, Any]:
                      if value is not None and value != ''} for report in calibration.samples],
         'provenance': {**provenance, 'config': config},  # long: after all others
     }
-
-
-def input_values(file: Path) -> dict[str, str]:
-    """Return the absolute path and the sha256 of an input file, as in the provenance."""
-    with file.open('rb') as stream:
-        digest = hashlib.file_digest(stream, 'sha256')
-    return {'path': str(file.absolute()), 'sha256': digest.hexdigest()}
 
 
 def config_of(calibration: Calibration) -> Config:
@@ -172,60 +162,6 @@ def _require_estimates(path: Path, target: dict[str, Any]) -> None:
             value_of(path, name, value, float)
 
 
-def value_of(path: Path, key: str, value: Any, kind: type[Kind]) -> Kind:
-    """
-    Return the value that a file has under a dotted key; raises InputError, which names both.
-
-    kind: a plain type, where numbers must be finite, or a dataclass of such, given as a mapping;
-    only its fields with a default may be missing.
-    """
-    if is_dataclass(kind):
-        values, types = value_of(path, key, value, dict), _types_of(kind)
-        names = [item.name for item in fields(kind)
-                 if item.default is MISSING or values.get(item.name) is not None]
-        return cast(Kind, kind(**{
-            name: value_of(path, f'{key}.{name}', values.get(name), types[name])
-            for name in names}))
-    problem = ''
-    if value is None:
-        problem = 'is missing'
-    elif type(value) is not kind and (type(value), kind) != (int, float):
-        problem = 'is no mapping' if kind is dict else f'is {value!r}, expected {kind.__name__}'
-    elif kind is float and not abs(value) <= sys.float_info.max:  # also of whole numbers
-        problem = f'is {value}'
-    if problem:
-        raise unusable_file(path, f'{key} {problem}')
-    return kind(value)  # type: ignore[call-arg]
-
-
-@cache
-def _types_of(kind: Any) -> dict[str, Any]:
-    """Return the type of each field of a dataclass by name; of "float | None" float."""
-    return {name: (*get_args(hint), hint)[0] for name, hint in get_type_hints(kind).items()}
-
-
-def numbers_of(path: Path, key: str, value: Any, count: int | None = None) -> Array:
-    """Return the finite numbers (count,) that a file lists under a key; raises InputError."""
-    values = value_of(path, key, value, list)
-    if count is not None and len(values) != count:
-        raise unusable_file(path, f'{key} does not hold {count} numbers')
-    return np.array([value_of(path, f'{key}[{i}]', v, float) for i, v in enumerate(values)])
-
-
-def transform_from(path: Path, key: str, value: Any) -> Array:
-    """Return the transform (4, 4) of the values under a key of a file; raises InputError."""
-    given, checked = value_of(path, key, value, dict), dict[str, dict[str, float]]()
-    for part, axes in (('translation', 'xyz'), ('rotation', 'xyzw')):
-        values = value_of(path, f'{key}.{part}', given.get(part), dict)
-        checked[part] = {axis: value_of(path, f'{key}.{part}.{axis}', values.get(axis), float)
-                         for axis in axes}
-    length = math.hypot(*checked['rotation'].values())
-    if abs(length - 1) > 1e-6:
-        raise unusable_file(path, f'{key}.rotation is a quaternion of length {length:.6g}, '
-                            'expected 1')
-    return se3.from_values(checked)
-
-
 def _require_same_rotation(path: Path, rpy: Array, T: Array) -> None:
     """Raise InputError for angles (3,) that were edited without the quaternion, which counts."""
     R = Rotation.from_euler('xyz', rpy).inv() * Rotation.from_matrix(T[:3, :3])
@@ -233,17 +169,3 @@ def _require_same_rotation(path: Path, rpy: Array, T: Array) -> None:
         raise unusable_file(path, 'rpy and transform.rotation differ by '
                             f'{math.degrees(R.magnitude()):.4g} degrees. The quaternion counts: '
                             'correct it, and correct rpy or delete it')
-
-
-def require_format(path: Path, text: str, kind: str) -> None:
-    """
-    Raise InputError for a file of another format, or of a newer number than NEWEST.
-
-    text: the format in the file, kind and number; kind: the one expected, with a / at the end.
-    """
-    number = text.removeprefix(kind)
-    if number == text or not number.isdecimal():
-        raise unusable_file(path, f'its format is "{text}", expected {kind}{NEWEST}')
-    if int(number) > NEWEST:
-        raise unusable_file(path, f'its format {text} is newer than this version of handeye_ros '
-                            f'({__version__}) can read; update the package')

@@ -167,12 +167,12 @@ def format_of(name: str) -> Format:
     return FORMATS[name]
 
 
-def save_all(calibration: Calibration, folder: Path, formats: Sequence[str] = (YAML,)) -> Saved:
+def save_all(calibration: Calibration, folder: Path, formats: Sequence[str]) -> Saved:
     """
     Write a calibration into a folder in all given formats, always also calibration.yaml.
 
-    The files of a previous result are kept in its history: nothing is lost, and all files in the
-    folder are of one answer. Raises UnknownNameError and UnwritableError.
+    The files of a previous result are kept in its history: nothing is lost, and all files of these
+    names are of one answer. Raises UnknownNameError and UnwritableError.
     """
     calibration = calibration_file.dated(calibration)
     chosen = [format_of(name) for name in dict.fromkeys((YAML, *formats))]

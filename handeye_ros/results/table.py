@@ -28,7 +28,7 @@ from rich.table import Table
 from rich.text import Text
 
 
-class Estimate(NamedTuple):
+class ShownEstimate(NamedTuple):
     """How the table shows the estimates whose keys match a pattern."""
 
     keys: str
@@ -40,7 +40,7 @@ class Estimate(NamedTuple):
 
 FOUND_MM = '{} mm (1 sigma, found and allowed for)'
 FOUND_DEGREES = '{} degrees (1 sigma, found and allowed for)'
-ESTIMATES = tuple(Estimate(*columns) for columns in (
+ESTIMATES = tuple(ShownEstimate(*columns) for columns in (
     ('(centre|point|radius|distance|size|setback).*', '', '{} mm', 1e3, 3),
     ('.*angle', '', '{} degrees', math.degrees(1), 4),
     ('normal.*|direction', '', '{}', 1.0, 6),

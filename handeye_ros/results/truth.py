@@ -9,7 +9,7 @@ from pathlib import Path
 from handeye_ros import se3
 from handeye_ros.config import read_yaml
 from handeye_ros.data import Array, rms
-from handeye_ros.results.calibration_file import transform_from, value_of
+from handeye_ros.results.file_values import transform_from, value_of
 import numpy as np
 
 TRUTH_NAME = 'truth.yaml'

@@ -23,9 +23,10 @@ from handeye_ros.arm import (
 from handeye_ros.data import Calibration
 from handeye_ros.output import write_atomically, yaml_text
 from handeye_ros.results import exports
-from handeye_ros.results.calibration_file import dated, NEWEST
+from handeye_ros.results.calibration_file import dated
 from handeye_ros.results.table import figures_table
 from handeye_ros.robot.selection import ArmOutcome, UNCHANGED_ARM
+from handeye_ros.sampling.stops import evenly_chosen
 import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
@@ -87,8 +88,9 @@ class ArmAnswer:
 def _content(answer: ArmAnswer) -> dict[str, Any]:
     """Return the contents of kinematics.yaml."""
     outcome, arm, calibration = answer.outcome, answer.outcome.arm, answer.calibration
+    stored = evenly_chosen(len(arm.configurations), MOST_CONFIGURATIONS)
     return {
-        'format': f'{FORMAT}{NEWEST}', 'name': calibration.name, 'base': arm.base,
+        'format': FORMAT, 'name': calibration.name, 'base': arm.base,
         'flange': arm.flange, 'joints': answer.joints, 'end': se3.transform_values(arm.end),
         'zero_offsets_degrees': {
             joint.name: round(math.degrees(offset), 5)
@@ -100,7 +102,7 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
                    for m in outcome.models],
         'robot_smooth_error': outcome.smooth,
         'covariance': arm.covariance.tolist(),
-        'configurations': arm.configurations[:MOST_CONFIGURATIONS].round(6).tolist(),
+        'configurations': arm.configurations[stored].round(6).tolist(),
         'provenance': {**dated(calibration).provenance, 'warnings': list(answer.warnings)}}
 
 

@@ -21,7 +21,7 @@ from typing import TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.arm import Arm, ERROR_KINDS
-from handeye_ros.data import Array, rms
+from handeye_ros.data import Array, Indices, rms
 from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.least_squares import (
     covariance_of,
@@ -60,7 +60,7 @@ class Residuals:
     """
 
     values: Array
-    station: NDArray[np.intp]
+    station: Indices
     wrt_X_and_target: Array
     wrt_pose: Array
     whiten: Callable[[Array], Array] = identity
@@ -163,14 +163,14 @@ class ArmFit:
         return np.concatenate([data.q for data in self.measured])
 
     @cached_property
-    def station(self) -> NDArray[np.intp]:
+    def station(self) -> Indices:
         """Return the stop (m,) of each residual."""
         first = np.cumsum([0, *(len(data.q) for data in self.measured)])[:-1]
         return np.concatenate([start + residual.station
                                for start, residual in zip(first, self.residuals, strict=True)])
 
     @property
-    def rows(self) -> NDArray[np.intp]:
+    def rows(self) -> Indices:
         """Return the numbers (m,) of the residuals of used stops, among all."""
         return np.flatnonzero(self.used[self.station])
 
@@ -180,7 +180,7 @@ class ArmFit:
         return np.append(self.arm.values, self.smooth)
 
     @property
-    def kind_numbers(self) -> NDArray[np.intp]:
+    def kind_numbers(self) -> Indices:
         """Return the kind (p,) of each error as a number from 0; the smooth ones are the last."""
         _, kind = np.unique(ERROR_KINDS[np.nonzero(self.arm.free)[1]], return_inverse=True)
         return np.append(kind, np.full(len(self.smooth), kind.max(initial=-1) + 1))
@@ -306,10 +306,10 @@ def without_bad_stops(fit: ArmFit) -> ArmFit:
     """Return a fit without the stops that the others do not predict."""
     stops = np.arange(len(fit.q))
 
-    def fitted_to(previous: ArmFit | None, used: NDArray[np.intp]) -> ArmFit:
+    def fitted_to(previous: ArmFit | None, used: Indices) -> ArmFit:
         return with_estimated_weights(replace(previous or fit, used=np.isin(stops, used)))
 
-    def left_out_squares(fit: ArmFit) -> tuple[Array, NDArray[np.intp]]:
+    def left_out_squares(fit: ArmFit) -> tuple[Array, Indices]:
         _, item = np.unique(fit.station[fit.rows], return_inverse=True)
         (r, J), freedom = fit.linear, np.bincount(item)
         left_out = leave_one_out(r, J, fit.covariance, item)

@@ -24,7 +24,7 @@ from handeye_ros.arm import (
     PRISMATIC,
     REVOLUTE,
 )
-from handeye_ros.data import Array, rms
+from handeye_ros.data import Array, Indices, rms
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.robot.estimate import (
@@ -36,7 +36,6 @@ from handeye_ros.robot.estimate import (
     without_bad_stops,
 )
 import numpy as np
-from numpy.typing import NDArray
 
 UNSOLVED = 'unsolved'  # reason of refusals that wrong clocks may explain
 UNCHANGED_ARM = 'the URDF as it is'
@@ -132,7 +131,7 @@ def selected_model(fit: ArmFit, q: Array, limit: float, residual_with: Callable[
                       _posterior_share(chosen.fit), smooth, tuple(_notes(models, chosen)))
 
 
-def _regions(q: Array, most: int = REGION_COUNT) -> NDArray[np.intp]:
+def _regions(q: Array, most: int = REGION_COUNT) -> Indices:
     """Return the region (n,) of stops (n, joints): halves of halves, across the widest axis."""
     region = np.zeros(len(q), dtype=np.intp)
     if most > 1 and len(q) >= 2 * FEWEST_OF_REGION:
@@ -144,7 +143,7 @@ def _regions(q: Array, most: int = REGION_COUNT) -> NDArray[np.intp]:
     return region
 
 
-def _validated(fit: ArmFit, fold: NDArray[np.intp]) -> Model:
+def _validated(fit: ArmFit, fold: Indices) -> Model:
     """Return the model of a fit; fold: (n,) regions of the stops, left out one by one."""
     errors, variance_ratio = np.empty(len(fold)), 1.0
     for number in np.unique(fold):

@@ -21,7 +21,7 @@ from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.refusals import require_certain, require_samples
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Calibration, Sample
+from handeye_ros.data import Array, Calibration, Indices, NS, Sample
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.least_squares import adjust
 from handeye_ros.estimation.problem import Estimate, Problem
@@ -51,10 +51,9 @@ from handeye_ros.tables import ANGLE, LENGTH, Table, UNITS
 from handeye_ros.targets import problem_of_known_poses, target_for
 from handeye_ros.targets.profile_target import xyz
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-LONGEST_GAP = 1_000_000_000  # ns, between a sample and joint values
+LONGEST_GAP = NS  # 1 s, between a sample and joint values
 UNCORRECTED_STD = 5e-4  # 1 sigma of the robot's error before its correction (m)
 LARGEST_APART = 0.05  # m and rad: largest difference of X between targets
 INACCURATE_RMS = 1e-3  # 1 sigma (m) of the residuals of an inaccurate robot
@@ -215,9 +214,9 @@ class PointRows:
 
     q: Array
     points: Array
-    target: NDArray[np.intp]
+    target: Indices
     names: tuple[str, ...]
-    number: NDArray[np.intp]
+    number: Indices
     in_hand: bool = True
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from itertools import takewhile
+import math
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -79,7 +80,9 @@ def read_cloud(path: Path) -> Array:
         with path.open('rb') as stream:
             length, lines = _header_lines(stream.read(LONGEST_HEADER))
             form, dtype, count = layout(lines)
-            columns = [(dtype.names or ()).index(axis) for axis in 'xyz']
+            names = dtype.names or ()
+            counts = [math.prod(dtype[name].shape) for name in names]
+            columns = [sum(counts[:names.index(axis)]) for axis in 'xyz']
             stream.seek(length)
             if form == 'ascii':
                 points = np.loadtxt(stream, usecols=columns, max_rows=count, ndmin=2)

@@ -3,6 +3,9 @@
 """
 Profiles and poses to points in the robot's base: a scan.
 
+A message becomes a Profile with only its returns (`returns_of` in bags/messages.py). Trajectory.at
+gives the flange at its stamp, and the base to the sensor is T_base_flange @ T_flange_sensor; the
+two coordinates of a return count along `unit_vectors` of the profile's axes in the sensor frame.
 With eye_on_base the points are in the frame of the flange, which carries the workpiece past the
 sensor. The poses are interpolated by a spline at the stamp of each profile plus time_offset; the
 rotation is taken later by the rotation lag that the calibration estimated. A profile outside the
@@ -84,21 +87,19 @@ class Scanner:
     frame: the id of the frame of the points; count: the numbers so far
     """
 
-    def __init__(self, calibration: Calibration, config: Config,
-                 options: ScanOptions | None = None) -> None:
-        """Start without profiles; without options all points are kept."""
+    def __init__(self, calibration: Calibration, config: Config, options: ScanOptions) -> None:
+        """Start without profiles."""
         self.calibration, self.config, self.frame = calibration, config, target_frame(config)
-        self.options = options or ScanOptions()
-        self.count = ScanCount()
+        self.options, self.count = options, ScanCount()
         self.lag = float(calibration.target.get(ROTATION_LAG, 0.0))  # s
         self._fields: np.dtype[np.void] | None = None  # of a point, as the first profile has them
         self._filled = set[int]()  # cubes that have their point
 
-    def scan(self, profiles: Iterable[Profile], track: Trajectory) -> Iterator[Points]:
+    def scan(self, profiles: Iterable[Profile], trajectory: Trajectory) -> Iterator[Points]:
         """Yield the points of profiles in pieces; raises DataError where there are none."""
         source, count = iter(profiles), self.count
         while batch := list(islice(source, BATCH_PROFILES)):
-            yield self.points(batch, track)
+            yield self.points(batch, trajectory)
         if count.profiles == count.without_pose > 0:
             raise DataError(
                 f'none of the {count.profiles} profiles has a pose before and after it within '
@@ -109,18 +110,18 @@ class Scanner:
                             'returns: widen the limits (--range, --incidence), or, without '
                             'returns, check range and exposure of the sensor')
 
-    def points(self, profiles: Sequence[Profile], track: Trajectory) -> Points:
+    def points(self, profiles: Sequence[Profile], trajectory: Trajectory) -> Points:
         """Return the points of some profiles: x, y, z in the frame (m), intensity, std."""
         if self._fields is None:
             optional = {'intensity': profiles[0].intensity is not None, 'std': self.options.std}
             self._fields = np.dtype([(name, '<f4') for name in (
                 *'xyz', *compress(optional, optional.values()))])
         stamps = np.array([p.stamp for p in profiles], dtype=np.int64) + self.config.offset_ns
-        flange = track.at(stamps, self.lag)
+        flange = trajectory.at(stamps, self.lag)
         self.count.profiles += len(profiles)
         self.count.without_pose += len(profiles) - int(flange.inside.sum())
         T = mount_poses(flange.T_base_flange, self.config) @ self.calibration.T_flange_sensor
-        stds = track.std(stamps) if self.options.std else np.zeros((len(profiles), 2))
+        stds = trajectory.std(stamps) if self.options.std else np.zeros((len(profiles), 2))
         used = compress(zip(profiles, T, stds, strict=True), flange.inside)
         cloud = np.concatenate([np.empty(0, self._fields), *(
             self._of_profile(self._fields, *item) for item in used)])
@@ -181,7 +182,7 @@ def point_std(calibration: Calibration, noise: NoiseConfig, lever: Array, pose_s
 
     lever: (n, 3) from the sensor to the points, in the axes of its mount (m).
     Its square is the mean squared length of the position's error, the trace of its covariance:
-    of the calibration (6x6), of the range, of single poses (noise), and of the track of the poses
+    of the calibration (6x6), of the range, of single poses (noise), and of the trajectory
     (pose_std (2,), per axis, m and rad).
     """
     X, C = calibration.T_flange_sensor, calibration.covariance

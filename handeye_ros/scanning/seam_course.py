@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 import math
 
-from handeye_ros.data import Array
+from handeye_ros.data import Array, Indices
 from handeye_ros.errors import DataError, mm
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +54,7 @@ TOUCHING_GAP = 6.0  # spacings: largest distance between the edges of sheets in 
 V_AXIS_COSINE = 0.9  # cosine between the axis of a V and the normals of its plates
 SEAM_KINDS = ('v', 'butt', 'lap', 'fillet')  # in the order of preference
 
-Pairs = NDArray[np.intp]
+Pairs = Indices
 """Pairs (k, 2) of points on rims that face each other: rows of the cloud."""
 
 
@@ -80,10 +80,10 @@ class Sheets:
     points: Array
     tree: cKDTree
     spacing: float
-    label: NDArray[np.intp]
+    label: Indices
     normals: Array
     noise: float
-    rims: NDArray[np.intp]
+    rims: Indices
     outward: Array
 
 
@@ -147,7 +147,7 @@ def _assign_planes(points: Array, in_plane: NDArray[np.bool_], normals: Array, r
 
 
 def _sheet_labels(points: Array, normals: Array, linked: NDArray[np.int32],
-                  in_plane: NDArray[np.bool_], tolerance: float) -> NDArray[np.intp]:
+                  in_plane: NDArray[np.bool_], tolerance: float) -> Indices:
     """
     Return the sheet (n,) of each point, -1 for points without a plane and in small sheets.
 
@@ -168,8 +168,8 @@ def _sheet_labels(points: Array, normals: Array, linked: NDArray[np.int32],
     return np.where(in_plane & (size[label] >= SMALLEST_SHEET), label, -1)
 
 
-def _rims(points: Array, near: NDArray[np.int32], label: NDArray[np.intp], normals: Array,
-          spacing: float) -> tuple[NDArray[np.intp], Array]:
+def _rims(points: Array, near: NDArray[np.int32], label: Indices, normals: Array,
+          spacing: float) -> tuple[Indices, Array]:
     """Return the indices (k,) of points on borders of sheets, and outward directions (n, 3)."""
     free_angle, outward = np.zeros(len(points)), np.zeros_like(points)
     for block, valid, offset in _neighbourhoods(points, near):

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from handeye_ros.data import Array, robust_std
+from handeye_ros.data import Array, Indices, robust_std
 from handeye_ros.errors import DataError, mm
 from handeye_ros.scanning.curves import Curve, spline, STIFF_ONLY
 from handeye_ros.scanning.seam_course import (
@@ -24,7 +24,6 @@ from handeye_ros.scanning.seam_course import (
     unit,
 )
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
 FEWEST_OF_SIDE = 12  # points of a side of a section
@@ -199,7 +198,7 @@ def _sheet_end(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float,
                      _column_resolution(points[:, 1], sheets.spacing))
 
 
-def _points_of_sheet(sheets: Sheets, this_edge: NDArray[np.intp], other_edge: NDArray[np.intp],
+def _points_of_sheet(sheets: Sheets, this_edge: Indices, other_edge: Indices,
                      origin: Array, axes: Array) -> Array:
     """
     Return the points (n, 3) near a section of the sheet of an edge, along axes from an origin.
@@ -220,7 +219,7 @@ def _points_of_sheet(sheets: Sheets, this_edge: NDArray[np.intp], other_edge: ND
     return np.asarray(points[(points[:, 1] <= width) & (points[:, 1] >= -beyond)])
 
 
-def _axes(sheets: Sheets, this_edge: NDArray[np.intp], other_edge: NDArray[np.intp],
+def _axes(sheets: Sheets, this_edge: Indices, other_edge: Indices,
           tangent: Array) -> tuple[Array, Array]:
     """Return the directions into a sheet and out of its surface (3,), orthogonal to the seam."""
     inwards = -sheets.outward[this_edge].mean(axis=0)

@@ -23,7 +23,7 @@ from typing import Any, ClassVar, Self
 from handeye_ros import se3
 from handeye_ros.checks.refusals import require_rotations
 from handeye_ros.config import Config, with_values
-from handeye_ros.data import Array
+from handeye_ros.data import Array, Indices
 from handeye_ros.errors import DataError, require_count
 from handeye_ros.estimation.least_squares import (
     adjust,
@@ -35,9 +35,9 @@ from handeye_ros.estimation.least_squares import (
 )
 from handeye_ros.frames import mount_frame, mount_poses
 from handeye_ros.published.cn105021139a import solve_motions
-from handeye_ros.results.calibration_file import input_values
+from handeye_ros.results.file_values import input_values
 from handeye_ros.tables import NOTATIONS, Table
-from handeye_ros.tabulated.values import Indices, Misreading, TableAnswer, TableProblem
+from handeye_ros.tabulated.values import Misreading, TableAnswer, TableProblem
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import fdtri

@@ -33,7 +33,7 @@ from handeye_ros.frames import T_sensor_plane
 from handeye_ros.profiles.arcs import arc_features
 from handeye_ros.profiles.faces import corner_features
 from handeye_ros.published import jing2020
-from handeye_ros.results.calibration_file import input_values
+from handeye_ros.results.file_values import input_values
 from handeye_ros.results.truth import field_points, FIELD_TEXT
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.tables import LENGTH, Table, TableError
@@ -136,6 +136,11 @@ class TrackerSession(TableProblem):
         return jing2020.Readings(parts | {'ball': self.ball[None]},
                                  self.config.tracker.h0 + self.config.tracker.h1, self.q30)
 
+    @cached_property
+    def answer(self) -> jing2020.Result:
+        """Return the answer from the points as measured; raises DataError."""
+        return self.published_answer(self.readings)
+
     def published_answer(self, readings: jing2020.Readings) -> jing2020.Result:
         """Return the answer of Jing 2020, of the sensor plane; raises DataError."""
         direction = self.T_sensor_values[:3, :3].T @ np.array(self.config.tracker.direction)
@@ -151,7 +156,7 @@ class TrackerSession(TableProblem):
             if steps.sum() < SMALLEST_FORWARD_SHARE * np.abs(steps).sum():
                 raise DataError(f'the points of the {part} go back and forth; list them in the '
                                 'order measured')
-        answer = self.published_answer(self.readings)
+        answer = self.answer
         turn = math.acos(min(1.0, float(answer.direction @ answer.T_flange_sensor[2, :3])))
         if turn > LARGEST_TURN:
             raise DataError(
@@ -161,7 +166,7 @@ class TrackerSession(TableProblem):
 
     def estimate(self) -> TableAnswer:
         """Return the published answer, its covariance by draws of noise; raises DataError."""
-        answer = self.published_answer(self.readings)
+        answer = self.answer
         distances = self.distances(answer)
         residuals = np.array([
             rms(distances_of_piece) for part in PARTS for distances_of_piece in np.split(

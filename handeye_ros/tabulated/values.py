@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, KW_ONLY
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
+from typing import Any, ClassVar, NamedTuple, Self
 
 from handeye_ros import se3
 from handeye_ros.calibration import assemble_calibration, report_of_row
@@ -31,8 +31,6 @@ from numpy.typing import NDArray
 
 LARGEST_RMS, LARGEST_ANGLE = 5e-3, 0.05  # of the residuals of values that agree (m, rad)
 MISREADING_RMS = 1e-3  # m: the same of values that are read otherwise, to be named as the cause
-
-Indices: TypeAlias = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

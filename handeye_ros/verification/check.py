@@ -28,6 +28,7 @@ from handeye_ros.data import (
     Array,
     Calibration,
     ClockEstimate,
+    Indices,
     Reject,
     rms,
     Sample,
@@ -45,7 +46,6 @@ from handeye_ros.targets.profile_target import grazing, out_of_face
 from handeye_ros.verification.fit import (
     fit_without_outliers,
     GroupFit,
-    Indices,
     largest_displacement,
     likeliest,
     require_stations,
@@ -75,6 +75,23 @@ MORE_STOPS = ('Repeat some of them with the sensor turned by 90 degrees about it
 
 
 @dataclass(frozen=True)
+class Move:
+    """
+    What a check says of the target, or of the sensor.
+
+    moved (m), turned (rad): its most likely move if it is the cause
+    shows: the smallest detectable shifts along the axes (m); nan: not detectable
+    axes: rows; of the target in the base, of the sensor in the flange, with eye_on_base the other
+        way round
+    """
+
+    moved: float
+    turned: float
+    shows: list[float]
+    axes: list[list[float]]
+
+
+@dataclass(frozen=True)
 class Check:
     """
     Result of a check.
@@ -85,12 +102,7 @@ class Check:
         fixed to the other), robot (its pose errors changed), clock, with "or" or "and"
     evidence: how many times as likely the recording is with a change as without
     odds: probability of each cause if something changed
-    target_moved (m), target_turned (rad): the most likely move if the target is the cause
-    sensor_moved, sensor_turned: the same for the sensor in the flange
-    points_off: the largest error of points in this case, and its std (m)
-    target_shows, sensor_shows: smallest detectable shifts along target_axes, sensor_axes (m); nan:
-        not detectable. The axes of the target in the base, of the sensor in the flange; with
-        eye_on_base the other way round
+    points_off: the largest error of points if the sensor is the cause, and its std (m)
     rms: of the residuals (m)
     left_out: numbers of the stops, of a sweep of the passes, with what contradicts the others
     time_offset_changed: of a sweep, and its 1 sigma (s)
@@ -103,16 +115,10 @@ class Check:
     rms: float
     evidence: float
     odds: dict[str, float]
-    target_moved: float
-    target_turned: float
-    sensor_moved: float
-    sensor_turned: float
+    target: Move
+    sensor: Move
     points_off: float
     points_off_std: float
-    target_shows: list[float]
-    target_axes: list[list[float]]
-    sensor_shows: list[float]
-    sensor_axes: list[list[float]]
     left_out: list[int]
     time_offset_changed: float = math.nan
     time_offset_changed_std: float = math.nan
@@ -156,31 +162,31 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     calibrated = _Calibrated.read(calibration, config)
     problem = _observed(samples, calibrated, config, others)
 
-    def compared_at(stops: Indices) -> GroupFit[_Comparison]:
-        comparison = _comparison(problem.subset(stops), calibrated)
-        station = comparison.linear.problem.observations.station
+    def compared_at(stops: Indices) -> GroupFit[_Prediction]:
+        prediction = _predicted(problem.subset(stops), calibrated)
+        station = prediction.linear.problem.observations.station
         require_stations([len(np.unique(station))])
         # whatever moved, and however the calibration errs
-        moves = [comparison.moved(name)[1] * _move_sigmas(MOVE_SCALES[-1]) for name in MOVABLE]
-        return GroupFit(comparison, comparison.residuals, np.hstack([comparison.errors, *moves]),
+        moves = [prediction.moved(name)[1] * _move_sigmas(MOVE_SCALES[-1]) for name in MOVABLE]
+        return GroupFit(prediction, prediction.residuals, np.hstack([prediction.errors, *moves]),
                         stops[station])
 
-    comparison, _, contradicting = fit_without_outliers(
+    prediction, _, contradicting = fit_without_outliers(
         np.unique(problem.observations.station), compared_at)
-    target, sensor = (_moved(comparison, name) for name in MOVABLE)
+    target, sensor = (_moved(prediction, name) for name in MOVABLE)
     causes = {'target': target, 'sensor': sensor,
-              'robot': _Cause(_robot_likelihood(comparison), ROBOT_CHANGED)}
+              'robot': _Cause(_robot_likelihood(prediction), ROBOT_CHANGED)}
     likelihoods = [cause.likelihood for cause in causes.values()]
-    evidence = _log_mean(likelihoods) - _log_likelihood(comparison.residuals, comparison.errors)
+    evidence = _log_mean(likelihoods) - _log_likelihood(prediction.residuals, prediction.errors)
     odds = dict(zip(causes, softmax(likelihoods).tolist(), strict=True))
-    (target_axes, target_shows), (sensor_axes, sensor_shows) = (
-        _smallest_shifts(comparison, name) for name in MOVABLE)
+    target_move, sensor_move = (
+        Move(causes[name].shift, causes[name].turn, *_smallest_shifts(prediction, name))
+        for name in MOVABLE)
     if evidence < math.log(LEAST_EVIDENCE):
         verdict, sentence = 'unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
-            f'have shown from {_shifts_in_words(target_axes, target_shows, target_frame(config))} '
-            f'on, one of the sensor from '
-            f'{_shifts_in_words(sensor_axes, sensor_shows, mount_frame(config))} on')
+            f'have shown from {_shifts_in_words(target_move, target_frame(config))} on, one of '
+            f'the sensor from {_shifts_in_words(sensor_move, mount_frame(config))} on')
     else:
         verdict, sentence = _verdict_and_sentence(causes, odds)
         if 'robot' in verdict and (off := rms(comparison.linear.residuals)) > MOVE_SCALES[-1]:
@@ -196,11 +202,9 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
         what = 'profiles of the passes' if passes else 'stops'
         sentence += f'. Left out, as they contradict the others: {what} {left_out}'
     return Check(
-        samples[0].stamp, verdict, sentence, len(comparison.linear.problem.poses),
-        rms(comparison.linear.residuals), math.exp(min(evidence, 700.0)), odds, target.shift,
-        target.turn, sensor.shift, sensor.turn, sensor.displacement, sensor.std,
-        target_shows.tolist(), target_axes.tolist(), sensor_shows.tolist(), sensor_axes.tolist(),
-        left_out)
+        samples[0].stamp, verdict, sentence, len(prediction.linear.problem.poses),
+        rms(prediction.linear.residuals), math.exp(min(evidence, 700.0)), odds, target_move,
+        sensor_move, sensor.displacement, sensor.std, left_out)
 
 
 def _verdict_and_sentence(causes: Mapping[str, _Cause], odds: Mapping[str, float]
@@ -283,7 +287,7 @@ def _observed(samples: Sequence[Sample], calibrated: _Calibrated, config: Config
 
 
 @dataclass(frozen=True, eq=False)
-class _Comparison:
+class _Prediction:
     """
     What a recording shows where a calibration is right and nothing has changed.
 
@@ -319,7 +323,7 @@ class _Comparison:
         return self.whiten(linear.residuals), self.whiten(wrt_move), lever
 
 
-def _comparison(problem: Problem, calibrated: _Calibrated) -> _Comparison:
+def _predicted(problem: Problem, calibrated: _Calibrated) -> _Prediction:
     """Return what a recording shows at the calibrated estimate."""
     obs, config, estimate = problem.observations, problem.config, calibrated.estimate
     # the range of faces seen at grazing incidence may be off by as much as a calibration allows
@@ -342,7 +346,7 @@ def _comparison(problem: Problem, calibrated: _Calibrated) -> _Comparison:
     errors = np.column_stack([
         linear.jacobian @ calibrated.root, wrt_smooth(linear.wrt_pose, differences), *setbacks,
         *ranges])
-    return _Comparison(linear, whiten, whiten(linear.residuals), whiten(errors))
+    return _Prediction(linear, whiten, whiten(linear.residuals), whiten(errors))
 
 
 def _log_likelihood(residuals: Array, errors: Array) -> float:
@@ -381,7 +385,7 @@ class _Cause(NamedTuple):
     std: float = 0.0
 
 
-def _moved(comparison: _Comparison, name: str) -> _Cause:
+def _moved(prediction: _Prediction, name: str) -> _Cause:
     """
     Return the cause "target" or "sensor" (name): that it moved.
 
@@ -389,17 +393,17 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
     """
     move, sigmas = NO_MOVE, _move_sigmas(MOVE_SCALES[-1])
     for _ in range(MOST_ITERATIONS):
-        r, D, lever = comparison.moved(name, move)
+        r, D, lever = prediction.moved(name, move)
         r = r + D @ move  # of no move, in this linearisation
-        x, C, _ = likeliest(np.hstack([comparison.errors, D * sigmas]), r)
+        x, C, _ = likeliest(np.hstack([prediction.errors, D * sigmas]), r)
         move, C = sigmas * x[-6:], C[-6:, -6:] * np.outer(sigmas, sigmas)
         likelihoods = [_log_likelihood(r, np.hstack([
-            comparison.errors, D * _move_sigmas(scale)])) for scale in MOVE_SCALES]
+            prediction.errors, D * _move_sigmas(scale)])) for scale in MOVE_SCALES]
         sigmas = _move_sigmas(MOVE_SCALES[int(np.argmax(likelihoods))])
     shift, turn = np.linalg.norm(move.reshape(2, 3), axis=1).tolist()
     displacement, std = largest_displacement(lever, move, C)
     off, turned = f'{mm(displacement)} ± {mm(2 * std)}', f'{math.degrees(turn):.3f} degrees'
-    on_flange = (name == 'sensor') == comparison.linear.problem.config.in_hand
+    on_flange = (name == 'sensor') == prediction.linear.problem.config.in_hand
     what = f'the {name} moved on the flange' if on_flange else (
         f'the {name}, or the base of the robot, moved')
     sentence = (
@@ -409,9 +413,9 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
     return _Cause(_log_mean(likelihoods), sentence, shift, turn, displacement, std)
 
 
-def _robot_likelihood(comparison: _Comparison) -> float:
+def _robot_likelihood(prediction: _Prediction) -> float:
     """Return the log likelihood of a robot whose poses err otherwise, smoothly or each alone."""
-    problem, wrt_pose = comparison.linear.problem, comparison.whiten(comparison.linear.wrt_pose)
+    problem, wrt_pose = prediction.linear.problem, prediction.whiten(prediction.linear.wrt_pose)
     smooth = problem.smooth_error_basis
     # the root of four is alike over twice the distance, as one joint's error reaches further
     values, axes = np.linalg.eigh(np.abs(smooth @ smooth.T) ** 0.25)
@@ -420,31 +424,28 @@ def _robot_likelihood(comparison: _Comparison) -> float:
         of_rows = root[problem.observations.station]
         for scale in MOVE_SCALES:
             by_twists = (wrt_pose * _move_sigmas(scale))[:, :, None] * of_rows[:, None]
-            likelihoods.append(_log_likelihood(comparison.residuals, np.hstack([
-                comparison.errors, by_twists.reshape(len(of_rows), -1)])))
+            likelihoods.append(_log_likelihood(prediction.residuals, np.hstack([
+                prediction.errors, by_twists.reshape(len(of_rows), -1)])))
     return _log_mean(likelihoods)
 
 
-def _smallest_shifts(comparison: _Comparison, name: str) -> tuple[Array, Array]:
-    """
-    Return axes (3, 3), as rows, and the smallest detectable shift along each (3,), in m.
-
-    name: of what moves, target or sensor. The smallest comes first; nan where none would show.
-    """
-    _, D, _ = comparison.moved(name)
-    A = comparison.errors  # a move that they explain as well does not show
+def _smallest_shifts(prediction: _Prediction, name: str) -> tuple[list[float], list[list[float]]]:
+    """Return shows and axes of the Move of target or sensor (name), the smallest shift first."""
+    _, D, _ = prediction.moved(name)
+    A = prediction.errors  # a move that they explain as well does not show
     information = D.T @ (D - A @ np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T @ D))
     occam = np.linalg.slogdet(np.eye(6) + information * _move_sigmas(1e-3) ** 2)[1]
     # of the shift for the evidence, which takes several causes and scales; and with 95 %
     sigmas = np.sqrt(2 * np.log(3 * len(MOVE_SCALES) * LEAST_EVIDENCE) + occam) + 1.64
     values, axes = np.linalg.eigh(information[:3, :3])
     sizes = (sigmas / np.sqrt(np.maximum(values, 1e-300)))[::-1]
-    return axes.T[::-1], np.where(sizes < UNSEEN_SHIFT, sizes, np.nan)
+    return np.where(sizes < UNSEEN_SHIFT, sizes, np.nan).tolist(), axes.T[::-1].tolist()
 
 
-def _shifts_in_words(axes: Array, shifts: Array, frame: str) -> str:
-    """Return in words from which size on shifts along the axes (3, 3) show, and which do not."""
-    along = [(size, name_direction(axis, frame)) for size, axis in zip(shifts, axes, strict=True)]
+def _shifts_in_words(move: Move, frame: str) -> str:
+    """Return in words from which size on shifts along the axes show, and which do not."""
+    along = [(size, name_direction(np.array(axis), frame))
+             for size, axis in zip(move.shows, move.axes, strict=True)]
     unseen = ' or '.join(name for size, name in along if np.isnan(size))
     return ', '.join(f'{mm(size)} along {name}' for size, name in along if size < UNSEEN_SHIFT) + (
         f' (a slide along {unseen} cannot be seen)' if unseen else '')
@@ -468,5 +469,10 @@ def _with_offset(result: Check, offset: ClockEstimate, calibration: Calibration)
 
 def plain_values(checks: Sequence[tuple[str, Check]], against: str) -> dict[str, Any]:
     """Return checks, each with the name of its recording, as plain values."""
-    return {'format': FORMAT, 'against': against,
-            'checks': [{'input': name, **asdict(result)} for name, result in checks]}
+    contents = []
+    for recording, result in checks:
+        content = {'input': recording, **asdict(result)}
+        for name in MOVABLE:
+            content |= {f'{name}_{key}': value for key, value in content.pop(name).items()}
+        contents.append(content)
+    return {'format': FORMAT, 'against': against, 'checks': contents}

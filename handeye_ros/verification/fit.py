@@ -9,19 +9,23 @@ is off by dq has r = J dq + E e + n: e are the errors of the calibration and the
 robot, n the noise of unit covariance. The error of the fitted q is -pinv(J) (E e + n), and what is
 left of the distances is M (E e + n), M = I - J pinv(J). An error of the calibration enters through
 E: its claimed covariance is never part of the measurement's own uncertainty.
+
+The claim is that e is as small as the covariance of the calibration states, beside robot errors of
+unit variance: "claim" is the root of this covariance of e. It is tested by the deviations v of the
+measured values from their nominal ones: their region is v' cov^-1 v, chi square if it is true.
 """
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 import math
-from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Reject, rms
+from handeye_ros.data import Array, Indices, Reject, rms
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.blocks import wrt_smooth
 from handeye_ros.estimation.least_squares import (
@@ -62,8 +66,7 @@ LEFT_BY_OTHERS_SHARE = 1e-3
 NOISE = Noise(np.array([1.0, 1.0, 0.0, 1.0, 1.0]))  # without what differs of the distortion
 MOST_OUTLIERS = 0.2  # of the groups: more are no outliers, but a disagreement
 
-T = TypeVar('T')
-Indices: TypeAlias = NDArray[np.intp]
+Result = TypeVar('Result')
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,15 +90,17 @@ class StationSet:
 
     @classmethod
     def of(cls, target: Target, poses: Array, observations: Observations, config: Config,
-           **values: Any) -> StationSet:
+           stamps: NDArray[np.int64], counts: tuple[int, ...], are_passes: bool = False,
+           surface: str = '') -> StationSet:
         """Return what is seen from poses; config.verify.aim is a further error of their place."""
         # the ends of a line are no face, and the flanks of teeth are steep by design
-        is_face = target.kinds == ('face',) and not values.get('are_passes')
+        is_face = target.kinds == ('face',) and not are_passes
         noise = replace(
             config.noise, distortion=config.noise.distortion if is_face else 0.0,
             robot_translation=math.hypot(config.noise.robot_translation, config.verify.aim))
-        return cls(Problem(target, poses, observations, replace(config, noise=noise),
-                           long_errors=True), **values)
+        problem = Problem(target, poses, observations, replace(config, noise=noise),
+                          long_errors=True)
+        return cls(problem, stamps, counts, are_passes, surface)
 
     @property
     def observations(self) -> Observations:
@@ -296,7 +301,43 @@ class ShapeFit:
     error: CalibrationError
 
 
-class GroupFit(NamedTuple, Generic[T]):
+@dataclass(frozen=True, eq=False)
+class _WhiteDistances:
+    """
+    The white distances r (m,) of a fitted shape, r = J dq + E e + n as above.
+
+    J: (m, k); E: (m, 6 + s); claim: (6 + s, 6 + s)
+    """
+
+    r: Array
+    J: Array
+    E: Array
+    claim: Array
+
+    @cached_property
+    def gain(self) -> Array:
+        """Return pinv(J) (k, m): by how much the fitted q follows each distance."""
+        return np.asarray(np.linalg.pinv(self.J), dtype=float)
+
+    def left_over(self, values: Array) -> Array:
+        """Return what the shape does not take up of r, or of the columns of E."""
+        return np.asarray(values - self.J @ (self.gain @ values))
+
+
+class _Measured(NamedTuple):
+    """
+    The measured quantities of a shape, and how the v with a nominal value deviate from it.
+
+    deviation: (v,) white; wrt_errors: (v, 6 + s) its derivatives by e; region: of a ShapeFit
+    """
+
+    quantities: tuple[Quantity, ...]
+    deviation: Array
+    wrt_errors: Array
+    region: float
+
+
+class GroupFit(NamedTuple, Generic[Result]):
     """
     A fit to some groups of points.
 
@@ -305,13 +346,13 @@ class GroupFit(NamedTuple, Generic[T]):
     group: (m,) of each
     """
 
-    result: T
+    result: Result
     residuals: Array
     wrt_unknowns: Array
     group: Indices
 
 
-def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0
+def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float
               ) -> GroupFit[tuple[Shape, ShapeFit]]:
     """
     Return a shape with its fit; raises InputError for an impossible covariance.
@@ -330,34 +371,32 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0
     linear = shape.linear(X, q)
     basis = problem.smooth_error_basis[problem.observations.station]
     by_robot = wrt_smooth(linear.wrt_pose, basis * smooth_std)
-    # white distances r, their derivatives J by the shape, and E by the errors, of the calibration
-    # and of the robot (these of unit covariance)
-    white = whitening(linear)
-    r, J = white(linear.residuals), white(linear.jacobian[:, 6:])
-    E = np.hstack([white(linear.jacobian[:, :6]), white(by_robot)])
-    claim = scipy.linalg.block_diag(root_of(C), np.eye(by_robot.shape[1]))
-    gain = np.asarray(np.linalg.pinv(J), dtype=float)
-    quantities, deviation, deviation_wrt_errors, region = _values(shape, q, J, gain, E, claim)
-    # what the shape does not take up
-    r_left, E_left, freedom = r - J @ (gain @ r), E - J @ (gain @ E), max(len(r) - len(gain), 1)
+    white_of = whitening(linear)
+    white = _WhiteDistances(
+        white_of(linear.residuals), white_of(linear.jacobian[:, 6:]),
+        np.hstack([white_of(linear.jacobian[:, :6]), white_of(by_robot)]),
+        scipy.linalg.block_diag(root_of(C), np.eye(by_robot.shape[1])))
+    measured = _measured(shape, q, white)
+    r_left, E_left = white.left_over(white.r), white.left_over(white.E)
+    freedom, known = max(len(r_left) - len(q), 1), len(measured.deviation)
     sizes = np.abs(linear.residuals)
-    square = likeliest(E_left @ claim, r_left)[2]
+    square = likeliest(E_left @ white.claim, r_left)[2]
     scatter = Scatter(len(sizes), float(sizes.mean()), float(sizes.std()), rms(sizes),
                       float(sizes.max()), float(chi2_sf(square, freedom)))
     variances = np.square(by_robot).sum(axis=1)  # of the distances, due to robot and sensor
     for group in groups:
         variances[group.rows] += np.einsum('nii->ni', _covariance(linear, group))
     fit = ShapeFit(
-        quantities, scatter, distances=linear.residuals, distance_stds=np.sqrt(variances),
-        region=region, freedom=len(deviation),
-        claim_p=float(chi2_sf(region, len(deviation))) if len(deviation) else 1.0,
-        error=_calibration_error(
-            np.vstack([E_left, -deviation_wrt_errors]), np.append(r_left, deviation),
-            freedom + len(deviation), linear))
+        measured.quantities, scatter, linear.residuals, np.sqrt(variances), measured.region, known,
+        float(chi2_sf(measured.region, known)) if known else 1.0,
+        _calibration_error(
+            np.vstack([E_left, -measured.wrt_errors]), np.append(r_left, measured.deviation),
+            freedom + known, linear))
     # the test for outliers leaves shape and calibration free
-    unknowns = np.hstack([J, E[:, :6]])
+    unknowns = np.hstack([white.J, white.E[:, :6]])
     unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
-    return GroupFit((shape, fit), r, np.hstack([unknowns, E[:, 6:]]), stations.group_of_point)
+    return GroupFit((shape, fit), white.r, np.hstack([unknowns, white.E[:, 6:]]),
+                    stations.group_of_point)
 
 
 def _calibration_error(A: Array, b: Array, conditions: int, linear: Linear) -> CalibrationError:
@@ -403,22 +442,15 @@ def likeliest(A: Array, b: Array, information: Array | float = 1.0
     return x, covariance, float(b @ b - explained @ x)
 
 
-def _values(shape: Shape, q: Array, J: Array, gain: Array, E: Array, claim: Array
-            ) -> tuple[tuple[Quantity, ...], Array, Array, float]:
-    """
-    Return the measured quantities of a shape q (k,), and how the v with a nominal value deviate.
-
-    That is the white deviations (v,), their derivatives (v, 6 + s) by the errors, and the region
-    of a ShapeFit. J, E: derivatives of the white distances by shape and errors; gain: pinv(J);
-    claim: root of the covariance of the errors.
-    """
+def _measured(shape: Shape, q: Array, white: _WhiteDistances) -> _Measured:
+    """Return the measured quantities of a shape q (k,)."""
     certificate = shape.stations.problem.config.verify.certificate  # U of nominal lengths
     values, wrt_shape = shape.values(q), derivatives(shape.values, q)
-    wrt_distances = wrt_shape @ gain
-    wrt_errors = wrt_distances @ E
-    by_claim, by_smooth = np.split(wrt_errors @ claim, [6], axis=1)
+    wrt_distances = wrt_shape @ white.gain
+    wrt_errors = wrt_distances @ white.E
+    by_claim, by_smooth = np.split(wrt_errors @ white.claim, [6], axis=1)
     covariance, claimed = wrt_distances @ wrt_distances.T, by_claim @ by_claim.T
-    unseen = np.abs(wrt_shape - wrt_distances @ J).max(axis=1, initial=0.0) > UNSEEN_CHANGE
+    unseen = np.abs(wrt_shape - wrt_distances @ white.J).max(axis=1, initial=0.0) > UNSEEN_CHANGE
     nominal = np.array([quantity.nominal for quantity in shape.quantities], dtype=float)
     known = np.flatnonzero(np.isfinite(nominal) & ~unseen)
     is_length = np.array([quantity.unit == 'm' for quantity in shape.quantities])
@@ -432,7 +464,7 @@ def _values(shape: Shape, q: Array, J: Array, gain: Array, E: Array, claim: Arra
     quantities = (replace(quantity, value=float(value), std=float(std), claimed=float(claimed_std))
                   for quantity, value, std, claimed_std in zip(
                       shape.quantities, values, stds, claimed_stds, strict=True))
-    return tuple(quantities), whiten @ deviation, whiten @ wrt_errors[known], region
+    return _Measured(tuple(quantities), whiten @ deviation, whiten @ wrt_errors[known], region)
 
 
 def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, float]:
@@ -462,7 +494,7 @@ def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
             f'{motion} {name_direction(axis, mount)}')
 
 
-def refit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> ShapeFit:
+def refit_shape(shape: Shape, X: Array, C: Array, smooth_std: float) -> ShapeFit:
     """Return the fit with the calibration error estimated as well, for errors of any size."""
     for _ in range(REFIT_COUNT):
         _, fit = fit_shape(shape, X, C, smooth_std).result
@@ -481,8 +513,8 @@ def root_of(C: Array) -> Array:
     return np.asarray(vectors * np.sqrt(np.maximum(value, 0.0)))
 
 
-def fit_without_outliers(groups: Indices, fitted: Callable[[Indices], GroupFit[T]]
-                         ) -> tuple[T, dict[int, float], list[int]]:
+def fit_without_outliers(groups: Indices, fitted: Callable[[Indices], GroupFit[Result]]
+                         ) -> tuple[Result, dict[int, float], list[int]]:
     """
     Return the fit of the groups that agree, the p-value of each group, and those left out.
 
@@ -490,7 +522,7 @@ def fit_without_outliers(groups: Indices, fitted: Callable[[Indices], GroupFit[T
     """
     p_values, most = dict[int, float](), int(MOST_OUTLIERS * len(groups))
 
-    def of_groups(_: object, used: Indices) -> tuple[T, Array, Indices]:
+    def of_groups(_: object, used: Indices) -> tuple[Result, Array, Indices]:
         fit = fitted(used)
         squares, freedom = _left_out_squares(fit, used)
         of_used = chi2_sf(squares * freedom, freedom)
@@ -505,7 +537,7 @@ def fit_without_outliers(groups: Indices, fitted: Callable[[Indices], GroupFit[T
     return of_groups(None, groups)[0], p_values, []
 
 
-def _left_out_squares(fit: GroupFit[T], groups: Indices) -> tuple[Array, Indices]:
+def _left_out_squares(fit: GroupFit[Result], groups: Indices) -> tuple[Array, Indices]:
     """
     Return how well the others predict each of groups (g,): mean squares of (12), and freedom.
 

@@ -19,14 +19,13 @@ from handeye_ros import __version__
 from handeye_ros.config import read_yaml
 from handeye_ros.errors import unusable_file
 from handeye_ros.output import rendered
-from handeye_ros.results.calibration_file import input_values, require_format
+from handeye_ros.results.file_values import input_values, require_format
 from handeye_ros.results.table import figures_table
 from handeye_ros.verification.fit import COVERAGE_FACTOR
 from handeye_ros.verification.verify import decision, formatted, Verification
 from rich.table import Table
 
-FORMAT_PREFIX = 'handeye_ros/verification/'
-FORMAT = f'{FORMAT_PREFIX}1'
+FORMAT = 'handeye_ros/verification/1'
 TABLE_COLUMNS = ('measured', 'nominal', 'deviation', 'U (k = 2)', 'claimed, 1 sigma',
                  'ISO 14253-1')
 # Rows of a figure alone, of the scatter or of the whole: name, key, unit.
@@ -100,9 +99,10 @@ def sentence(content: Mapping[str, Any]) -> str:
 def protocol_of(path: Path) -> str | None:
     """Return the protocol of a verification in a file, None of another file; raises InputError."""
     content = read_yaml(path)
-    if not isinstance(content, dict) or not str(content.get('format')).startswith(FORMAT_PREFIX):
+    text = str(content.get('format')) if isinstance(content, dict) else ''
+    if text.rpartition('/')[0] != FORMAT.rpartition('/')[0]:
         return None
-    require_format(path, str(content['format']), FORMAT_PREFIX)
+    require_format(path, text, FORMAT)
     from jinja2 import TemplateError
     try:
         return protocol(content)  # which uses all of it

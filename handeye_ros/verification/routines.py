@@ -129,6 +129,8 @@ class Routine:
     shape: what is fitted to the stations, with the sensor plane at X (4, 4) in the mount
     form: what the scatter of each face, ball or axis is called in the result; empty: not told
     symbol: the characteristic that it is
+    edge_distances: into how many distances an edge point counts, two from a line or three from a
+        point; 0: the points count as in a calibration
     """
 
     name: str
@@ -138,6 +140,7 @@ class Routine:
     shape: Callable[[StationSet, Array, VerifyConfig], Shape]
     form: str = ''
     symbol: str = ''
+    edge_distances: int = 0
 
     @property
     def in_passes(self) -> bool:
@@ -147,7 +150,7 @@ class Routine:
     def recordings_for(self, lengths: int) -> Sequence[int]:
         """Return the possible numbers of recordings; raises InputError for wrong lengths."""
         if lengths not in self.recording_counts:
-            raise InputError(f'{self.name} needs {_listed(list(self.recording_counts))} lengths '
+            raise InputError(f'{self.name} needs {_in_words(list(self.recording_counts))} lengths '
                              f'(verify.lengths), and got {lengths}')
         return self.recording_counts[lengths]
 
@@ -162,7 +165,7 @@ class Routine:
 
         Of a point: 3 sigma along each axis of the base. Their own std is that of normal scatter.
         """
-        by_axis = self.shape is point
+        by_axis = self.edge_distances == 3
         part = stations.observations.kind if by_axis else stations.recording_of_point
         for k in range(int(part.max()) + 1 if self.form else 0):
             values = distances[part == k]
@@ -173,11 +176,12 @@ class Routine:
 
 
 ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (
-    Routine('line', 'distances of edge points from a straight edge', 'line', {0: [1]}, line),
+    Routine('line', 'distances of edge points from a straight edge', 'line', {0: [1]}, line,
+            edge_distances=2),
     Routine('plane', 'distances of points from a flat face', 'plane', {0: [1]}, planes,
             'flatness of face', 'F'),
     Routine('point', 'one point seen from everywhere: scatter, and bias of a touched one', 'line',
-            {0: [1]}, point, '3 sigma of the points along'),
+            {0: [1]}, point, '3 sigma of the points along', edge_distances=3),
     Routine('sphere', 'radius of a ball', 'sphere', {0: [1]}, spheres, 'form error of ball', 'PF'),
     Routine('ball_bar', 'distance of two balls', 'sphere', {1: [2]}, spheres,
             'form error of ball', 'PF'),
@@ -208,10 +212,10 @@ def settings_for(routine: Routine, config: Config, count: int) -> Config:
     """
     possible = routine.recordings_for(len(config.verify.lengths))
     if count not in possible:
-        raise InputError(f'{routine.name} needs {_listed(possible)} bags, and got {count}')
+        raise InputError(f'{routine.name} needs {_in_words(possible)} bags, and got {count}')
     return routine.settings(config)
 
 
-def _listed(numbers: Sequence[int]) -> str:
+def _in_words(numbers: Sequence[int]) -> str:
     return (f'{numbers[0]} to {numbers[-1]}' if len(numbers) > 3 else
             ' or '.join(map(str, numbers)))

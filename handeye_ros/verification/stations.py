@@ -21,6 +21,7 @@ from handeye_ros.data import (
     EdgePoint,
     FaceLine,
     Feature,
+    Indices,
     Profile,
     ROTATION_LAG,
     Sample,
@@ -33,7 +34,7 @@ from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.profile_target import edge_error_factor, ObservationRows
-from handeye_ros.verification.fit import Indices, LEAST_STATIONS, StationSet
+from handeye_ros.verification.fit import LEAST_STATIONS, StationSet
 from handeye_ros.verification.routines import Routine
 import numpy as np
 
@@ -113,18 +114,17 @@ def _conditions(routine: Routine, samples: Sequence[Sample], T: Array) -> Observ
     Of edge points the one of each station that is nearest to a common line or point takes part:
     two distances from the line, three from the point.
     """
-    if routine.target != 'line':
+    if not routine.edge_distances:
         return TARGETS[routine.target].observe(samples)
     stop, edges = _features_with_stops(samples, EdgePoint)
     rows = ObservationRows()
     if edges:
-        is_line = routine.name == 'line'
         ends = np.array([_ends_in_base(edge, T[k]) for k, edge in zip(stop, edges, strict=True)])
-        distances, _ = _distances_from_common(ends, stop, int(is_line))
+        distances, _ = _distances_from_common(ends, stop, 3 - routine.edge_distances)
         for number in np.unique(stop).tolist():
             nearest = min(np.flatnonzero(stop == number), key=distances.__getitem__)
             edge = edges[nearest]
-            for direction in range(2 if is_line else 3):
+            for direction in range(routine.edge_distances):
                 rows.add(number, edge.point[None], direction, edge_error_factor(edge)[None])
     return rows.observations()
 

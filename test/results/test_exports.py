@@ -169,7 +169,7 @@ def test_a_former_result_is_kept_whole(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {
         'calibration.yaml', 'sensor.urdf.xacro', 'notes.txt', 'history'}
     assert str(second).endswith(f'; the previous result is kept in {second.previous}')
-    third = exports.save_all(moved, tmp_path)
+    third = exports.save_all(moved, tmp_path, ())
     assert third.previous and third.previous != second.previous
     assert len(list((tmp_path / 'history').iterdir())) == 2
     (tmp_path / 'another.calib').write_text('of another sensor')
@@ -203,11 +203,11 @@ def test_an_unknown_format_and_an_unwritable_place_are_refused(tmp_path: Path) -
     assert not list(tmp_path.iterdir())
     (tmp_path / 'file').write_text('')
     with pytest.raises(UnwritableError, match='choose another place'):
-        exports.save_all(CALIBRATION, tmp_path / 'file')
+        exports.save_all(CALIBRATION, tmp_path / 'file', ())
 
 
 def test_the_verb_exports_beside_the_calibration(tmp_path: Path) -> None:
-    exports.save_all(CALIBRATION, tmp_path / 'a')
+    exports.save_all(CALIBRATION, tmp_path / 'a', ())
     run = handeye('export', 'a', '--format', 'urdf', cwd=tmp_path)
     file = tmp_path / 'a' / 'sensor.urdf.xacro'
     assert (run.returncode, run.stdout) == (0, f'wrote {file}\n'), run.stderr

@@ -16,7 +16,7 @@ from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.scanning.cloud import read_cloud, write_cloud
 from handeye_ros.scanning.scan import point_std, Scanner, ScanOptions
-from moving_scan import calibration, moving, plane_profiles, STEP, T0, true_flange
+from moving_scan import calibration, moving, plane_profile, plane_profiles, STEP, T0, true_flange
 import numpy as np
 from plyfile import PlyData, PlyElement
 import pypcd4
@@ -37,13 +37,13 @@ def xyz(cloud):
 def test_profiles_without_a_pose_on_both_sides_are_dropped_and_counted():
     poses = moving(200)
     poses = [p for p in poses if not 50 * STEP < p.stamp - T0 < 100 * STEP]
-    scanner = Scanner(calibration(), Config())
+    scanner = Scanner(calibration(), Config(), ScanOptions())
     profiles = plane_profiles(240)
     cloud = np.concatenate(list(scanner.scan(profiles, trajectory_of(poses, 0.02))))
     lost = [p for p in profiles if 50 < (p.stamp - T0) / STEP < 100 or p.stamp > poses[-1].stamp]
     assert scanner.count.without_pose == len(lost)
     assert len(cloud) == (240 - len(lost)) * 50
-    scanner = Scanner(calibration(), Config())
+    scanner = Scanner(calibration(), Config(), ScanOptions())
     with pytest.raises(DataError, match='none of the 3 profiles'):
         scanned(scanner, [replace(p, stamp=p.stamp + 10**12) for p in profiles[:3]], poses)
 
@@ -60,7 +60,8 @@ def test_points_of_a_moving_sensor_lie_where_they_were_seen(case):
         profiles, known = profiles[30:180], replace(known, target={'rotation_lag': 0.020})
     if case == 'stray pose':
         poses.insert(10, TimedPose(T0 + 10**15, np.zeros(3), np.array([0.0, 0, 0, 1])))
-    scanner = Scanner(known, Config(time_offset=0.020 if case == 'time offset' else 0.0))
+    config = Config(time_offset=0.020 if case == 'time offset' else 0.0)
+    scanner = Scanner(known, config, ScanOptions())
     cloud = xyz(scanned(scanner, profiles, poses))
     assert len(cloud) == scanner.count.points == len(profiles) * 50
     np.testing.assert_allclose(cloud[:, 2], 0.1, atol=2e-7)  # single precision
@@ -71,7 +72,7 @@ def test_eye_on_base_and_the_axes_of_the_driver_are_followed():
     for values, axes, mount, point in (
             ({'calibration_type': 'eye_on_base'}, ('x', 'z'), se3.inverse(T), [0.01, 0, 0.17, 1]),
             ({}, ('-y', 'z'), T, [0, -0.01, 0.17, 1])):
-        scanner = Scanner(calibration(), Config(**values))
+        scanner = Scanner(calibration(), Config(**values), ScanOptions())
         profile = Profile(T0 + 7 * STEP, 'laser', np.array([[0.01, 0.17]]), axes=axes)
         cloud = xyz(scanned(scanner, [profile], moving(200)))
         np.testing.assert_allclose(cloud[0], (mount @ X @ point)[:3], atol=1e-7)
@@ -100,7 +101,8 @@ def test_an_incidence_that_is_none_is_refused(degrees):
 def test_thinning_keeps_one_point_of_each_cube():
     scanner = Scanner(calibration(), Config(), ScanOptions(voxel=2e-3))
     thin = xyz(scanned(scanner, plane_profiles(200), moving(200)))
-    full = xyz(scanned(Scanner(calibration(), Config()), plane_profiles(200), moving(200)))
+    every = Scanner(calibration(), Config(), ScanOptions())
+    full = xyz(scanned(every, plane_profiles(200), moving(200)))
     cubes = {tuple(c) for c in np.floor(full / np.float32(2e-3)).astype(int)}
     assert len({tuple(c) for c in np.floor(thin / np.float32(2e-3)).astype(int)}) == len(thin)
     assert abs(len(thin) - len(cubes)) < 0.02 * len(cubes)  # of the two roundings
@@ -172,6 +174,9 @@ def test_clouds_of_others_are_read(tmp_path):
     for encoding in (pypcd4.Encoding.ASCII, pypcd4.Encoding.BINARY):
         cloud.save(tmp_path / 'o.pcd', encoding)
         np.testing.assert_allclose(read_cloud(tmp_path / 'o.pcd'), points, rtol=1e-6)
+    (tmp_path / 'o.pcd').write_text('FIELDS normal x y z\nSIZE 4 4 4 4\nTYPE F F F F\n'
+                                    'COUNT 3 1 1 1\nPOINTS 1\nDATA ascii\n0 0 1 10 20 30\n')
+    np.testing.assert_array_equal(read_cloud(tmp_path / 'o.pcd'), [[10, 20, 30]])
     even = pypcd4.PointCloud.from_xyz_points(np.ones((7, 3), np.float32))
     even.save(tmp_path / 'o.pcd', pypcd4.Encoding.BINARY_COMPRESSED)
     with pytest.raises(InputError, match='not compressed'):
@@ -197,11 +202,12 @@ def test_damaged_clouds_are_refused_and_one_that_breaks_off_is_not_there(tmp_pat
 
 def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
-    bag_write.write(tmp_path / 'bag', plane_profiles(100), moving(100))
+    beside = replace(plane_profile(0), points=np.empty((0, 2)))  # the part
+    bag_write.write(tmp_path / 'bag', [beside, *plane_profiles(101)[1:]], moving(101))
     bag = with_layout(tmp_path / 'bag', tmp_path, POINTS['scancontrol'])
     run = succeeds('scan', bag, '--calibration', 'calibration.yaml', '--out', 'c.ply',
                    '--std', '--range', '-1m', 'inf', '--voxel', '0um', cwd=tmp_path)
-    assert run.stdout.startswith('100 profiles, 5000 returns\n')
+    assert run.stdout.startswith('101 profiles, 5000 returns\n')
     vertex = PlyData.read(tmp_path / 'c.ply')['vertex']
     assert [p.name for p in vertex.properties] == ['x', 'y', 'z', 'intensity', 'std']
     np.testing.assert_allclose(vertex['z'], 0.1, atol=1e-6)
@@ -239,7 +245,7 @@ def test_sparse_poses_of_a_curved_way_are_interpolated_smoothly():
              for k in range(0, 4001, 50)]
     at = np.arange(505, 3500, 10)
     profiles = [Profile(T0 + int(k) * STEP, 'laser', np.array([[0.01, 0.2]])) for k in at]
-    cloud = xyz(scanned(Scanner(cal, Config()), profiles, poses))
+    cloud = xyz(scanned(Scanner(cal, Config(), ScanOptions()), profiles, poses))
     true = np.array([se3.apply(flange(k) @ cal.T_flange_sensor, np.array([[0.01, 0, 0.2]]))[0]
                      for k in at])
     assert np.sqrt(((cloud - true) ** 2).sum(axis=1).mean()) < 6e-6

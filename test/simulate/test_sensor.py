@@ -28,8 +28,8 @@ def rendered(sensor: SensorModel, solids: list[Solid], T: Array = DOWN) -> tuple
     return z[0], angle[0]
 
 
-def measured(solids: list[Solid], seed: int = 8, times: int = 50, **values: float
-             ) -> tuple[Array, Array]:
+def measure(solids: list[Solid], seed: int = 8, times: int = 50, **values: float
+            ) -> tuple[Array, Array]:
     """Return exact and measured ranges (times, 640) of a sensor with only the faults given."""
     sensor = SensorModel(columns=640, **{**CLEAN, **values})
     z, angle = (np.tile(array, (times, 1)) for array in rendered(sensor, solids))
@@ -64,21 +64,21 @@ def test_the_field_of_view_is_a_trapezoid(sampling: str) -> None:
 
 
 def test_noise_and_faults_are_as_large_and_as_many_as_stated() -> None:
-    exact, noisy = measured([FLOOR], noise=3e-5)
+    exact, noisy = measure([FLOOR], noise=3e-5)
     assert (noisy - exact).std() == pytest.approx(3e-5, rel=0.02)
     assert abs((noisy - exact).mean()) < 1e-6
-    assert np.abs(np.subtract(*measured([FLOOR]))).max() < 1e-7
-    exact, faulty = measured([FLOOR], lost=0.01, outliers=0.02)
+    assert np.abs(np.subtract(*measure([FLOOR]))).max() < 1e-7
+    exact, faulty = measure([FLOOR], lost=0.01, outliers=0.02)
     assert np.isnan(faulty).mean() == pytest.approx(0.01, rel=0.15)
     assert (np.abs(faulty - exact) > 3e-4).mean() == pytest.approx(0.02, rel=0.15)
 
 
 def test_at_a_step_points_lie_between_the_levels_and_more_are_lost() -> None:
     step = [FLOOR, box((0, -1, 0), (1, 1, 0.01))]
-    between = [(z > 0.1652) & (z < 0.1748) for _, z in (measured(step, mixed=1.0), measured(step))]
+    between = [(z > 0.1652) & (z < 0.1748) for _, z in (measure(step, mixed=1.0), measure(step))]
     assert between[0].any(axis=1).mean() > 0.8 and between[0].sum(axis=1).max() == 1
     assert not between[1].any()
-    exact, with_lost = measured([box((0, -1, -1), (1, 1, 0))], lost_at_edge=0.5)
+    exact, with_lost = measure([box((0, -1, -1), (1, 1, 0))], lost_at_edge=0.5)
     lost, first = np.isnan(with_lost) & np.isfinite(exact), int(np.argmax(np.isfinite(exact[0])))
     assert lost[:, first:first + 3].mean() == pytest.approx(0.5, abs=0.1)
     assert not lost[:, first + 3:].any()

@@ -16,19 +16,19 @@ import numpy as np
 bench = bench_of('verify')
 
 
-def stated(X, name='plate', provenance=None, offset=None, target=None):
+def bench_calibration(X, name='plate', provenance=None, offset=None, target=None):
     """Return a calibration with the uncertainty of the bench."""
     return calibration_at(X, name=name, method=name, covariance=np.diag(bench.STD ** 2),
                           target=target or {}, provenance=provenance or {}, time_offset=offset)
 
 
-def measured(name, seed=0, **values):
+def measure(name, seed=0, **values):
     rng = np.random.default_rng(seed)
     artefact = bench.SCENES[name](rng, **values)
     return artefact, bench.calibration(artefact.T_flange_sensor, bench.covariance(rng))
 
 
-def result(name, artefact, calibration, config=None, **stated):
+def assess(name, artefact, calibration, config=None, **stated):
     routine, config = ROUTINES[name], config or Config(noise=bench.NOISE)
     config = replace(config, verify=replace(config.verify, **{
         'lengths': artefact.lengths, 'radius': bench.RADIUS if 'ball' in name else 0.0,

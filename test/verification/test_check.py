@@ -48,7 +48,7 @@ def check_after(calibrated, kind, change, seed):
     return bench.one_check(change, *calibrated[kind], np.random.default_rng(seed))
 
 
-def checked(calibrated, kind, count=8, moved=(0.0, 0.0, 0.0), **scenario):
+def check_cell(calibrated, kind, count=8, moved=(0.0, 0.0, 0.0), **scenario):
     """Return the check of a cell whose target has moved, or that is otherwise another."""
     cell, config, calibration, X, T = calibrated[kind]
     T = T @ se3.transform(np.eye(3), np.array(moved))
@@ -81,10 +81,10 @@ def test_a_stop_that_is_left_out_has_its_number_among_all_stops(calibrated):
 
 def test_a_change_is_measured(calibrated):
     check_result = check_after(calibrated, 'sphere', 'target', 0)
-    assert check_result.target_moved == pytest.approx(3e-4, rel=0.2)
+    assert check_result.target.moved == pytest.approx(3e-4, rel=0.2)
     assert 'the target, or the base of the robot, moved by up to 0.3' in check_result.sentence
     check_result = check_after(calibrated, 'plate', 'sensor', 0)
-    assert check_result.sensor_moved == pytest.approx(3e-4, rel=0.3)
+    assert check_result.sensor.moved == pytest.approx(3e-4, rel=0.3)
     assert check_result.points_off > 2 * check_result.points_off_std
     # 0.7 mm at the flange, and no extrapolation
     assert check_after(calibrated, 'plate', 'joint 0.2', 0).points_off < 2e-3
@@ -106,16 +106,16 @@ def test_beside_the_robot_the_base_moves_with_the_sensor(calibrated):
 
 
 def test_where_the_target_may_have_moved_unseen_is_said(calibrated):
-    check_result = checked(calibrated, 'plane', moved=(5e-3, 0, 0))
+    check_result = check_cell(calibrated, 'plane', moved=(5e-3, 0, 0))
     assert check_result.verdict == 'unchanged'
     assert 'would have shown from' in check_result.sentence
     assert 'cannot be seen' in check_result.sentence
-    assert check_result.target_shows[0] < 1e-4 and np.isnan(check_result.target_shows[1:]).all()
-    assert np.abs(check_result.target_axes[0] @ calibrated['plane'].T_base_target[:3, 2]) > 0.99
+    assert check_result.target.shows[0] < 1e-4 and np.isnan(check_result.target.shows[1:]).all()
+    assert np.abs(check_result.target.axes[0] @ calibrated['plane'].T_base_target[:3, 2]) > 0.99
 
 
 def test_the_edges_of_a_plate_show_a_move_in_each_direction(calibrated):
-    assert max(check_after(calibrated, 'plate', 'unchanged', 1).target_shows) < 5e-4
+    assert max(check_after(calibrated, 'plate', 'unchanged', 1).target.shows) < 5e-4
 
 
 @pytest.mark.parametrize('moved', [(3e-3, 0, 0), (0.03, 0.01, 0)])
@@ -127,7 +127,7 @@ def test_a_plate_that_slid_along_its_face_has_moved(calibrated, moved):
 
 def test_stops_of_one_orientation_name_both_target_and_sensor(
         calibrated):
-    check_result = checked(calibrated, 'plane', 6, (0, 0, 4e-4), tilt=np.deg2rad(2))
+    check_result = check_cell(calibrated, 'plane', 6, (0, 0, 4e-4), tilt=np.deg2rad(2))
     assert set(check_result.verdict.split(' or ')) >= {'target', 'sensor'}
     assert 'these stops cannot decide' in check_result.sentence
     assert 'Repeat some of them with the sensor turned' in check_result.sentence
@@ -135,7 +135,7 @@ def test_stops_of_one_orientation_name_both_target_and_sensor(
 
 
 def test_a_robot_that_repeats_worse_than_it_is_set_is_named(calibrated):
-    check_result = checked(calibrated, 'sphere', robot=RobotModel(repeatability=(5e-4, 1e-3)))
+    check_result = check_cell(calibrated, 'sphere', robot=RobotModel(repeatability=(5e-4, 1e-3)))
     assert check_result.verdict == 'robot' and 'noise.robot_*' in check_result.sentence
 
 
@@ -209,3 +209,7 @@ def test_the_verb_on_recordings(tmp_path):
     run = handeye('check', 'today', 'today', '--against', 'moved.yaml', cwd=tmp_path)
     assert run.returncode == 1, run.stderr
     assert 'UNCHANGED' not in run.stdout and run.stdout.endswith('since today\n')
+    other = simulate(scenario, np.random.default_rng(6))
+    bag_write.write(tmp_path / 'other', other.profiles, other.poses)
+    run = handeye('check', 'other', 'today', '--against', 'calibration.yaml', cwd=tmp_path)
+    assert run.returncode == 1 and 'since' not in run.stdout, run.stderr

@@ -21,7 +21,7 @@ from handeye_ros.verification.routines import routine_of, ROUTINES, settings_for
 from handeye_ros.verification.verify import verify
 import numpy as np
 import pytest
-from verifications import bench, measured, result
+from verifications import assess, bench, measure
 import yaml
 
 SEEDS = 12
@@ -76,14 +76,14 @@ def test_of_a_block_on_a_surface_plate_the_nearest_surface_is_taken():
 
 
 def test_of_stops_that_share_no_surface_all_pieces_take_part():
-    artefact, calibration = measured('plane', count=5)
+    artefact, calibration = measure('plane', count=5)
     first, *others = artefact.bags[0]
     face = first.features[0]
     nearer = replace(face, centre=face.centre - [0, 0.02], points=face.points - [0, 0.02])
     two = replace(artefact, bags=((replace(first, features=(face, nearer)), *others),))
     moves = {3: [2e-2, 0, 1e-2, 0.05, 0, 0], 4: [0, -3e-2, 5e-2, 0, 0.05, 0]}
     try:  # so far from a plane, rounding decides which of the two is said
-        verdict = result('plane', with_poses(two, moves), calibration).verdict
+        verdict = assess('plane', with_poses(two, moves), calibration).verdict
     except DataError as refusal:
         assert 'this is not what "plane" measures' in str(refusal)
     else:
@@ -91,14 +91,14 @@ def test_of_stops_that_share_no_surface_all_pieces_take_part():
 
 
 def test_a_region_without_the_artefact_is_named():
-    artefact, calibration = measured('sphere')
+    artefact, calibration = measure('sphere')
     config = with_values(Config(noise=bench.NOISE), {'verify.near': [9.0, 9.0, 9.0, 0.1]}, 'test')
     with pytest.raises(DataError, match='verify.near leaves nothing of the '):
-        result('sphere', artefact, calibration, config=config)
+        assess('sphere', artefact, calibration, config=config)
 
 
 def test_what_does_not_belong_to_the_artefact_takes_no_part():
-    artefact, calibration = measured('sphere')
+    artefact, calibration = measure('sphere')
     arcs = [(s, f) for s in artefact.bags[0] for f in s.features if isinstance(f, Arc)]
     centre = np.mean([se3.apply(s.T_base_flange @ artefact.T_flange_sensor, np.insert(
         arc.centre, 1, 0.0)[None])[0] for s, arc in arcs], axis=0)
@@ -109,17 +109,17 @@ def test_what_does_not_belong_to_the_artefact_takes_no_part():
         arc = next(f for f in sample.features if isinstance(f, Arc))
         return replace(arc, points=arc.points + [0.05, 0], centre=arc.centre + [0.05, 0]), arc
 
-    assert result('sphere', with_features(artefact, with_another_ball), calibration, config=config
-                  ).fit.scatter == result('sphere', artefact, calibration).fit.scatter
-    artefact, calibration = measured('line')
+    assert assess('sphere', with_features(artefact, with_another_ball), calibration, config=config
+                  ).fit.scatter == assess('sphere', artefact, calibration).fit.scatter
+    artefact, calibration = measure('line')
 
     def with_another_edge(sample):
         face, edge = sample.features[:2]
         shift = np.random.default_rng(sample.stamp).uniform(0.004, 0.01, 2)
         return replace(edge, point=edge.point + shift), face, edge
 
-    assert result('line', with_features(artefact, with_another_edge), calibration
-                  ).fit.scatter == result('line', artefact, calibration).fit.scatter
+    assert assess('line', with_features(artefact, with_another_edge), calibration
+                  ).fit.scatter == assess('line', artefact, calibration).fit.scatter
 
 
 @pytest.mark.parametrize(('name', 'change', 'number', 'error'), [
@@ -127,18 +127,18 @@ def test_what_does_not_belong_to_the_artefact_takes_no_part():
     ('ball_bar', {'lengths': (0.1995,)}, 2, 5e-4),
     ('point', {'reference': (0.0, 0.0, 5e-4)}, 2, -5e-4)])
 def test_errors_of_the_artefact_are_measured(name, change, number, error):
-    artefact, calibration = measured(name)
+    artefact, calibration = measure(name)
     if name == 'point':
         change = {'reference': tuple(np.add(artefact.reference, change['reference']))}
-    verification = result(name, replace(artefact, **change), calibration)
+    verification = assess(name, replace(artefact, **change), calibration)
     assert verification.verdict == 'fail'
     assert verification.quantities[number].error == pytest.approx(error, abs=1e-4)
     assert verification.quantities[number].name in verification.reasons[0]
 
 
 def test_a_ball_of_another_size_does_not_blame_the_calibration():
-    artefact, calibration = measured('ball_bar')
-    verification = result('ball_bar', artefact, calibration, radius=bench.RADIUS + 4e-4)
+    artefact, calibration = measure('ball_bar')
+    verification = assess('ball_bar', artefact, calibration, radius=bench.RADIUS + 4e-4)
     assert verification.verdict == 'fail'
     assert verification.quantities[0].value == pytest.approx(bench.RADIUS, abs=5e-5)
     assert 'check the nominal values' in ' '.join(verification.reasons)
@@ -152,7 +152,7 @@ def test_a_ball_of_another_size_does_not_blame_the_calibration():
 def test_a_protocol_says_what_an_inspector_asks_for():
     config = with_values(Config(noise=bench.NOISE), {
         'record.operator': 'A. <Nother>', 'record.artefact_serial': 'KB-17'}, 'test')
-    report = plain_values(result('ball_bar', *measured('ball_bar'), config, certificate=2e-6)) | {
+    report = plain_values(assess('ball_bar', *measure('ball_bar'), config, certificate=2e-6)) | {
         'calibration_file': {'path': '/cell/calibration.yaml', 'sha256': 'ab12'}}
     read = yaml.safe_load(yaml_text(report))
     assert read == json.loads(json.dumps(report))
@@ -167,64 +167,64 @@ def test_a_protocol_says_what_an_inspector_asks_for():
 
 
 def test_what_could_not_have_shown_is_no_pass():
-    artefact, calibration = measured('plane')
+    artefact, calibration = measure('plane')
     first = artefact.bags[0][0]  # all with one orientation: a shift of the sensor shows nowhere
     alike = replace(artefact, bags=(tuple(replace(first, stamp=k) for k in range(8)),))
     along = calibration.T_flange_sensor[:3, 1]
     spread = with_poses(alike, {k: [*2.5e-3 * k * along, 0, 0, 0] for k in range(8)})
-    assert result('plane', spread, calibration, tolerance=1e-2).verdict in ('insensitive', 'fail')
-    few = result('plane', *measured('plane', count=5))
+    assert assess('plane', spread, calibration, tolerance=1e-2).verdict in ('insensitive', 'fail')
+    few = assess('plane', *measure('plane', count=5))
     assert few.verdict == 'insensitive' and 'would show only from' in few.reasons[0]
-    artefact, calibration = measured('step', count=12)
-    detectable = result('step', artefact, calibration).fit.error.detectable
-    assert result('step', artefact, calibration, tolerance=2.0 * detectable).verdict == 'pass'
-    coarse = result('step', artefact, calibration, tolerance=0.8 * detectable)
+    artefact, calibration = measure('step', count=12)
+    detectable = assess('step', artefact, calibration).fit.error.detectable
+    assert assess('step', artefact, calibration, tolerance=2.0 * detectable).verdict == 'pass'
+    coarse = assess('step', artefact, calibration, tolerance=0.8 * detectable)
     more = math.ceil(sum(stop.used for stop in coarse.per_station) / 0.8 ** 2)
     assert coarse.verdict == 'insensitive'
     assert f'measure at about {more} stops like these' in coarse.reasons[0]
-    artefact, calibration = measured('ball_bar')  # a tolerance below the uncertainty is no pass
-    assert result('ball_bar', artefact, calibration, tolerance=1e-5).verdict != 'pass'
+    artefact, calibration = measure('ball_bar')  # a tolerance below the uncertainty is no pass
+    assert assess('ball_bar', artefact, calibration, tolerance=1e-5).verdict != 'pass'
 
 
 def test_the_calibration_s_claim_takes_no_part_in_the_decision():
-    artefact, calibration = measured('point')
+    artefact, calibration = measure('point')
     modest = replace(calibration, covariance=1e4 * calibration.covariance)  # 3 mm
-    verification = result('point', artefact, modest)
+    verification = assess('point', artefact, modest)
     assert verification.verdict == 'pass' and verification.fit.claim_p > 0.5
     assert verification.quantities[0].claimed > 1e-3 > 1e-4 > verification.quantities[0].expanded
     bold = replace(calibration, covariance=1e-6 * calibration.covariance)
     shifted = replace(artefact, reference=tuple(np.add(artefact.reference, [0, 0, 1e-4])))
-    verification = result('point', shifted, bold)
+    verification = assess('point', shifted, bold)
     assert verification.verdict == 'pass'
     assert 'larger than the calibration claims' in verification.reasons[0]
     # the certificate's uncertainty is part of the measurement's
-    assert result('point', shifted, bold, certificate=4e-4).verdict == 'undecided'
+    assert assess('point', shifted, bold, certificate=4e-4).verdict == 'undecided'
 
 
 def test_a_few_contradicting_stops_are_left_out_and_named():
-    artefact, calibration = measured('line')
+    artefact, calibration = measure('line')
     moved = with_poses(artefact, {4: [2e-3, 2e-3, 2e-3, 0, 0, 0]})
-    verification = result('line', moved, calibration)
+    verification = assess('line', moved, calibration)
     assert verification.verdict == 'pass' and verification.stations == len(artefact.bags[0]) - 1
     assert [s.name for s in verification.per_station if not s.used] == ['stop 5 of recording 1']
     assert verification.reasons[0].startswith('stop 5 of recording 1 is left out')
     half = with_poses(artefact, {k: [*[6e-5 * (k - 6)] * 3, 0, 0, 0] for k in range(0, 14, 2)}
                       | {5: [2e-3, 2e-3, 2e-3, 0, 0, 0]})  # no outliers, but a disagreement
     with pytest.raises(DataError, match='not what "line" measures'):
-        result('line', half, calibration)
+        assess('line', half, calibration)
 
 
 def test_of_an_artefact_on_the_flange_the_truth_lies_in_the_stated_region():
     inside, away = 0, se3.transform(np.eye(3), np.array([1.0, 0.3, -0.5]))  # of the robot's base
     for seed in range(20):
-        artefact, calibration = measured('ball_bar', seed, robot=replace(
+        artefact, calibration = measure('ball_bar', seed, robot=replace(
             bench.ROBOT, repeatability=(0.0, 0.0)))
         rng, bags = np.random.default_rng(seed), []
         for bag in artefact.bags:
             T = np.array([se3.inverse(s.T_base_flange @ se3.inverse(away)) for s in bag])
             T = se3.perturb(T, pose_error(bench.ROBOT, T, rng))
             bags.append([replace(s, T_base_flange=one) for s, one in zip(bag, T, strict=True)])
-        inside += bench.within(result(
+        inside += bench.within(assess(
             'ball_bar', replace(artefact, bags=bags), replace(
                 calibration, T_flange_sensor=away @ calibration.T_flange_sensor),
             Config(noise=bench.NOISE, calibration_type='eye_on_base')))
@@ -234,7 +234,7 @@ def test_of_an_artefact_on_the_flange_the_truth_lies_in_the_stated_region():
 def test_the_smooth_error_of_the_robot_is_part_of_the_uncertainty():
     size, verdicts, inside = 1.5e-4, {0.0: [], 1.5e-4: []}, {0.0: [], 1.5e-4: []}
     for seed in range(8):
-        artefact, calibration = measured('point', seed)
+        artefact, calibration = measure('point', seed)
         rng = np.random.default_rng(seed)
         wave, phase = rng.normal(0, 2.5, (8, 6, 6)), rng.uniform(0, 2 * np.pi, (8, 6))
 
@@ -248,7 +248,7 @@ def test_the_smooth_error_of_the_robot_is_part_of_the_uncertainty():
             for bag in artefact.bags))
         for stated in verdicts:
             try:
-                verification = result('point', artefact, replace(calibration, target={
+                verification = assess('point', artefact, replace(calibration, target={
                     'robot_position_error': stated}))
             except DataError:  # not what "point" measures
                 verdicts[stated].append('refused')
@@ -264,7 +264,7 @@ def test_the_smooth_error_of_the_robot_is_part_of_the_uncertainty():
 
 
 def test_an_angle_of_more_than_90_degrees_is_told_from_one_of_less():
-    artefact, calibration = measured('square')
+    artefact, calibration = measure('square')
     flat = [np.concatenate([se3.apply(
         s.T_base_flange @ artefact.T_flange_sensor, np.insert(f.centre, 1, 0.0)[None])
         for s in bag for f in s.features if isinstance(f, FaceLine)]) for bag in artefact.bags]
@@ -274,28 +274,28 @@ def test_an_angle_of_more_than_90_degrees_is_told_from_one_of_less():
     for T in (se3.transform(turn, np.zeros(3)), se3.transform(turn.T, np.zeros(3))):
         turned = tuple(replace(s, T_base_flange=T @ s.T_base_flange) for s in artefact.bags[0])
         square = replace(artefact, bags=(turned, artefact.bags[1]))
-        errors.append(result('square', square, calibration).quantities[0].error)
+        errors.append(assess('square', square, calibration).quantities[0].error)
     assert sorted(errors) == pytest.approx([-4e-3, 4e-3], abs=3e-4)
 
 
 def test_what_cannot_be_verified_is_refused():
-    sphere, sphere_calibration = measured('sphere')
+    sphere, sphere_calibration = measure('sphere')
     flat = with_features(sphere, lambda s: [FaceLine(
         f.points.mean(axis=0), np.array([1.0, 0.0]), 4e-3, 1e-5) for f in s.features
         if isinstance(f, Arc)])
-    bar, bar_calibration = measured('ball_bar')
-    plane, plane_calibration = measured('plane')
+    bar, bar_calibration = measure('ball_bar')
+    plane, plane_calibration = measure('plane')
     negative = replace(plane_calibration, covariance=-plane_calibration.covariance)
     for name, artefact, calibration, error, words in (
             ('plane', flat, sphere_calibration, DataError, 'not what "plane" measures'),
             ('ball_bar', replace(bar, bags=(bar.bags[0],) * 2), bar_calibration, InputError,
              'the same stops'),
             ('plane', plane, negative, InputError, 'negative variance'),
-            ('sphere', *measured('sphere', count=3), DataError, '3 usable stations'),
+            ('sphere', *measure('sphere', count=3), DataError, '3 usable stations'),
             ('ball_bar', replace(bar, bags=((), bar.bags[0])), bar_calibration, DataError,
              '0 usable')):
         with pytest.raises(error, match=words):
-            result(name, artefact, calibration)
+            assess(name, artefact, calibration)
     for name, lengths, bags, words in (('step', (0.1,), 1, 'needs 2 bags, and got 1'),
                                        ('step', (0.1,) * 4, 4, '5 or 6 bags, and got 4'),
                                        ('cube', (), 1, 'no routine "cube"'),
@@ -312,13 +312,13 @@ def teeth(artefact, calibration, lengths=()):
 @pytest.mark.parametrize('lengths', [(0.004, 0.02), (0.0155, 0.005), (0.015, 0.0055)])
 def test_teeth_of_another_gauge_never_pass(lengths):
     try:
-        assert teeth(*measured('tooth'), lengths).verdict == 'fail'
+        assert teeth(*measure('tooth'), lengths).verdict == 'fail'
     except DataError as refusal:
         assert 'not the gauge' in str(refusal)
 
 
 def test_passes_that_contradict_the_others_are_told():
-    artefact, calibration = measured('tooth', 1)
+    artefact, calibration = measure('tooth', 1)
     config = of_lengths(*artefact.lengths)
     stations = bench.scanned(artefact, config)
     move = np.where(stations.recording_of_pose == 1, 6e-4, 0.0)[:, None] * [1, 1, 1, 0, 0, 0]
@@ -333,9 +333,9 @@ def test_passes_that_contradict_the_others_are_told():
 
 @pytest.mark.parametrize('seed', (1, 2, 3))
 def test_an_artefact_that_moved_halfway_does_not_pass(seed):
-    artefact, calibration = measured('line', seed)
+    artefact, calibration = measure('line', seed)
     moved = with_poses(artefact, {k: [3e-4, 3e-4, 3e-4, 0, 0, 0] for k in range(7, 14)})
-    verification = result('line', moved, calibration)
+    verification = assess('line', moved, calibration)
     assert verification.verdict != 'pass'
     assert 'contradict the others' in ' '.join(verification.reasons)
 
@@ -354,7 +354,7 @@ def test_of_points_without_noise_none_is_an_outlier():
 def test_steep_faces_disagree_no_more_than_their_doubtful_range(name):
     verifications = []
     for seed in (1, 2, 3):  # the simulated sensor errs in range where light grazes
-        artefact, calibration = measured(name, seed, take=bench.take, tilt=np.radians(66.0))
+        artefact, calibration = measure(name, seed, take=bench.take, tilt=np.radians(66.0))
         bags = bench.stops_of(ROUTINES[name], artefact, Config(noise=bench.NOISE))
-        verifications.append(result(name, replace(artefact, bags=tuple(bags)), calibration))
+        verifications.append(assess(name, replace(artefact, bags=tuple(bags)), calibration))
     assert all(v.fit.scatter.p > 1e-3 and v.verdict == 'pass' for v in verifications)

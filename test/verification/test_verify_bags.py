@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 from typer.testing import CliRunner
-from verifications import bench, stated
+from verifications import bench, bench_calibration
 import yaml
 
 WRONG = np.array([6e-4, -6e-4, 6e-4, 5e-3, 5e-3, 5e-3])  # 1 mm and 0.5 degrees
@@ -64,7 +64,8 @@ def test_a_routine_passes_the_right_calibration_and_fails_a_wrong_one(tmp_path, 
     X = se3.perturb(artefact.T_flange_sensor, bench.STD * rng.normal(size=6))
     results = []
     for T, exit_code in ((X, 0), (se3.perturb(X, WRONG), 1)):
-        write_calibration(stated(T, provenance={'config': flatten(Config(noise=bench.NOISE))}),
+        provenance = {'config': flatten(Config(noise=bench.NOISE))}
+        write_calibration(bench_calibration(T, provenance=provenance),
                           tmp_path / 'calibration.yaml')
         stdout = output_of('verify', name, *bags, '--calibration', tmp_path, '--out',
                            tmp_path / 'told.yaml', *options(name, artefact),  # or its file
@@ -115,8 +116,8 @@ def sweep(target, calibrated, knot, delay, **values):
     config = settings_for(routine, with_values(Config(), settings(scenario) | {
         'sampling.mode': 'moving', 'time_offset': calibrated,
         'verify.radius': float(getattr(scenario.target, 'radius', 0.0))}, 'a test'), 1)
-    calibration = stated(recording.truth.T_flange_sensor, target, {'config': flatten(config)},
-                         ClockEstimate(calibrated, 2e-5))
+    calibration = bench_calibration(recording.truth.T_flange_sensor, target,
+                                    {'config': flatten(config)}, ClockEstimate(calibrated, 2e-5))
     stamped = [replace(p, stamp=p.stamp + round(calibrated * 1e9)) for p in recording.profiles]
     return pipeline.gather(stamped, recording.poses, config).samples, calibration, config
 
