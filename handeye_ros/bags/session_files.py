@@ -76,15 +76,15 @@ class OutputFolders:
         self._namespace = namespace
         self._locks: dict[Path, int] = {}
 
-    def parent(self, config: Config) -> Path:
+    def root(self, config: Config) -> Path:
         """Return the folder above the folders of names, absolute."""
         home = os.environ.get('ROS_HOME') or '~/.ros'
-        parent = config.output_dir or f'{home}/handeye_ros/{self._namespace.strip("/")}'
-        return Path(os.path.expanduser(parent)).absolute()
+        root = config.output_dir or f'{home}/handeye_ros/{self._namespace.strip("/")}'
+        return Path(os.path.expanduser(root)).absolute()
 
     def folder(self, config: Config) -> Path:
         """Return the folder of the name, absolute; raises BadValueError."""
-        return self.parent(config) / folder_name(config)
+        return self.root(config) / folder_name(config)
 
     def locked_folder(self, config: Config) -> Path:
         """Return the folder of the name, for results; raises InputError if another node has it."""
@@ -140,16 +140,16 @@ class SessionFiles:
     path: the folder of the session, None before the first event. Not for several threads at once.
     """
 
-    def __init__(self, parent: Callable[[Config], Path], stored: StoredSession | None = None,
+    def __init__(self, folder_of: Callable[[Config], Path], stored: StoredSession | None = None,
                  config: Config | None = None) -> None:
         """
         Begin with the first event, or continue a session.
 
-        parent: returns the folder that holds the folders of sessions; config: the settings from
+        folder_of: returns the folder that holds the folders of sessions; config: the settings from
         now on, which are written if they differ. Raises InputError for a session that another node
         has open, UnwritableError.
         """
-        self._parent = parent
+        self._folder_of = folder_of
         self.path = stored.path if stored else None
         self._lock: int | None = None
         if stored:
@@ -193,7 +193,7 @@ class SessionFiles:
         sample, with its number; CONFIGURED, for new settings. Raises UnwritableError.
         """
         if self.path is None:
-            where = f'a folder of the session in {self._parent(config)} (output_dir)'
+            where = f'a folder of the session in {self._folder_of(config)} (output_dir)'
             with write_errors_for(where):
                 self.path, self._lock = self._make_folder(config)
         folder = self.path
@@ -213,13 +213,13 @@ class SessionFiles:
 
     def restarted(self, config: Config) -> SessionFiles:
         """Return the files of another session, which exists at once; raises UnwritableError."""
-        other = SessionFiles(self._parent)
+        other = SessionFiles(self._folder_of)
         other.add_event(CONFIGURED, config)  # so that `last` names it
         return other
 
     def _make_folder(self, config: Config) -> tuple[Path, int]:
         """Make the folder of a new session, named after the time; return it and its lock."""
-        folder = self._parent(config) / datetime.now(UTC).strftime(FOLDER_NAME_FORMAT)
+        folder = self._folder_of(config) / datetime.now(UTC).strftime(FOLDER_NAME_FORMAT)
         missing = [above for above in folder.parents if not above.exists()]
         folder.mkdir(parents=True)
         for created in (folder, *missing):
@@ -374,9 +374,9 @@ def settings_and_session(overrides: Mapping[str, Any], folders: OutputFolders
     path = Path(config.session).expanduser().absolute() if config.session else None
     if config.session == LAST_SESSION:
         is_named = 'name' in overrides or 'target.type' in overrides
-        parents = [folders.folder(config)] if is_named else folders.parent(config).glob('*')
-        newest_of_each = [session for parent in parents
-                          for session in islice(sessions_in(parent), 1)]
+        of_names = [folders.folder(config)] if is_named else folders.root(config).glob('*')
+        newest_of_each = [session for folder in of_names
+                          for session in islice(sessions_in(folder), 1)]
         path = max(newest_of_each, key=_last_use, default=None)
     if path is None:
         return config, None

@@ -75,7 +75,7 @@ class HandeyeNode(Node):
         if stored:
             self.get_logger().info(live.open_session(stored, config))
         elif config.session:
-            self.get_logger().warning(f'there is no session in {folders.parent(config)}: a new '
+            self.get_logger().warning(f'there is no session in {folders.root(config)}: a new '
                                       'one begins')
         self.streams = Streams(self, live, live.add_joints)
         self.outputs.publish_changes()

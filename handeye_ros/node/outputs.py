@@ -94,21 +94,14 @@ class Outputs:
     """The publishers; unchanged content is not published again."""
 
     def __init__(self, node: Node, live: LiveSession) -> None:
-        """Advertise all topics."""
+        """Advertise the topics; those of the session with the first changes."""
         self._node, self._live = node, live
         self._lock, self._closed = threading.Lock(), False
         self._logged_attempt: Attempt | None = None
-        message_types = {
-            '~/samples': String, '~/status': String, '~/guidance': String,
-            '~/next_pose': PoseStamped, '~/calibration': TransformStamped,
-            '~/markers': MarkerArray}
-        if TFMessage:
-            message_types['/tf_static'] = TFMessage
-        else:
+        self._latched_topics: dict[str, _LatchedTopic] = {}
+        if not TFMessage:
             node.get_logger().warning('tf2_msgs is not installed: the transform is published on '
                                       f'~/calibration only, not on /tf_static; {INSTALL_TF2}')
-        self._latched_topics = {name: _LatchedTopic(node, name, message_type)
-                                for name, message_type in message_types.items()}
         self._current = node.create_publisher(MarkerArray, '~/current', 1)
         self._features = node.create_publisher(PointCloud2, '~/features', 10)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
@@ -143,17 +136,25 @@ class Outputs:
             place = guidance['translation'] and {
                 **{key: guidance[key] for key in ('translation', 'rotation')},
                 'frame_id': config.base_frame}
-            outputs = {
-                '~/samples': (samples, lambda: String(data=samples)),
-                '~/status': (status, lambda: String(data=status)),
-                '~/guidance': (guidance['text'], lambda: String(data=guidance['text'])),
-                '~/next_pose': (place, lambda: pose_stamped(**place, stamp=stamp)),
-                '~/calibration': (calibration, lambda: transform),
-                '/tf_static': (calibration, lambda: TFMessage(transforms=[transform])),
-                '~/markers': ((samples, calibration), lambda: session_markers(
-                    live.session_copy().stops, calibration, config))}
-            for name, topic in self._latched_topics.items():
-                topic.publish_if_changed(*outputs[name])
+            self._latch('~/samples', String, samples, lambda: String(data=samples))
+            self._latch('~/status', String, status, lambda: String(data=status))
+            self._latch('~/guidance', String, guidance['text'],
+                        lambda: String(data=guidance['text']))
+            self._latch('~/next_pose', PoseStamped, place,
+                        lambda: pose_stamped(**place, stamp=stamp))
+            self._latch('~/calibration', TransformStamped, calibration, lambda: transform)
+            if TFMessage:
+                self._latch('/tf_static', TFMessage, calibration,
+                            lambda: TFMessage(transforms=[transform]))
+            self._latch('~/markers', MarkerArray, (samples, calibration), lambda: session_markers(
+                live.session_copy().stops, calibration, config))
+
+    def _latch(self, name: str, message_type: Any, content: Any, message_of: Callable[[], Any]
+               ) -> None:
+        """Publish a content on its latched topic if it has changed, at first advertise that."""
+        if name not in self._latched_topics:
+            self._latched_topics[name] = _LatchedTopic(self._node, name, message_type)
+        self._latched_topics[name].publish_if_changed(content, message_of)
 
     def _tell_attempt(self, attempt: Attempt | None) -> None:
         """Log an attempt once, and publish the features of its sample in the sensor frame."""

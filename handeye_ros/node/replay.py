@@ -68,6 +68,8 @@ def _publishers(node: Node, topics: Mapping[str, str]) -> dict[str, Publisher]:
     """Return a publisher for each topic with an installed type; report the others."""
     publishers = {}
     for topic, type_name in topics.items():
+        if topic == '/clock':  # there is one, at this rate
+            continue
         package, _, name = type_name.replace('/msg/', '/').partition('/')
         try:
             message_type = getattr(import_module(f'{package}.msg'), name)

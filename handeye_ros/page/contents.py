@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -30,6 +31,7 @@ import numpy as np
 if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession
     from handeye_ros.node.node import HandeyeNode
+    from handeye_ros.node.state import State
 
 # buttons that call the service of their name
 PAGE_SERVICES = ('take_sample', 'clear_samples', 'compute_calibration', 'save_calibration',
@@ -40,9 +42,8 @@ PAGE_SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', '
                  'verify.routine', 'verify.radius', 'verify.lengths', 'verify.reference',
                  'verify.tolerance')
 
-FEW_STOPS = 3  # of a session that has just begun, perhaps by itself; as in page.js
+FEW_STOPS = 3  # of a session that has just begun, perhaps by itself after a restart
 
-State = Mapping[str, Any]  # of handeye_ros.node.state
 # the two kinds of functions of a PageSource
 Action = Callable[[Mapping[str, Any]], tuple[bool, str]]
 Query = Callable[[Mapping[str, str]], Any]
@@ -131,8 +132,10 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     current = Path(live.path).name
     sessions = [path for path in sessions_in(live.folders.folder(live.config))
                 if path.name != current]
-    has_just_begun = len(live.session.stops) <= FEW_STOPS
-    previous = read_session(sessions[0]).sample_count if sessions and has_just_begun else 0
+    previous = 0
+    if sessions and len(live.session.stops) <= FEW_STOPS:
+        with suppress(InputError):  # a damaged one; who opens it is told
+            previous = read_session(sessions[0]).sample_count
     settings = [{'key': key, 'value': values[key], 'description': parameters[key].description,
                  'choices': choices.get(key, list(parameters[key].choices))}
                 for key in PAGE_SETTINGS]
@@ -164,7 +167,7 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
     """
     snapshot, calibration = live.current_snapshot(), live.answer.calibration
     return {**state, 'profile': snapshot and _picture(snapshot), 'scene': _scene(live, snapshot),
-            'edges': _edges(live),
+            'edges': _edges(live), 'has_just_begun': len(state['samples']) <= FEW_STOPS,
             'rows': list(table.transform_rows(calibration)) if calibration else [],
             'verification': {'running': live.verification.text,
                              'verdict': live.verification.verdict}}

@@ -130,6 +130,20 @@ def test_an_answer_whose_process_ended_is_computed_again(monkeypatch: pytest.Mon
     assert not state_of(live)['session']['trouble']
 
 
+def test_a_review_whose_process_ended_is_made_with_the_next_work(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    live, ended = fed(), Future()
+    last = state_of(live)['guidance']['sample']
+    ended.set_exception(PoolEndedError())
+    monkeypatch.setattr(live.pool, 'submit', lambda *args: ended)
+    live.remove_last_sample()
+    update(live)
+    assert state_of(live)['guidance']['sample'] == last
+    monkeypatch.undo()
+    update(live)
+    assert state_of(live)['guidance']['sample'] == last - 1
+
+
 def test_a_late_review_does_not_replace_a_newer_one(monkeypatch: pytest.MonkeyPatch) -> None:
     live = fed()
     late_review, submit = Future(), live.pool.submit
