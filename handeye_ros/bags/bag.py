@@ -188,11 +188,9 @@ class _Topic:
         """Add what a message holds; its time of recording is the stamp of what has none."""
         try:
             items = self._items_of(raw)
-        except OtherJointsError as error:
-            self._of_other_joints.append(str(error))
-            return
         except UnusableMessageError as error:
-            self._malformed.append(str(error))
+            is_other = isinstance(error, OtherJointsError)
+            (self._of_other_joints if is_other else self._malformed).append(str(error))
             return
         time = min(raw.log_time, LAST_STAMP)
         self._items += [item if item.stamp else replace(item, stamp=time) for item in items]

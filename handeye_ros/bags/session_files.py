@@ -211,12 +211,6 @@ class SessionFiles:
         _write_metadata(folder)
         return file
 
-    def restarted(self, config: Config) -> SessionFiles:
-        """Return the files of another session, which exists at once; raises UnwritableError."""
-        other = SessionFiles(self._folder_of)
-        other.add_event(CONFIGURED, config)  # so that `last` names it
-        return other
-
     def _make_folder(self, config: Config) -> tuple[Path, int]:
         """Make the folder of a new session, named after the time; return it and its lock."""
         folder = self._folder_of(config) / datetime.now(UTC).strftime(FOLDER_NAME_FORMAT)

@@ -62,16 +62,16 @@ def main() -> int:
     """Run the executable `corrected_pose`."""
     parser = argparse.ArgumentParser(prog='corrected_pose', description=__doc__)
     source = parser.add_mutually_exclusive_group(required=True)
-    for name, file in (('urdf', 'corrected.urdf'), ('kinematics', 'kinematics.yaml')):
-        source.add_argument(f'--{name}', type=Path, metavar='FILE',
-                            help=f'the {file} of "handeye kinematics"')
-    for name, default, metavar, text in (
-            ('base', '', 'LINK', 'of the URDF; default: its root'),
-            ('flange', '', 'LINK', 'of the URDF; default: the usual name, or the only last link'),
-            ('joint-topic', 'joint_states', 'TOPIC', 'of the JointState; default: %(default)s'),
-            ('pose-topic', 'corrected_pose', 'TOPIC', 'of the poses; default: %(default)s'),
-            ('frame', 'corrected_flange', 'NAME', 'of the flange on /tf; default: %(default)s')):
-        parser.add_argument(f'--{name}', default=default, metavar=metavar, help=text)
+    source.add_argument('--urdf', type=Path, metavar='FILE',
+                        help='the corrected.urdf of "handeye kinematics"')
+    source.add_argument('--kinematics', type=Path, metavar='FILE', help='its kinematics.yaml')
+    for name, default, text in (
+            ('base', '', 'link of the URDF (default: the root)'),
+            ('flange', '', 'link of the URDF (default: the usual name, or the only last link)'),
+            ('joint-topic', 'joint_states', 'with the JointState (default: %(default)s)'),
+            ('pose-topic', 'corrected_pose', 'for the poses (default: %(default)s)'),
+            ('frame', 'corrected_flange', 'of the flange on /tf (default: %(default)s)')):
+        parser.add_argument(f'--{name}', default=default, help=text)
     options = parser.parse_args(own_arguments())
     return exit_code(spin, partial(CorrectedPose, options))
 

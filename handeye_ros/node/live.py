@@ -12,7 +12,7 @@ From a message to ~/samples:
    is not stored is not used.
 3. After each such piece of work the worker calls `publish_changes` (node.py, then outputs.py),
    which publishes ~/samples. When no stop waits, it begins the review in another process
-   (answer.py).
+   (solver.py).
 
 Threads:
 - `drain` calls add_profile, add_poses and add_joints alone;
@@ -55,8 +55,8 @@ from handeye_ros.errors import (
     UnusableMessageError,
 )
 from handeye_ros.frames import mount_poses
-from handeye_ros.node.answer import ANSWER_KEYS, LiveAnswer, SAMPLE_KEYS, settings_of
 from handeye_ros.node.pool import Pool, PoolEndedError, trim_memory
+from handeye_ros.node.solver import ANSWER_KEYS, LiveSolver, SAMPLE_KEYS, settings_of
 from handeye_ros.node.state import Attempt, MessageCount
 from handeye_ros.node.verification import LiveVerification
 from handeye_ros.results.scene import StopSnapshot
@@ -87,7 +87,7 @@ class LiveSession:
         The evaluated stops of the session are changed by the worker alone, which reads them
         without
     message_counts: by kind (profile, pose); Streams (streams.py) begins them anew
-    answer, verification: what is computed from samples, and a verification
+    solver, verification: compute what follows from samples, and a verification
     troubles: why samples cannot be stored (storing) or computed with (work), a sentence each
     attempt: the last one to take a sample, None before
     running_jobs: the names of the long computations (run_job)
@@ -107,7 +107,7 @@ class LiveSession:
         self._is_started = self._is_scheduled = False  # scheduled is _do_due_work
         self.running_jobs: list[str] = []
         self._begin(SessionFiles(folders.folder), Session(config))
-        self.answer, self.verification = LiveAnswer(self), LiveVerification(self)
+        self.solver, self.verification = LiveSolver(self), LiveVerification(self)
 
     def _begin(self, files: SessionFiles, session: Session) -> None:
         """Begin with a session, without messages."""
@@ -199,7 +199,7 @@ class LiveSession:
         elif self.evaluate_next():
             self._schedule_due_work()
         else:
-            self.answer.review_if_changed()
+            self.solver.review_if_changed()
         trim_memory()
 
     def run_job(self, name: str, accept: Callable[[Any], Result],
@@ -479,7 +479,8 @@ class LiveSession:
         config = replace(self.config, samples=SamplesConfig())  # numbers begin again
         if files.path:
             note = f'; they are kept in {files.path}' if files.path.is_dir() else ''
-            files = files.restarted(config)
+            files = SessionFiles(self.folders.folder)
+            files.add_event(CONFIGURED, config)  # so that `last` names it
         self._replace_session(files, Session(config), 'the samples were cleared')
         return f'{count_of(count, "sample")} removed; bags and clocks may start again{note}'
 
@@ -488,7 +489,7 @@ class LiveSession:
         session = self.pool.submit(stored.session, config).result()
         files = SessionFiles(self.folders.folder, stored, config)
         self._replace_session(files, session, 'a session was opened')
-        self.answer.is_wanted = bool(self.session.samples)  # as it probably was before
+        self.solver.is_wanted = bool(self.session.samples)  # as it probably was before
         now, before = settings_of(config, ANSWER_KEYS), settings_of(stored.config, ANSWER_KEYS)
         changes = ''.join(f'; {key} is {value} now, was {before[key]}'
                           for key, value in now.items() if value != before[key])
@@ -502,7 +503,7 @@ class LiveSession:
         with self.lock:
             self._begin(files, session)
         self.verification.end()
-        self.answer.forget(why)
+        self.solver.forget(why)
 
     def _sample_count(self) -> int:
         return sum(stop.sample is not None for stop in self.session.stops)
@@ -510,7 +511,7 @@ class LiveSession:
     @property
     def _frame_change(self) -> str:
         """Return in words that a topic has another frame now; '' if that would lose anything."""
-        in_use = self.verification.routine or self.answer.calibration
+        in_use = self.verification.routine or self.solver.calibration
         return '' if in_use else self.session.frame_change
 
     # settings
@@ -524,9 +525,9 @@ class LiveSession:
         - time_offset: stops from before end with the old one;
         - verify.routine: a verification ends without a result;
         - profile: messages that could not be read are not counted any more;
-        - SAMPLE_KEYS (answer.py): all stops are evaluated again, from their files;
+        - SAMPLE_KEYS (solver.py): all stops are evaluated again, from their files;
         - ANSWER_KEYS: the worker reviews the samples again, and computes the answer again if one
-          was asked for (`review_if_changed` in answer.py).
+          was asked for (`review_if_changed` in solver.py).
         """
         old = self.config
         if not other_topics and config.offset_ns != old.offset_ns:

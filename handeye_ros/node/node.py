@@ -121,11 +121,11 @@ class HandeyeNode(Node):
     # services, which the page calls too
 
     def _offer_services(self) -> None:
-        live, answer, verification = self.live, self.live.answer, self.live.verification
+        live, solver, verification = self.live, self.live.solver, self.live.verification
         self._trigger_functions: dict[str, Callable[[], str | Future[str]]] = {
             function.__name__: function for function in (
                 live.take_sample, live.remove_last_sample, live.clear_samples,
-                answer.compute_calibration, answer.save_calibration,
+                solver.compute_calibration, solver.save_calibration,
                 verification.verify_start, verification.verify_result)}
         quick = MutuallyExclusiveCallbackGroup()
         for name in self._trigger_functions:

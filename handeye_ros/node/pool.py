@@ -66,16 +66,15 @@ class Pool:
         return self._threads.submit(self._call, function, args)
 
     def _call(self, function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
-        process = self._free.get()
-        try:
-            for _ in range(2):
-                try:
-                    return process.submit(call_and_trim, function, args).result()
-                except BrokenProcessPool:
-                    process = _new_process()
-            raise PoolEndedError
-        finally:
-            self._free.put(process)
+        for _ in range(2):
+            process = self._free.get()
+            try:
+                return process.submit(call_and_trim, function, args).result()
+            except BrokenProcessPool:
+                process = _new_process()
+            finally:
+                self._free.put(process)
+        raise PoolEndedError
 
 
 def _new_process() -> ProcessPoolExecutor:

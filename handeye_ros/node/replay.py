@@ -40,6 +40,7 @@ def replay(bag: Path, rate: float = 1.0, timeout: float = 5.0) -> None:
         raise InputError(f'the rate is {rate:g}, expected a number above 0')
     reader = Reader(bag)
     recorded = list(reader.messages())
+    reader.types.pop('/clock', None)  # there is one, at this rate
     for warning in reader.warnings:
         print(warning, file=sys.stderr)
     with ros():
@@ -68,8 +69,6 @@ def _publishers(node: Node, topics: Mapping[str, str]) -> dict[str, Publisher]:
     """Return a publisher for each topic with an installed type; report the others."""
     publishers = {}
     for topic, type_name in topics.items():
-        if topic == '/clock':  # there is one, at this rate
-            continue
         package, _, name = type_name.replace('/msg/', '/').partition('/')
         try:
             message_type = getattr(import_module(f'{package}.msg'), name)

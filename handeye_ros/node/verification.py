@@ -137,7 +137,7 @@ class LiveVerification:
                             'artefact')
         live = self._live
         live.evaluate_all()
-        file = live.config.verify.calibration or live.answer.saved
+        file = live.config.verify.calibration or live.solver.saved
         return live.run_job(VERIFYING, partial(self._accept, self._parts, file), verification_of,
                             self.routine, [[*part.values()] for part in self._parts],
                             self._calibration(), live.config)
@@ -167,4 +167,4 @@ class LiveVerification:
         """Return that of verify.calibration, or the answer; raises HandeyeError."""
         file = self._live.config.verify.calibration
         return (read_calibration(Path(file).expanduser()) if file else
-                self._live.answer.require_calibration('verify (verify.calibration names none)'))
+                self._live.solver.require_calibration('verify (verify.calibration names none)'))

@@ -79,7 +79,7 @@ def test_the_stop_in_which_a_verification_is_given_up_is_no_sample() -> None:
         if '1 usable stops' in live.verification.text:
             break
     changed(live, verify__routine='')
-    for item in islice(items, 200):  # the robot stands still
+    for item in islice(items, 100):  # until the robot has moved on
         feed_one(live, item)
     update(live)
     assert [stop.number for stop in live.session_copy().stops] == before
@@ -89,7 +89,7 @@ def test_the_verification_of_a_saved_answer_names_its_file() -> None:
     live = new(TO_VERIFY)
     feed(live, PARTS[0].messages)
     computed(live)
-    live.answer.save_calibration()
+    live.solver.save_calibration()
     live.verification.verify_start()
     feed(live, PARTS[1].messages)
     verdict(live)

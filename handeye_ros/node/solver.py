@@ -92,12 +92,12 @@ def review_of(session: Session, config: Config, view: Array, with_cause: bool) -
                   max((stop.number for stop in session.stops if stop.sample), default=0))
 
 
-class LiveAnswer:
+class LiveSolver:
     """
-    The answer of a running session; its methods are for the worker (see live.py).
+    Reviews and solves the samples of a running session; for the worker (see live.py).
 
     review: of the samples, the last one
-    calibration: the last answer that was not refused
+    calibration: of the last answer that was asked for, None where that was refused
     solved_session: that it was computed from, also of one that is withdrawn
     why_missing: why there is none
     saved: the file of the answer, '' before it is saved
