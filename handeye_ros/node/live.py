@@ -36,13 +36,7 @@ from threading import Lock
 from typing import Any, TypeVar
 
 from handeye_ros import se3
-from handeye_ros.bags.session_files import (
-    CONFIGURED,
-    OutputFolders,
-    REMOVED,
-    SessionFiles,
-    StoredSession,
-)
+from handeye_ros.bags.session_files import CONFIGURED, REMOVED, SessionFiles, StoredSession
 from handeye_ros.config import Config, SamplesConfig
 from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
 from handeye_ros.errors import (
@@ -55,6 +49,7 @@ from handeye_ros.errors import (
     UnusableMessageError,
 )
 from handeye_ros.frames import mount_poses
+from handeye_ros.node.folders import OutputFolders
 from handeye_ros.node.pool import Pool, PoolEndedError, trim_memory
 from handeye_ros.node.solver import ANSWER_KEYS, LiveSolver, SAMPLE_KEYS, settings_of
 from handeye_ros.node.state import Attempt, MessageCount

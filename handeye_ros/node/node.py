@@ -11,15 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros import config as configuration
-from handeye_ros.bags.session_files import (
-    OutputFolders,
-    PARAMETERS,
-    read_session,
-    settings_and_session,
-    StoredSession,
-)
+from handeye_ros.bags.session_files import read_session, StoredSession
 from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD_NAMES, RECORD_PREFIX
 from handeye_ros.errors import InputError, sentence_and_log, without_numbers
+from handeye_ros.node.folders import OutputFolders, PARAMETERS, settings_and_session
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.outputs import Outputs
 from handeye_ros.node.pool import Pool

@@ -18,15 +18,14 @@ from handeye_ros.bags.bag_write import write
 from handeye_ros.bags.session_files import (
     files_of,
     is_session,
-    OutputFolders,
     read_session,
     SessionFiles,
     sessions_in,
-    settings_and_session,
 )
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, InputError
+from handeye_ros.node.folders import OutputFolders, settings_and_session
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import sample_count, state_of
 from handeye_ros.results.calibration_file import read_calibration

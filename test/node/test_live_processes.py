@@ -115,9 +115,10 @@ def test_a_stop_is_not_lost_where_its_process_ends(monkeypatch: pytest.MonkeyPat
     assert sample_count(state_of(live)) >= 7
 
 
-def test_an_answer_whose_process_ended_is_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_review_and_an_answer_whose_process_ended_are_made_again(
+        monkeypatch: pytest.MonkeyPatch) -> None:
     live, ended = fed(), Future()
-    text = computed(live)
+    text, last = computed(live), state_of(live)['guidance']['sample']
     live.remove_last_sample()
     ended.set_exception(PoolEndedError())
     monkeypatch.setattr(live.pool, 'submit', lambda *args: ended)
@@ -126,22 +127,10 @@ def test_an_answer_whose_process_ended_is_computed_again(monkeypatch: pytest.Mon
     with pytest.raises(PoolEndedError):
         computed(live)
     monkeypatch.undo()
-    assert computed(live) not in ('', text)
-    assert not state_of(live)['session']['trouble']
-
-
-def test_a_review_whose_process_ended_is_made_with_the_next_work(
-        monkeypatch: pytest.MonkeyPatch) -> None:
-    live, ended = fed(), Future()
-    last = state_of(live)['guidance']['sample']
-    ended.set_exception(PoolEndedError())
-    monkeypatch.setattr(live.pool, 'submit', lambda *args: ended)
-    live.remove_last_sample()
-    update(live)
-    assert state_of(live)['guidance']['sample'] == last
-    monkeypatch.undo()
     update(live)
     assert state_of(live)['guidance']['sample'] == last - 1
+    assert computed(live) not in ('', text)
+    assert not state_of(live)['session']['trouble']
 
 
 def test_a_late_review_does_not_replace_a_newer_one(monkeypatch: pytest.MonkeyPatch) -> None:

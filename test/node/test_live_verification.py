@@ -9,7 +9,6 @@ from pathlib import Path
 
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node.state import state_of
-from handeye_ros.verification.routines import routine_of
 from live_sessions import (
     changed,
     computed,
@@ -24,16 +23,6 @@ from live_sessions import (
 )
 import pytest
 import yaml
-
-
-def test_the_progress_is_told_while_a_verification_ends() -> None:
-    live = new(TO_VERIFY)
-
-    class Ending(type(live.verification)):
-        routine = property(lambda _: next(routines), lambda *_: None)
-
-    routines = iter([None, routine_of('sphere'), None, None])
-    assert Ending(live).text == 'sphere: 0 usable stops of 0'
 
 
 def test_stops_after_the_start_verify_and_are_no_samples() -> None:

@@ -20,7 +20,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 from command import PATIENCE, succeeds  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped, TransformStamped  # noqa: E402
-from handeye_ros.bags.session_files import OutputFolders  # noqa: E402
+from handeye_ros.node.folders import OutputFolders  # noqa: E402
 from handeye_ros.node.node import declare_settings  # noqa: E402
 from handeye_ros.node.outputs import current_markers, session_markers  # noqa: E402
 from live_sessions import computed, feed, new  # noqa: E402

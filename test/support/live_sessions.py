@@ -9,9 +9,9 @@ from dataclasses import replace
 import tempfile
 
 from cells import Recorded, recorded, set_to
-from handeye_ros.bags.session_files import OutputFolders, settings_and_session
 from handeye_ros.config import Config
 from handeye_ros.data import TimedPose
+from handeye_ros.node.folders import OutputFolders, settings_and_session
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.pool import Pool
 from handeye_ros.sampling.stops import StopFinder
