@@ -35,15 +35,11 @@ import traceback
 from typing import Any
 
 from handeye_ros.bags.bag_write import cloud_cdr, pose_cdr
-from handeye_ros.bags.session_files import (
-    files_of,
-    OutputFolders,
-    read_session,
-    settings_and_session,
-)
+from handeye_ros.bags.session_files import files_of, read_session
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Profile, Sample, TimedPose
 from handeye_ros.errors import HandeyeError
+from handeye_ros.node.folders import OutputFolders, settings_and_session
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.pool import Pool
 from handeye_ros.sampling.features import result_of

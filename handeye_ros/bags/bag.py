@@ -18,7 +18,7 @@ from typing import Any
 
 from handeye_ros.arm import Arm
 from handeye_ros.bags.messages import ProfileReader, returns_of, split
-from handeye_ros.bags.poses import ArmPose, pose_topics
+from handeye_ros.bags.poses import ArmPose, OtherJointsError, pose_topics
 from handeye_ros.bags.reader import CLOUD_TYPE, full_name, Raw, Reader, TF_TYPE
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
@@ -80,10 +80,10 @@ class Recording:
                 yield returns_of(raw)
             except UnusableMessageError as error:
                 reasons.append(str(error))
-        self.warnings.extend(_unusable(reasons, len(self.profiles), 'profiles of the recording'))
+        self.warnings.extend(_left_out(reasons, len(self.profiles), 'profiles of the recording'))
 
 
-def _unusable(reasons: Sequence[str], total: int, what: str) -> list[str]:
+def _left_out(reasons: Sequence[str], total: int, what: str) -> list[str]:
     """
     Return a warning of what was left out, none without a reason.
 
@@ -181,14 +181,16 @@ class _Topic:
         self._key, self._message_type, self._items_of = key, message_type, items_of
         self._items: list[Any] = []
         self._usable = self._unstamped = 0
-        self._malformed: list[str] = []  # why other messages cannot be used, one sentence each
+        # why messages cannot be used, one sentence each; those of other devices are no fault
+        self._malformed, self._of_other_joints = list[str](), list[str]()
 
     def add(self, raw: Raw) -> None:
         """Add what a message holds; its time of recording is the stamp of what has none."""
         try:
             items = self._items_of(raw)
         except UnusableMessageError as error:
-            self._malformed.append(str(error))
+            is_other = isinstance(error, OtherJointsError)
+            (self._of_other_joints if is_other else self._malformed).append(str(error))
             return
         time = min(raw.log_time, LAST_STAMP)
         self._items += [item if item.stamp else replace(item, stamp=time) for item in items]
@@ -216,11 +218,13 @@ class _Topic:
         """
         if reader.types.get(self.name) != self._message_type:
             raise self._missing(reader)
+        if not self._usable:
+            self._malformed += self._of_other_joints
         total = self._usable + len(self._malformed)
         if not total:
             raise InputError(f'{reader.path}: no messages on {self.name} ({self._message_type}): '
                              f'check that it was published while recording, or set {self._key}')
-        reader.warnings += _unusable(self._malformed, total, f'messages on {self.name}')
+        reader.warnings += _left_out(self._malformed, total, f'messages on {self.name}')
         if self._unstamped:
             reader.warnings.append(f'{self._unstamped} messages on {self.name} have no stamps; '
                                    'the times at which they were recorded are used')

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 import json
-from operator import attrgetter
+from operator import itemgetter
 import os
 from pathlib import Path
 import shutil
@@ -55,11 +55,11 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
     config = config or Config()
 
     def messages() -> Iterator[Raw]:
-        items: list[AnyProfile | TimedPose] = [*profiles, *poses]
-        for item in sorted(items, key=attrgetter('stamp')):
-            yield raw_of(item, config, number)
-        for stamp, values in joints:
-            yield Raw(full_name(config.joint_topic), JOINTS_TYPE, stamp, joints_cdr(stamp, values))
+        joint_topic, items = full_name(config.joint_topic), list[Any]([*profiles, *poses])
+        for stamp, item in sorted([*((item.stamp, item) for item in items), *joints],
+                                  key=itemgetter(0)):
+            yield (Raw(joint_topic, JOINTS_TYPE, stamp, joints_cdr(stamp, item))
+                   if isinstance(item, np.ndarray) else raw_of(item, config, number))
 
     write_folder(path, texts, lambda folder: _write_bag(folder, messages()), force)
 

@@ -130,7 +130,7 @@ def transforms_from_cdr(data: bytes) -> list[tuple[str, TimedPose]]:
     return poses
 
 
-def _unusable(reason: str) -> UnusableMessageError:
+def _error_of(reason: str) -> UnusableMessageError:
     return UnusableMessageError(f'PointCloud2 message not used: {reason}')
 
 
@@ -155,7 +155,7 @@ def view(cloud: Any, name: str) -> np.ndarray[Any, np.dtype[Any]]:
               if field.name == name and field.datatype in DATATYPES and field.count <= 1]
     if len(usable) != 1:
         names = ', '.join(field.name for field in cloud.fields) or 'none'
-        raise _unusable(f'{len(usable) or "no"} fields are named "{name}" and hold one number for '
+        raise _error_of(f'{len(usable) or "no"} fields are named "{name}" and hold one number for '
                         f'each point (fields: {names}); profile.axes says which axes are read')
     field, = usable
     dtype = np.dtype(('>' if cloud.is_bigendian else '<') + DATATYPES[field.datatype])
@@ -166,7 +166,7 @@ def view(cloud: Any, name: str) -> np.ndarray[Any, np.dtype[Any]]:
     row_step = least if height == 1 else cloud.row_step or least  # drivers often leave it unset
     if (field.offset + dtype.itemsize > point_step or row_step < least
             or (height - 1) * row_step + least > len(cloud.data)):
-        raise _unusable(f'{height} x {width} points of {point_step} bytes, in rows of {row_step} '
+        raise _error_of(f'{height} x {width} points of {point_step} bytes, in rows of {row_step} '
                         f'bytes, with the field "{name}" at byte {field.offset}, do not fit into '
                         f'{len(cloud.data)} bytes of data')
     return np.ndarray((height, width), dtype, cloud.data, field.offset, (row_step, point_step))
@@ -177,7 +177,7 @@ def _row(cloud: Any, index: int) -> Any:
     size = cloud.width * cloud.point_step
     begin = index * (cloud.row_step or size)
     if index >= cloud.height or begin + size > len(cloud.data):
-        raise _unusable(f'damaged message: it has no row {index}')
+        raise _error_of(f'damaged message: it has no row {index}')
     return replace(cloud, height=1, row_step=size, data=cloud.data[begin:begin + size])
 
 
@@ -245,11 +245,11 @@ def _require_unit(points: Array, unit: str) -> None:
     finite = np.isfinite(reach)
     too_far = finite & (reach > LARGEST_COORDINATE)
     if too_far.sum() > finite.sum() / 2:
-        raise _unusable(f'coordinates reach {reach[too_far].max():.3g} m' + (
+        raise _error_of(f'coordinates reach {reach[too_far].max():.3g} m' + (
             ': set profile.unit to mm' if unit == 'm' else ', but profile.unit is m or mm'))
     largest = reach[finite & ~too_far].max(initial=0.0)
     if unit == 'mm' and 0.0 < largest < ALL_TOO_NEAR:
-        raise _unusable(f'no coordinate is larger than {largest * 1e3:.3g} mm: set profile.unit '
+        raise _error_of(f'no coordinate is larger than {largest * 1e3:.3g} mm: set profile.unit '
                         'to m')
 
 
@@ -266,7 +266,7 @@ def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     thin = THIN_SHARE * spread[2]
     is_flat = min(spread[:2]) < thin  # one of the two axes is orthogonal to the plane
     if abs(slope) > LEAST_SLOPE and distance_rms < thin and not is_flat:
-        raise _unusable(f'the points lie in a plane that is tilted by '
+        raise _error_of(f'the points lie in a plane that is tilted by '
                         f'{math.degrees(math.atan(abs(slope))):.1f} degrees about {axes[0]} '
                         f'against that of {axes[0]} and {axes[1]}: let the driver publish them in '
                         f'a frame of the light plane, where {axes[2]} is 0; a static transform '
@@ -277,7 +277,7 @@ def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
         advice = (f', their {flat} nothing: set profile.axes to [{first}, {second}]' if is_flat
                   else '; a line profiler measures in one plane: let its driver publish single '
                   'profiles in its own frame')
-        raise _unusable(f'the points do not lie in the plane of {axes[0]} and {axes[1]}: their '
+        raise _error_of(f'the points do not lie in the plane of {axes[0]} and {axes[1]}: their '
                         f'{axes[2]} spans {spread[2] * 1e3:.1f} mm{advice}')
 
 
@@ -297,7 +297,7 @@ def _require_axes(points: Array, config: ProfileConfig) -> None:
     # by axis, the share of steps against the direction of the majority
     backward = 1.0 - np.maximum((steps > 0).sum(axis=0), (steps < 0).sum(axis=0)) / len(steps)
     if backward[0] > RANGE_BACKWARD and backward[1] < LINE_BACKWARD:
-        raise _unusable(f'the points follow each other along {across}, not along {along}: set '
+        raise _error_of(f'the points follow each other along {across}, not along {along}: set '
                         f'profile.axes to [{across}, {along}]')
 
 
@@ -397,7 +397,7 @@ def returns_of(raw: RawProfile) -> Profile:
     of the time, is not determined. Raises UnusableMessageError, also for an uncertain stamp.
     """
     if raw.reach != (0, 0):
-        raise _unusable('it holds several profiles, and does not say when each was taken: set '
+        raise _error_of('it holds several profiles, and does not say when each was taken: set '
                         'profile.period')
     cloud, config = message_of(CLOUD_TYPE, raw.fetch()), raw.config
     points, is_return = _points(cloud, config)

@@ -72,8 +72,16 @@ class ArmPose(TimedPose):
     joints: Array = field(default_factory=lambda: np.empty(0))
 
 
+class OtherJointsError(UnusableMessageError):
+    """A JointState has none of the joints of the arm, as that of a gripper on the same topic."""
+
+
 def pose_from_joints(arm: Arm, data: bytes) -> ArmPose:
-    """Return the flange pose of an arm at a serialised JointState; UnusableMessageError."""
+    """
+    Return the flange pose of an arm at a serialised JointState.
+
+    Raises UnusableMessageError, for one of other joints alone OtherJointsError.
+    """
     message = message_of(JOINTS_TYPE, data)
     names, positions = message.name, message.position.tolist()
     if len(positions) != len(names):
@@ -83,7 +91,8 @@ def pose_from_joints(arm: Arm, data: bytes) -> ArmPose:
         joints = arm.positions(dict(zip(names, positions, strict=True)),
                                'JointState message not used')
     except InputError as cause:
-        raise UnusableMessageError(str(cause)) from cause
+        is_other = all(joint.name not in names for joint in arm.joints)
+        raise (OtherJointsError if is_other else UnusableMessageError)(str(cause)) from cause
     if not np.isfinite(joints).all():
         raise UnusableMessageError('JointState message not used: it holds positions that are not '
                                    'finite')

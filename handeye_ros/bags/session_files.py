@@ -12,19 +12,17 @@ again with the next event, and when the session is continued.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, UTC
 import fcntl
 from functools import partial
-from itertools import islice
 import json
 import os
 from pathlib import Path
 import re
 import time
-from typing import Any
 
 from handeye_ros.bags.bag_write import (
     contents_of,
@@ -47,13 +45,12 @@ from handeye_ros.bags.reader import (
 from handeye_ros.config import Config, flatten, RECORD_PREFIX, with_values
 from handeye_ros.data import Reject
 from handeye_ros.errors import InputError, UnusableMessageError
-from handeye_ros.output import atomic_file, folder_name, write_errors_for
+from handeye_ros.output import atomic_file, write_errors_for
 from handeye_ros.results.file_values import require_format
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import NO_STOP, NOT_EVALUATED, Stop
 
-LAST_SESSION = 'last'
 FORMAT = 'handeye_ros/session/1'
 CONFIGURATION_TOPIC = '/handeye_ros/session/configuration'
 OUTCOME_TOPIC = '/handeye_ros/session/outcome'
@@ -61,41 +58,6 @@ STOP, REMOVED, CONFIGURED = 'stop', 'removed', 'configured'  # events
 
 SUFFIX, LOCK_FILE = '.mcap', '.lock'
 FOLDER_NAME_FORMAT = '%Y-%m-%dT%H%M%S.%fZ'  # names of folders, by the time
-PARAMETERS = "the node's parameters"
-
-
-class OutputFolders:
-    """
-    The folders of a node: <name> in output_dir, by default $ROS_HOME/handeye_ros/<namespace>.
-
-    ROS_HOME is ~/.ros by default.
-    """
-
-    def __init__(self, namespace: str = '/') -> None:
-        """Lock no folder yet."""
-        self._namespace = namespace
-        self._locks: dict[Path, int] = {}
-
-    def parent(self, config: Config) -> Path:
-        """Return the folder above the folders of names, absolute."""
-        home = os.environ.get('ROS_HOME') or '~/.ros'
-        parent = config.output_dir or f'{home}/handeye_ros/{self._namespace.strip("/")}'
-        return Path(os.path.expanduser(parent)).absolute()
-
-    def folder(self, config: Config) -> Path:
-        """Return the folder of the name, absolute; raises BadValueError."""
-        return self.parent(config) / folder_name(config)
-
-    def locked_folder(self, config: Config) -> Path:
-        """Return the folder of the name, for results; raises InputError if another node has it."""
-        folder = self.folder(config)
-        if folder not in self._locks:
-            with write_errors_for(folder):
-                folder.mkdir(parents=True, exist_ok=True)
-                self._locks[folder] = _locked(
-                    folder, f'another running node saves its results in {folder}: set name or '
-                    'output_dir of this one, so that neither replaces those of the other')
-        return folder
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,21 +102,21 @@ class SessionFiles:
     path: the folder of the session, None before the first event. Not for several threads at once.
     """
 
-    def __init__(self, parent: Callable[[Config], Path], stored: StoredSession | None = None,
+    def __init__(self, folder_of: Callable[[Config], Path], stored: StoredSession | None = None,
                  config: Config | None = None) -> None:
         """
         Begin with the first event, or continue a session.
 
-        parent: returns the folder that holds the folders of sessions; config: the settings from
+        folder_of: returns the folder that holds the folders of sessions; config: the settings from
         now on, which are written if they differ. Raises InputError for a session that another node
         has open, UnwritableError.
         """
-        self._parent = parent
+        self._folder_of = folder_of
         self.path = stored.path if stored else None
         self._lock: int | None = None
         if stored:
             with write_errors_for(stored.path):
-                self._lock = _locked(
+                self._lock = locked(
                     stored.path, f'{stored.path} is in use by another node: end that node first, '
                     'or begin a new session')
             _write_metadata(stored.path)
@@ -193,7 +155,7 @@ class SessionFiles:
         sample, with its number; CONFIGURED, for new settings. Raises UnwritableError.
         """
         if self.path is None:
-            where = f'a folder of the session in {self._parent(config)} (output_dir)'
+            where = f'a folder of the session in {self._folder_of(config)} (output_dir)'
             with write_errors_for(where):
                 self.path, self._lock = self._make_folder(config)
         folder = self.path
@@ -211,20 +173,14 @@ class SessionFiles:
         _write_metadata(folder)
         return file
 
-    def restarted(self, config: Config) -> SessionFiles:
-        """Return the files of another session, which exists at once; raises UnwritableError."""
-        other = SessionFiles(self._parent)
-        other.add_event(CONFIGURED, config)  # so that `last` names it
-        return other
-
     def _make_folder(self, config: Config) -> tuple[Path, int]:
         """Make the folder of a new session, named after the time; return it and its lock."""
-        folder = self._parent(config) / datetime.now(UTC).strftime(FOLDER_NAME_FORMAT)
+        folder = self._folder_of(config) / datetime.now(UTC).strftime(FOLDER_NAME_FORMAT)
         missing = [above for above in folder.parents if not above.exists()]
         folder.mkdir(parents=True)
         for created in (folder, *missing):
             sync(created.parent)
-        return folder, _locked(folder, f'another node has begun {folder}')
+        return folder, locked(folder, f'another node has begun {folder}')
 
 
 def _write_metadata(folder: Path) -> None:
@@ -232,7 +188,7 @@ def _write_metadata(folder: Path) -> None:
         write_metadata(folder, files_of(folder))
 
 
-def _locked(folder: Path, refusal: str) -> int:
+def locked(folder: Path, refusal: str) -> int:
     """
     Lock a folder until the process ends; return the file descriptor that holds the lock.
 
@@ -287,10 +243,10 @@ def is_session(path: Path) -> bool:
 
 def sessions_in(folder: Path) -> Iterator[Path]:
     """Yield the sessions in the folder of a name, the last used one first."""
-    return filter(is_session, sorted(folder.glob('*'), key=_last_use, reverse=True))
+    return filter(is_session, sorted(folder.glob('*'), key=last_use, reverse=True))
 
 
-def _last_use(session: Path) -> tuple[int, str]:
+def last_use(session: Path) -> tuple[int, str]:
     """Return when a session was begun, continued or written last; of equal times, its name."""
     with suppress(OSError):  # it is gone
         return session.stat().st_mtime_ns, session.name
@@ -361,24 +317,3 @@ def _event_of(file: Path) -> tuple[str, Config, Stop]:
         return str(outcome['event']), with_values(Config(), settings, str(file)), stop
     except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
         raise InputError(f'{file} holds an event that is not understood ({error!r})') from error
-
-
-def settings_and_session(overrides: Mapping[str, Any], folders: OutputFolders
-                         ) -> tuple[Config, StoredSession | None]:
-    """
-    Return the settings, and the session to continue, None for a new one.
-
-    overrides: settings of the user by key; all others are those of the session. Raises InputError.
-    """
-    config = with_values(Config(), overrides, PARAMETERS)
-    path = Path(config.session).expanduser().absolute() if config.session else None
-    if config.session == LAST_SESSION:
-        is_named = 'name' in overrides or 'target.type' in overrides
-        parents = [folders.folder(config)] if is_named else folders.parent(config).glob('*')
-        newest_of_each = [session for parent in parents
-                          for session in islice(sessions_in(parent), 1)]
-        path = max(newest_of_each, key=_last_use, default=None)
-    if path is None:
-        return config, None
-    stored = read_session(path)
-    return with_values(stored.config, overrides, PARAMETERS), stored

@@ -3,12 +3,9 @@
 """
 Publishes the flange pose of a corrected arm: `ros2 run handeye_ros corrected_pose`.
 
-usage: ros2 run handeye_ros corrected_pose (--urdf FILE | --kinematics FILE) [--base LINK]
-           [--flange LINK] [--joint-topic TOPIC] [--pose-topic TOPIC] [--frame NAME]
-
-FILE is the corrected.urdf or the kinematics.yaml of `handeye kinematics`. The node publishes one
-PoseStamped for every JointState, with its stamp, and a transform on /tf from the base to a
-separate frame, besides that of the controller.
+It publishes one PoseStamped for every JointState of the arm, with its stamp (without one, the time
+of receipt), and a transform on /tf from the base to a separate frame, besides that of the
+controller.
 """
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ import sys
 
 from geometry_msgs.msg import PoseStamped
 from handeye_ros.arm import read_arm, read_urdf
-from handeye_ros.bags.poses import pose_from_joints
+from handeye_ros.bags.poses import OtherJointsError, pose_from_joints
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.node.main import exit_code, own_arguments, spin
 from handeye_ros.node.outputs import pose_stamped, time_message, transform_stamped
@@ -50,9 +47,11 @@ class CorrectedPose(Node):
         try:
             pose = pose_from_joints(self._arm, data)
         except UnusableMessageError as error:
-            self.get_logger().warning(str(error), throttle_duration_sec=WARNING_PERIOD)
+            if not isinstance(error, OtherJointsError):
+                self.get_logger().warning(str(error), throttle_duration_sec=WARNING_PERIOD)
             return
-        stamp, base = time_message(pose.stamp), pose.parent_frame
+        now = self.get_clock().now().to_msg()
+        stamp, base = time_message(pose.stamp) if pose.stamp else now, pose.parent_frame
         self._poses.publish(pose_stamped(pose.translation, pose.quaternion, base, stamp))
         if self._tree:
             self._tree.publish(TFMessage(transforms=[transform_stamped(
@@ -63,11 +62,16 @@ def main() -> int:
     """Run the executable `corrected_pose`."""
     parser = argparse.ArgumentParser(prog='corrected_pose', description=__doc__)
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument('--urdf', type=Path, metavar='FILE', help='a corrected.urdf')
-    source.add_argument('--kinematics', type=Path, metavar='FILE', help='a kinematics.yaml')
-    for name, default in (('base', ''), ('flange', ''), ('joint-topic', 'joint_states'),
-                          ('pose-topic', 'corrected_pose'), ('frame', 'corrected_flange')):
-        parser.add_argument(f'--{name}', default=default)
+    source.add_argument('--urdf', type=Path, metavar='FILE',
+                        help='the corrected.urdf of "handeye kinematics"')
+    source.add_argument('--kinematics', type=Path, metavar='FILE', help='its kinematics.yaml')
+    for name, default, text in (
+            ('base', '', 'link of the URDF (default: the root)'),
+            ('flange', '', 'link of the URDF (default: the usual name, or the only last link)'),
+            ('joint-topic', 'joint_states', 'with the JointState (default: %(default)s)'),
+            ('pose-topic', 'corrected_pose', 'for the poses (default: %(default)s)'),
+            ('frame', 'corrected_flange', 'of the flange on /tf (default: %(default)s)')):
+        parser.add_argument(f'--{name}', default=default, help=text)
     options = parser.parse_args(own_arguments())
     return exit_code(spin, partial(CorrectedPose, options))
 

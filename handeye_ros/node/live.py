@@ -12,7 +12,7 @@ From a message to ~/samples:
    is not stored is not used.
 3. After each such piece of work the worker calls `publish_changes` (node.py, then outputs.py),
    which publishes ~/samples. When no stop waits, it begins the review in another process
-   (answer.py).
+   (solver.py).
 
 Threads:
 - `drain` calls add_profile, add_poses and add_joints alone;
@@ -36,13 +36,7 @@ from threading import Lock
 from typing import Any, TypeVar
 
 from handeye_ros import se3
-from handeye_ros.bags.session_files import (
-    CONFIGURED,
-    OutputFolders,
-    REMOVED,
-    SessionFiles,
-    StoredSession,
-)
+from handeye_ros.bags.session_files import CONFIGURED, REMOVED, SessionFiles, StoredSession
 from handeye_ros.config import Config, SamplesConfig
 from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
 from handeye_ros.errors import (
@@ -55,8 +49,9 @@ from handeye_ros.errors import (
     UnusableMessageError,
 )
 from handeye_ros.frames import mount_poses
-from handeye_ros.node.answer import ANSWER_KEYS, LiveAnswer, SAMPLE_KEYS, settings_of
+from handeye_ros.node.folders import OutputFolders
 from handeye_ros.node.pool import Pool, PoolEndedError, trim_memory
+from handeye_ros.node.solver import ANSWER_KEYS, LiveSolver, SAMPLE_KEYS, settings_of
 from handeye_ros.node.state import Attempt, MessageCount
 from handeye_ros.node.verification import LiveVerification
 from handeye_ros.results.scene import StopSnapshot
@@ -87,10 +82,10 @@ class LiveSession:
         The evaluated stops of the session are changed by the worker alone, which reads them
         without
     message_counts: by kind (profile, pose); Streams (streams.py) begins them anew
-    answer, verification: what is computed from samples, and a verification
+    solver, verification: compute what follows from samples, and a verification
     troubles: why samples cannot be stored (storing) or computed with (work), a sentence each
     attempt: the last one to take a sample, None before
-    running_jobs: the long computations in words, '' for a review
+    running_jobs: the names of the long computations (run_job)
     """
 
     def __init__(self, config: Config, folders: OutputFolders, pool: Pool,
@@ -104,10 +99,10 @@ class LiveSession:
         self.folders, self.pool, self.lock = folders, pool, Lock()
         self.message_counts = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
         self._worker, self._publish_changes = ThreadPoolExecutor(1, 'worker'), publish_changes
-        self._is_scheduled = True  # do_due_work; before start() nothing is due
+        self._is_started = self._is_scheduled = False  # scheduled is _do_due_work
         self.running_jobs: list[str] = []
         self._begin(SessionFiles(folders.folder), Session(config))
-        self.answer, self.verification = LiveAnswer(self), LiveVerification(self)
+        self.solver, self.verification = LiveSolver(self), LiveVerification(self)
 
     def _begin(self, files: SessionFiles, session: Session) -> None:
         """Begin with a session, without messages."""
@@ -163,7 +158,7 @@ class LiveSession:
     def start(self) -> None:
         """Start the worker and the processes."""
         self.pool.start()
-        self._is_scheduled = False
+        self._is_started = True
         self._schedule_due_work()
 
     def call_on_worker(self, function: Callable[[], Result]) -> Result:
@@ -175,7 +170,7 @@ class LiveSession:
 
     def _schedule_due_work(self) -> None:
         """Have the worker look for what is due; racing threads may do so twice: no harm."""
-        if not self._is_scheduled:
+        if self._is_started and not self._is_scheduled:
             self._is_scheduled = True
             self._worker.submit(self._call_and_publish, self._do_due_work)
 
@@ -199,17 +194,18 @@ class LiveSession:
         elif self.evaluate_next():
             self._schedule_due_work()
         else:
-            self.answer.review_if_changed()
+            self.solver.review_if_changed()
         trim_memory()
 
     def run_job(self, name: str, accept: Callable[[Any], Result],
-                function: Callable[..., Any], *args: Any) -> Future[Result]:
+                function: Callable[..., Any], *args: Any, is_requested: bool = True
+                ) -> Future[Result]:
         """
         Begin a long computation in another process; return the future of what accept returns.
 
-        name: in words, '' for what nobody waits for: its error is a trouble of the session, as is
-        always that of a process that ended.
-        accept: called by the worker with the result.
+        name: in words, '' for what is not told; accept: called by the worker with the result;
+        is_requested: whether somebody is told of a refusal. All other errors are a trouble of the
+        session.
         """
         accepted = Future[Result]()
 
@@ -219,7 +215,7 @@ class LiveSession:
                 accepted.set_result(accept(job.result()))
             except Exception as error:
                 accepted.set_exception(error)
-                if not (name and isinstance(error, DataError | InputError)):
+                if not (is_requested and isinstance(error, DataError | InputError)):
                     raise
             self._schedule_due_work()  # samples or settings may have changed meanwhile
 
@@ -298,9 +294,11 @@ class LiveSession:
         """Evaluate the next stop that waits, new or stored; return whether there was one."""
         with self.lock:
             stop = self.to_evaluate.pop(next(iter(self.to_evaluate), 0), None)
-        if stop and not (stop.reader and stop.final_reason):
+        if stop and not stop.reader:
             with suppress(DataError):  # of a verification
-                self._evaluate(stop)
+                self._evaluate_new(stop)
+        elif stop and not stop.final_reason:
+            self._add_stop(self._evaluated(stop))
         return stop is not None
 
     def evaluate_waiting(self) -> None:
@@ -316,52 +314,64 @@ class LiveSession:
         """
         self.evaluate_waiting()
         with self.lock:
-            self._queue_stops(self.end_stops())
+            self._queue_stops(self._end_stops())
         self.evaluate_waiting()
 
-    def end_stops(self) -> list[Stop]:
+    def _end_stops(self) -> list[Stop]:
         """Return the stops that have begun; nothing more is taken of them. Under lock."""
         stops = self.session.copied().remaining()  # raises for mixed frames
         for stop in stops:
             self.session.mark_done(stop)
         return stops
 
-    def _evaluate(self, stop: Stop, is_requested: bool = False) -> str:
+    def discard_begun_stops(self) -> None:
+        """Make no sample of a new stop that has begun, or waits; raises InputError."""
+        with self.lock:
+            self.to_evaluate = {stamp: stop for stamp, stop in self.to_evaluate.items()
+                                if stop.reader}
+            self._end_stops()
+
+    def _evaluate_new(self, stop: Stop, is_requested: bool = False) -> str:
         """
         Evaluate a stop, store it, add it to the session; return what it gave, in words.
 
-        It replaces an earlier part of the same stop. Of one that is stored only the result is new.
-        During a verification a new stop counts for that instead (LiveVerification.add_stop).
-        is_requested: by ~/take_sample: where it gives no sample DataError is raised, where it
-        cannot be stored InputError, and the session stays as it is. Otherwise it is a reject then.
+        It replaces an earlier part of the same stop. During a verification it counts for that
+        instead (LiveVerification.add_stop), unless it began before. is_requested: by
+        ~/take_sample: where it gives no sample DataError is raised, where it cannot be stored
+        InputError, and the session stays as it is. Otherwise it is a reject then.
         """
         if self.verification.routine and not stop.number:
             return self.verification.add_stop(stop)
-        is_new = stop.reader is None
-        stop = self.session.evaluated(stop, self.evaluate_in_process(stop, self.config))
-        earlier = next((s for s in self.session.stops if s.number == stop.number), None)
+        earlier = next((s for s in self.session.stops if s.stamp == stop.stamp), None)
         had_sample = bool(earlier and earlier.sample)
+        stop = self._evaluated(stop)
         if is_requested and stop.sample is None:
             remedy = ': move on, and turn the tool' if stop.final_reason else ''
             raise DataError(f'{sample_summary(stop.result)}{remedy}')
-        if is_new:
-            with self.lock:
-                joints = [*self.joints]
-            try:
-                stop = self._store(self.files.add_stop, stop, self.config, joints)
-            except InputError as error:
-                if is_requested:
-                    raise
-                # an earlier part of the stop has fewer profiles, but is on the disk
-                stop = earlier if earlier and earlier.reader else replace(
-                    stop, result=Reject(stop.result.stamp, str(error), final=True))
         with self.lock:
-            self.session.add_stop(stop)
+            joints = [*self.joints]
+        try:
+            stop = self._store(self.files.add_stop, stop, self.config, joints)
+        except InputError as error:
+            if is_requested:
+                raise
+            # an earlier part of the stop has fewer profiles, but is on the disk
+            stop = earlier if earlier and earlier.reader else replace(
+                stop, result=Reject(stop.result.stamp, str(error), final=True))
+        self._add_stop(stop)
         text = _outcome_text(stop, had_sample)
-        if is_new and (is_requested or earlier is None or had_sample != bool(stop.sample)):
+        if is_requested or earlier is None or had_sample != bool(stop.sample):
             # the same result with more profiles is not reported again
             self.attempt = Attempt(text, stop)
         return text
+
+    def _evaluated(self, stop: Stop) -> Stop:
+        """Return a stop with its number and what it gives now."""
+        return self.session.evaluated(stop, self.evaluate_in_process(stop, self.config))
+
+    def _add_stop(self, stop: Stop) -> None:
+        with self.lock:
+            self.session.add_stop(stop)
 
     def evaluate_in_process(self, stop: Stop, config: Config) -> Sample | Reject:
         """Return what a stop gives, evaluated in another process."""
@@ -434,7 +444,7 @@ class LiveSession:
                 raise silent_poses(poses.silence)
             with self.lock:
                 stop = self.session.stop_on_request()
-            text = self._evaluate(stop, is_requested=True)
+            text = self._evaluate_new(stop, is_requested=True)
         except HandeyeError as error:
             self.attempt = Attempt(str(error))
             raise
@@ -464,15 +474,17 @@ class LiveSession:
         config = replace(self.config, samples=SamplesConfig())  # numbers begin again
         if files.path:
             note = f'; they are kept in {files.path}' if files.path.is_dir() else ''
-            files = files.restarted(config)
+            files = SessionFiles(self.folders.folder)
+            files.add_event(CONFIGURED, config)  # so that `last` names it
         self._replace_session(files, Session(config), 'the samples were cleared')
         return f'{count_of(count, "sample")} removed; bags and clocks may start again{note}'
 
     def open_session(self, stored: StoredSession, config: Config) -> str:
-        """Continue a session of the disk, and solve; return the message. Raises InputError."""
+        """Continue a session of the disk, and solve; return the message. Raises HandeyeError."""
+        session = self.pool.submit(stored.session, config).result()
         files = SessionFiles(self.folders.folder, stored, config)
-        self._replace_session(files, stored.session(config), 'a session was opened')
-        self.answer.is_wanted = bool(self.session.samples)  # as it probably was before
+        self._replace_session(files, session, 'a session was opened')
+        self.solver.is_wanted = bool(self.session.samples)  # as it probably was before
         now, before = settings_of(config, ANSWER_KEYS), settings_of(stored.config, ANSWER_KEYS)
         changes = ''.join(f'; {key} is {value} now, was {before[key]}'
                           for key, value in now.items() if value != before[key])
@@ -486,7 +498,7 @@ class LiveSession:
         with self.lock:
             self._begin(files, session)
         self.verification.end()
-        self.answer.forget(why)
+        self.solver.forget(why)
 
     def _sample_count(self) -> int:
         return sum(stop.sample is not None for stop in self.session.stops)
@@ -494,7 +506,7 @@ class LiveSession:
     @property
     def _frame_change(self) -> str:
         """Return in words that a topic has another frame now; '' if that would lose anything."""
-        in_use = self.verification.routine or self.answer.calibration
+        in_use = self.verification.routine or self.solver.calibration
         return '' if in_use else self.session.frame_change
 
     # settings
@@ -508,9 +520,9 @@ class LiveSession:
         - time_offset: stops from before end with the old one;
         - verify.routine: a verification ends without a result;
         - profile: messages that could not be read are not counted any more;
-        - SAMPLE_KEYS (answer.py): all stops are evaluated again, from their files;
+        - SAMPLE_KEYS (solver.py): all stops are evaluated again, from their files;
         - ANSWER_KEYS: the worker reviews the samples again, and computes the answer again if one
-          was asked for (`review_if_changed` in answer.py).
+          was asked for (`review_if_changed` in solver.py).
         """
         old = self.config
         if not other_topics and config.offset_ns != old.offset_ns:

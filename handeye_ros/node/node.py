@@ -11,15 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros import config as configuration
-from handeye_ros.bags.session_files import (
-    OutputFolders,
-    PARAMETERS,
-    read_session,
-    settings_and_session,
-    StoredSession,
-)
+from handeye_ros.bags.session_files import read_session, StoredSession
 from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD_NAMES, RECORD_PREFIX
 from handeye_ros.errors import InputError, sentence_and_log, without_numbers
+from handeye_ros.node.folders import OutputFolders, PARAMETERS, settings_and_session
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.outputs import Outputs
 from handeye_ros.node.pool import Pool
@@ -75,7 +70,7 @@ class HandeyeNode(Node):
         if stored:
             self.get_logger().info(live.open_session(stored, config))
         elif config.session:
-            self.get_logger().warning(f'there is no session in {folders.parent(config)}: a new '
+            self.get_logger().warning(f'there is no session in {folders.root(config)}: a new '
                                       'one begins')
         self.streams = Streams(self, live, live.add_joints)
         self.outputs.publish_changes()
@@ -121,11 +116,11 @@ class HandeyeNode(Node):
     # services, which the page calls too
 
     def _offer_services(self) -> None:
-        live, answer, verification = self.live, self.live.answer, self.live.verification
+        live, solver, verification = self.live, self.live.solver, self.live.verification
         self._trigger_functions: dict[str, Callable[[], str | Future[str]]] = {
             function.__name__: function for function in (
                 live.take_sample, live.remove_last_sample, live.clear_samples,
-                answer.compute_calibration, answer.save_calibration,
+                solver.compute_calibration, solver.save_calibration,
                 verification.verify_start, verification.verify_result)}
         quick = MutuallyExclusiveCallbackGroup()
         for name in self._trigger_functions:

@@ -65,50 +65,18 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 METRES_PER_WIDTH = 1e-3  # m for each unit of width of the scene, of a text of its height
 
 
-class _LatchedTopic:
-    """A topic that keeps its last message for late subscribers, until it is withdrawn."""
-
-    def __init__(self, node: Node, name: str, message_type: Any) -> None:
-        """Advertise the topic."""
-        self._node, self._content = node, None
-        self._advertise = partial(node.create_publisher, message_type, name, LATCHED_QOS,
-                                  event_callbacks=NO_CALLBACKS)
-        self._publisher = self._advertise()
-
-    def publish_if_changed(self, content: Any, message_of: Callable[[], Any]) -> None:
-        """
-        Publish the message of a content that is not the last one.
-
-        None withdraws the last message: a new publisher gives a late subscriber none.
-        """
-        if content != self._content:
-            self._content = content
-            if content is None:
-                self._node.destroy_publisher(self._publisher)
-                self._publisher = self._advertise()
-            else:
-                self._publisher.publish(message_of())
-
-
 class Outputs:
     """The publishers; unchanged content is not published again."""
 
     def __init__(self, node: Node, live: LiveSession) -> None:
-        """Advertise all topics."""
+        """Advertise the topics; those of the session with the first changes."""
         self._node, self._live = node, live
         self._lock, self._closed = threading.Lock(), False
         self._logged_attempt: Attempt | None = None
-        message_types = {
-            '~/samples': String, '~/status': String, '~/guidance': String,
-            '~/next_pose': PoseStamped, '~/calibration': TransformStamped,
-            '~/markers': MarkerArray}
-        if TFMessage:
-            message_types['/tf_static'] = TFMessage
-        else:
+        self._latched: dict[str, tuple[Any, Any]] = {}  # publisher and content, by topic
+        if not TFMessage:
             node.get_logger().warning('tf2_msgs is not installed: the transform is published on '
                                       f'~/calibration only, not on /tf_static; {INSTALL_TF2}')
-        self._latched_topics = {name: _LatchedTopic(node, name, message_type)
-                                for name, message_type in message_types.items()}
         self._current = node.create_publisher(MarkerArray, '~/current', 1)
         self._features = node.create_publisher(PointCloud2, '~/features', 10)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
@@ -135,25 +103,41 @@ class Outputs:
             if self._closed:
                 return
             live, config, stamp = self._live, self._config, self._now()
-            state, calibration = state_of(live), live.answer.calibration
+            state, calibration = state_of(live), live.solver.calibration
             self._tell_attempt(live.attempt)
             samples, status = json.dumps(samples_message(state)), json.dumps(status_message(state))
             guidance = state['guidance']
             transform = calibration and transform_of(calibration, stamp)
-            place = guidance['translation'] and {
-                **{key: guidance[key] for key in ('translation', 'rotation')},
-                'frame_id': config.base_frame}
-            outputs = {
-                '~/samples': (samples, lambda: String(data=samples)),
-                '~/status': (status, lambda: String(data=status)),
-                '~/guidance': (guidance['text'], lambda: String(data=guidance['text'])),
-                '~/next_pose': (place, lambda: pose_stamped(**place, stamp=stamp)),
-                '~/calibration': (calibration, lambda: transform),
-                '/tf_static': (calibration, lambda: TFMessage(transforms=[transform])),
-                '~/markers': ((samples, calibration), lambda: session_markers(
-                    live.session_copy().stops, calibration, config))}
-            for name, topic in self._latched_topics.items():
-                topic.publish_if_changed(*outputs[name])
+            place = guidance['translation'], guidance['rotation'], config.base_frame
+            for name, text in (('~/samples', samples), ('~/status', status),
+                               ('~/guidance', guidance['text'])):
+                self._latch(name, String, text, partial(String, data=text))
+            self._latch('~/next_pose', PoseStamped, place if guidance['translation'] else None,
+                        lambda: pose_stamped(*place, stamp))
+            self._latch('~/calibration', TransformStamped, calibration, lambda: transform)
+            if TFMessage:
+                self._latch('/tf_static', TFMessage, calibration,
+                            lambda: TFMessage(transforms=[transform]))
+            self._latch('~/markers', MarkerArray, (samples, calibration), lambda: session_markers(
+                live.session_copy().stops, calibration, config))
+
+    def _latch(self, name: str, message_type: Any, content: Any, message_of: Callable[[], Any]
+               ) -> None:
+        """
+        Publish the message of a content that is not the last one, for late subscribers too.
+
+        None withdraws the last message: a new publisher gives a late subscriber none.
+        """
+        publisher, last_content = self._latched.get(name, (None, None))
+        if publisher and content is None and last_content is not None:
+            self._node.destroy_publisher(publisher)
+            publisher = None
+        if publisher is None:
+            publisher = self._node.create_publisher(message_type, name, LATCHED_QOS,
+                                                    event_callbacks=NO_CALLBACKS)
+        if content != last_content and content is not None:
+            publisher.publish(message_of())
+        self._latched[name] = publisher, content
 
     def _tell_attempt(self, attempt: Attempt | None) -> None:
         """Log an attempt once, and publish the features of its sample in the sensor frame."""
@@ -173,7 +157,7 @@ class Outputs:
         """Publish the current profile with its features, if there is a subscriber."""
         if self._current.get_subscription_count():
             self._current.publish(current_markers(
-                self._live.current_snapshot(), self._live.answer.calibration, self._config))
+                self._live.current_snapshot(), self._live.solver.calibration, self._config))
 
     def publish_diagnostics(self, state: State) -> None:
         """Publish the state on /diagnostics."""

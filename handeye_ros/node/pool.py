@@ -14,6 +14,7 @@ from concurrent.futures.process import BrokenProcessPool
 import ctypes
 import multiprocessing
 import os
+from queue import LifoQueue
 import signal
 import sys
 import threading
@@ -33,28 +34,23 @@ class PoolEndedError(HandeyeError):
 
     def __init__(self) -> None:
         super().__init__('the process that computes ended before it had an answer (killed, or out '
-                         'of memory?): call the service again; this restarts the process')
+                         'of memory?); another one is started: call the service again, or '
+                         '~/compute_calibration where none was called')
 
 
 class Pool:
-    """
-    Runs functions of modules in other processes; one that is killed disturbs no other.
-
-    Each thread has an executor with one process, as the end of a process breaks its executor.
-    """
+    """Runs functions of modules in other processes; one that is killed disturbs no other."""
 
     def __init__(self) -> None:
         """Start no process yet."""
         # a node that ends at once leaves the semaphores of its processes to Python's tracker: it
         # removes them, and nobody needs to hear of it
         sys.warnoptions.append('ignore::UserWarning:multiprocessing.resource_tracker')
-        self._own = threading.local()  # each thread sees its own `executor`
-        self._threads = ThreadPoolExecutor(PROCESS_COUNT, 'pool', self._use_new_process)
-
-    def _use_new_process(self) -> None:
-        """Give this thread a process of its own."""
-        self._own.executor = ProcessPoolExecutor(
-            1, multiprocessing.get_context('spawn'), _initialise_process)
+        # of one process each: the end of a process breaks its executor
+        self._free: LifoQueue[ProcessPoolExecutor] = LifoQueue()
+        for _ in range(PROCESS_COUNT):
+            self._free.put(_new_process())
+        self._threads = ThreadPoolExecutor(PROCESS_COUNT, 'pool')
 
     def start(self) -> None:
         """Let the processes finish their imports before they are needed."""
@@ -71,11 +67,19 @@ class Pool:
 
     def _call(self, function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
         for _ in range(2):
+            process = self._free.get()
             try:
-                return self._own.executor.submit(call_and_trim, function, args).result()
+                return process.submit(call_and_trim, function, args).result()
             except BrokenProcessPool:
-                self._use_new_process()
+                process = _new_process()
+            finally:
+                self._free.put(process)
         raise PoolEndedError
+
+
+def _new_process() -> ProcessPoolExecutor:
+    """Return a process, which starts with its first call."""
+    return ProcessPoolExecutor(1, multiprocessing.get_context('spawn'), _initialise_process)
 
 
 def _initialise_process() -> None:

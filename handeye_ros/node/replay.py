@@ -40,6 +40,7 @@ def replay(bag: Path, rate: float = 1.0, timeout: float = 5.0) -> None:
         raise InputError(f'the rate is {rate:g}, expected a number above 0')
     reader = Reader(bag)
     recorded = list(reader.messages())
+    reader.types.pop('/clock', None)  # there is one, at this rate
     for warning in reader.warnings:
         print(warning, file=sys.stderr)
     with ros():

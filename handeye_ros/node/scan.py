@@ -3,13 +3,9 @@
 """
 Publishes laser points in the base frame: `ros2 run handeye_ros scan`.
 
-usage: ros2 run handeye_ros scan CALIBRATION [--set KEY=VALUE]... [--range NEAR FAR]
-           [--incidence DEGREES] [--voxel EDGE] [--std] [--ros-args ...]
-
-CALIBRATION is a calibration.yaml, or the folder that holds one; its settings (topics, unit,
-frames) are used, and --set changes them. The points are published on ~/points, in the base, a
-cloud for the profiles of every 50 ms. Each profile is placed by the pose at its stamp plus
-time_offset, and waits for the pose after it. The number of dropped profiles is logged.
+The points are published on ~/points, in the base, a cloud for the profiles of every 50 ms. Each
+profile is placed by the pose at its stamp plus time_offset, and waits for the pose after it. The
+number of dropped profiles is logged.
 """
 from __future__ import annotations
 
@@ -19,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+import re
 import sys
 from threading import Lock
 from typing import Any
@@ -117,14 +114,21 @@ class ScanNode(Node):
 
 def main() -> int:
     """Run the executable `scan`."""
-    parser = argparse.ArgumentParser(prog='scan', description=(__doc__ or '').splitlines()[1])
-    parser.add_argument('calibration', type=Path)
-    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE')
-    parser.add_argument('--range', nargs=2, default=('-inf', 'inf'), metavar=('NEAR', 'FAR'))
-    parser.add_argument('--incidence', type=float, default=90.0, metavar='DEGREES')
-    parser.add_argument('--voxel', default='0', metavar='EDGE')
-    parser.add_argument('--std', action='store_true')
-    arguments = parser.parse_args(own_arguments())
+    parser = argparse.ArgumentParser(prog='scan', description=__doc__)
+    parser.add_argument('calibration', type=Path, help='a calibration.yaml, or the folder that '
+                        'holds it; its settings (topics, unit, frames) are used')
+    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE',
+                        help='change a setting; may be repeated')
+    parser.add_argument('--range', nargs=2, type=str.strip, default=('-inf', 'inf'),
+                        metavar=('NEAR', 'FAR'), help='keep points in this range of the sensor')
+    parser.add_argument('--incidence', type=float, default=90.0, metavar='DEGREES',
+                        help='keep points that the laser meets at no larger angle to the normal')
+    parser.add_argument('--voxel', default='0', metavar='EDGE',
+                        help='keep one point in each cube of this edge')
+    parser.add_argument('--std', action='store_true', help='add the 1 sigma of each point (m)')
+    # else argparse takes a negative length, as of --range -200mm -100mm, for an option
+    words = [f' {word}' if re.match(r'-(\d|\.|inf)', word) else word for word in own_arguments()]
+    arguments = parser.parse_args(words)
     return exit_code(spin, partial(ScanNode, arguments))
 
 

@@ -18,7 +18,7 @@ from typing import Any, TYPE_CHECKING
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.node.answer import LiveAnswer, Review, summary
+from handeye_ros.node.solver import LiveSolver, Review, summary
 from handeye_ros.output import folder_name
 from handeye_ros.results.scene import Agreement
 from handeye_ros.results.table import sample_summary
@@ -138,7 +138,7 @@ def _clock_trouble(profiles: MessageCount, poses: MessageCount) -> str:
 def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxyType({})) -> State:
     """Return the state of a running node; graph_troubles: as in streams.py, '' unless known."""
     session, config, attempt = live.session_copy(), live.config, live.attempt
-    review, motion = live.answer.review, session.motion
+    review, motion = live.solver.review, session.motion
     graph_trouble = graph_troubles.get('session', '')
     profiles, poses = live.message_counts['profile'], live.message_counts['pose']
     samples = [_sample(stop, session, review.agreements.get(stop.number))
@@ -169,7 +169,7 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
         'review': '' if review.answer.solution else str(review.answer.refusal),
         'attempt': attempt and {'accepted': attempt.stop.sample is not None,
                                 'number': attempt.stop.number, 'text': attempt.text},
-        'calibration': _calibration(live.answer, session), 'guidance': _guidance(review)}
+        'calibration': _calibration(live.solver, session), 'guidance': _guidance(review)}
 
 
 def sample_count(state: State) -> int:
@@ -236,7 +236,7 @@ def _pose(T: Array | None) -> State:
             'rotation': None if T is None else se3.quaternion(T).tolist()}
 
 
-def _calibration(answer: LiveAnswer, session: Session) -> State:
+def _calibration(solver: LiveSolver, session: Session) -> State:
     """
     Return the answer and its state.
 
@@ -245,20 +245,20 @@ def _calibration(answer: LiveAnswer, session: Session) -> State:
     child in the parent; std: 1 sigma of x y z rx ry rz; all None without an answer. saved: the
     file of this answer, empty before it is saved.
     """
-    calibration = answer.calibration
+    calibration = solver.calibration
     if calibration is None:
         state, note = NONE, ''
-        if answer.solved_session:
+        if solver.solved_session:
             state, note = WITHDRAWN, '; the transform that was published before is not the answer'
-        return {**NO_ANSWER, 'state': state, 'text': f'{answer.why_missing}{note}'}
-    changes, quality = answer.changes_since(session), calibration.quality
+        return {**NO_ANSWER, 'state': state, 'text': f'{solver.why_missing}{note}'}
+    changes, quality = solver.changes_since(session), calibration.quality
     return {
         'state': OUTDATED if changes else CURRENT, 'text': summary(calibration) + changes,
         'parent': calibration.parent_frame, 'child': calibration.child_frame,
         **_pose(calibration.T_flange_sensor), 'rpy': se3.rpy(calibration.T_flange_sensor).tolist(),
         'std': np.sqrt(np.diag(calibration.covariance)).tolist(),
         'residual_rms': quality.residual_rms, 'holdout_rms': quality.holdout_rms,
-        'used': quality.samples_used, 'rejected': quality.samples_rejected, 'saved': answer.saved}
+        'used': quality.samples_used, 'rejected': quality.samples_rejected, 'saved': solver.saved}
 
 
 def _guidance(review: Review) -> State:

@@ -14,7 +14,7 @@ from typing import Any, TYPE_CHECKING, TypeVar
 
 from geometry_msgs.msg import PoseStamped
 from handeye_ros.bags.messages import ProfileReader, split
-from handeye_ros.bags.poses import pose_topics
+from handeye_ros.bags.poses import OtherJointsError, pose_topics
 from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, POSE_TYPE, TF_TYPE
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
@@ -73,6 +73,7 @@ class _Topic:
         have several
     publishers: rclpy's TopicEndpointInfo of each, as of LOOK_PERIOD ago at most
     last_number: of the last message, as its publisher counts them
+    obstacle: why messages of other devices, which are no faults, give nothing
     """
 
     received: MessageCount
@@ -84,6 +85,7 @@ class _Topic:
     subscription: Any = None
     publishers: Sequence[Any] = ()
     last_number: int = 0
+    obstacle: str = ''
 
 
 class Streams:
@@ -123,7 +125,7 @@ class Streams:
                          self._on_profile, RELIABLE_QOS, 'profile_topic')]
         if self._add_joints and not config.kinematics:
             topics.append(_Topic(MessageCount('joint state'), JOINTS_TYPE, config.joint_topic,
-                                 partial(_on_joints, self._add_joints), BEST_EFFORT_QOS))
+                                 partial(self._on_joints, self._add_joints), BEST_EFFORT_QOS))
         for source in pose_topics(config, self._tracker):
             if source.message_type == TF_TYPE and not TFMessage:
                 raise InputError('pose_source is tf, but tf2_msgs is not installed: '
@@ -217,6 +219,8 @@ class Streams:
                 topic.last_number = number
                 try:
                     topic.receive(data)
+                except OtherJointsError as error:
+                    topic.obstacle = str(error)
                 except Exception as error:  # noqa: BLE001 - the streams must continue
                     reason = sentence_and_log(f'the reading of {topic.name}', error)
                     topic.received.add_malformed(reason)
@@ -227,23 +231,29 @@ class Streams:
         config = self._receiver.config
         if self._profile_reader.config != config.profile:
             self._profile_reader = ProfileReader(config.profile)
-        profile = self._stamped(self._profile_reader.take(data))
-        message = replace(profile, stamp=profile.stamp + config.offset_ns)
-        for profile_part in split(message, self._last_stamp, config.profile):
-            self._receiver.add_profile(profile_part)
+        message = self._stamped(self._profile_reader.take(data))
+        for profile in split(message, self._last_stamp, config.profile):
+            self._receiver.add_profile(replace(profile, stamp=profile.stamp + config.offset_ns))
         self._last_stamp = message.stamp
 
     def _on_poses(self, read_poses: Callable[[bytes], Iterable[TimedPose]], data: bytes) -> None:
         self._receiver.add_poses([self._stamped(pose) for pose in read_poses(data)])
 
+    def _on_joints(self, add_joints: Callable[[int, bytes], None], data: bytes) -> None:
+        """Pass on joint values as they are, for `handeye kinematics`."""
+        seconds, nanoseconds = struct.unpack_from('<iI' if data[1] else '>iI', data, 4)
+        add_joints(seconds * NS + nanoseconds or self._time_of_receipt(), data)
+
     def _stamped(self, item: Stamped) -> Stamped:
         """Return an item; without a stamp it gets the time of receipt."""
-        if item.stamp:
-            return item
+        return item if item.stamp else replace(item, stamp=self._time_of_receipt())
+
+    def _time_of_receipt(self) -> int:
+        """Return the time of now (ns), with a warning."""
         self._node.get_logger().warning(
             'messages come without a stamp: the time of receipt is used',
             throttle_duration_sec=WARNING_PERIOD)
-        return replace(item, stamp=self._node.get_clock().now().nanoseconds)
+        return int(self._node.get_clock().now().nanoseconds)
 
     # what the graph of ROS tells about them
 
@@ -277,7 +287,7 @@ class Streams:
         name, expected = self._full_name(topic.name), topic.message_type
         offered = {info.topic_type for info in topic.publishers}
         if expected in offered:
-            return '' if topic.received.count or topic.qos is RELIABLE_QOS else (
+            return topic.obstacle if topic.received.count or topic.qos is RELIABLE_QOS else (
                 'its driver publishes with best effort: large messages may all get lost; publish '
                 'reliably')
         others = ', '.join([other for other in self.topics_of(expected)
@@ -293,9 +303,3 @@ class Streams:
                       if message_type in types and not name.startswith(private_prefix)
                       and any(info.topic_type == message_type
                               for info in node.get_publishers_info_by_topic(name)))
-
-
-def _on_joints(add_joints: Callable[[int, bytes], None], data: bytes) -> None:
-    """Pass on joint values as they are, for `handeye kinematics`."""
-    seconds, nanoseconds = struct.unpack_from('<iI' if data[1] else '>iI', data, 4)
-    add_joints(seconds * NS + nanoseconds, data)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -56,11 +57,15 @@ class LiveVerification:
         """Begin with none."""
         self._live = live
         self.verdict = ''
+        self.routine: Routine | None = None
         self.end()
 
     def end(self) -> None:
-        """End the verification, with or without a result."""
-        self.routine: Routine | None = None
+        """End the verification, with or without a result; what began before is no sample."""
+        if self.routine:
+            with suppress(InputError):  # of two frames, where no stop is taken
+                self._live.discard_begun_stops()
+        self.routine = None
         self._most_parts = 1
         self._parts: list[dict[int, Sample | Reject]] = [{}]  # what their stops gave, by stamp
 
@@ -94,9 +99,7 @@ class LiveVerification:
                                  f'call "handeye verify {routine.name}" with them')
             most_parts = routine.recordings_for(len(settings.lengths))[-1]  # raises InputError
             self._calibration()  # raises where there is none
-        with live.lock:
-            live.end_stops()
-            live.to_evaluate.clear()
+        live.discard_begun_stops()
         if begins:
             self.routine, self._most_parts, self._parts = routine, most_parts, [{}]
         elif measured:
@@ -134,7 +137,7 @@ class LiveVerification:
                             'artefact')
         live = self._live
         live.evaluate_all()
-        file = live.config.verify.calibration or live.answer.saved
+        file = live.config.verify.calibration or live.solver.saved
         return live.run_job(VERIFYING, partial(self._accept, self._parts, file), verification_of,
                             self.routine, [[*part.values()] for part in self._parts],
                             self._calibration(), live.config)
@@ -164,4 +167,4 @@ class LiveVerification:
         """Return that of verify.calibration, or the answer; raises HandeyeError."""
         file = self._live.config.verify.calibration
         return (read_calibration(Path(file).expanduser()) if file else
-                self._live.answer.require_calibration('verify (verify.calibration names none)'))
+                self._live.solver.require_calibration('verify (verify.calibration names none)'))

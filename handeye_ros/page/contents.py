@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -30,6 +31,7 @@ import numpy as np
 if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession
     from handeye_ros.node.node import HandeyeNode
+    from handeye_ros.node.state import State
 
 # buttons that call the service of their name
 PAGE_SERVICES = ('take_sample', 'clear_samples', 'compute_calibration', 'save_calibration',
@@ -40,9 +42,8 @@ PAGE_SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', '
                  'verify.routine', 'verify.radius', 'verify.lengths', 'verify.reference',
                  'verify.tolerance')
 
-FEW_STOPS = 3  # of a session that has just begun, perhaps by itself; as in page.js
+FEW_STOPS = 3  # of a session that has just begun, perhaps by itself after a restart
 
-State = Mapping[str, Any]  # of handeye_ros.node.state
 # the two kinds of functions of a PageSource
 Action = Callable[[Mapping[str, Any]], tuple[bool, str]]
 Query = Callable[[Mapping[str, str]], Any]
@@ -68,7 +69,7 @@ class PageSource:
 def page_source(node: HandeyeNode) -> PageSource:
     """Return content and actions of the page for a node."""
     actions: dict[str, Action] = {
-        **{name: partial(_call_service, node, name) for name in PAGE_SERVICES},
+        **{name: partial(lambda name, _: node.call_service(name), name) for name in PAGE_SERVICES},
         'remove_last_sample': partial(_remove_last, node),
         'exclude': partial(_exclude, node), 'set': partial(_set, node),
         'open': lambda values: (True, node.open_session(str(values.get('session'))))}
@@ -77,11 +78,6 @@ def page_source(node: HandeyeNode) -> PageSource:
         'cell': lambda values: _cell(node),
         'file': lambda values: _file(node.live, values.get('name', ''))}
     return PageSource(lambda: contents(node.state, node.live), actions, queries)
-
-
-def _call_service(node: HandeyeNode, name: str, _: Mapping[str, Any]) -> tuple[bool, str]:
-    """Call a service, which takes no values; return its success and message."""
-    return node.call_service(name)
 
 
 def _remove_last(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
@@ -131,8 +127,10 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     current = Path(live.path).name
     sessions = [path for path in sessions_in(live.folders.folder(live.config))
                 if path.name != current]
-    has_just_begun = len(live.session.stops) <= FEW_STOPS
-    previous = read_session(sessions[0]).sample_count if sessions and has_just_begun else 0
+    previous = 0
+    if sessions and len(live.session.stops) <= FEW_STOPS:
+        with suppress(InputError):  # a damaged one; who opens it is told
+            previous = read_session(sessions[0]).sample_count
     settings = [{'key': key, 'value': values[key], 'description': parameters[key].description,
                  'choices': choices.get(key, list(parameters[key].choices))}
                 for key in PAGE_SETTINGS]
@@ -142,7 +140,7 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
 
 def _file(live: LiveSession, name: str) -> tuple[str, str]:
     """Return name and text of a file of the answer; raises HandeyeError without one."""
-    calibration = live.answer.require_calibration()
+    calibration = live.solver.require_calibration()
     if name == exports.REPORT_FILE:
         return name, live.pool.submit(_report, calibration, live.path).result()
     file_format = exports.format_of(name)
@@ -162,9 +160,9 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
 
     rows: of the answer, name, value, 1 sigma and unit as in the table of `handeye solve`.
     """
-    snapshot, calibration = live.current_snapshot(), live.answer.calibration
+    snapshot, calibration = live.current_snapshot(), live.solver.calibration
     return {**state, 'profile': snapshot and _picture(snapshot), 'scene': _scene(live, snapshot),
-            'edges': _edges(live),
+            'edges': _edges(live), 'has_just_begun': len(state['samples']) <= FEW_STOPS,
             'rows': list(table.transform_rows(calibration)) if calibration else [],
             'verification': {'running': live.verification.text,
                              'verdict': live.verification.verdict}}
@@ -185,7 +183,7 @@ def _picture(snapshot: StopSnapshot) -> dict[str, Any]:
 
 def _edges(live: LiveSession) -> dict[int, str]:
     """Return the edges of the target that each used sample shows, by its number."""
-    answer = live.answer.review.answer
+    answer = live.solver.review.answer
     if answer.solution is None:
         return {}
     number_by_stamp = {sample.stamp: stop.number
@@ -204,11 +202,11 @@ def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
     view: outline of the field of view in the sensor plane; aim: the motion to the next pose; move:
     the advice while the sensor's pose is unknown.
     """
-    config, advice = live.config, live.answer.review.advice
-    solution = live.answer.review.answer.solution if advice.sigmas else None
+    config, advice = live.config, live.solver.review.advice
+    solution = live.solver.review.answer.solution if advice.sigmas else None
     T_flange_sensor = solution.estimate.X if solution else np.eye(4)
     pose, next_pose = live.last_pose, advice.next.T_base_flange if advice.next else None
-    view = [live.answer.view, *([snapshot.points] if snapshot else [])]
+    view = [live.solver.view, *([snapshot.points] if snapshot else [])]
 
     def as_rows(T_base_flange: Array | None) -> Any:
         return None if T_base_flange is None else rounded(

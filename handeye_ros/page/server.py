@@ -61,7 +61,7 @@ def serve(node: HandeyeNode) -> None:
     """Serve the page of a node; a warning in the log if it cannot be served."""
     config, log = node.live.config, node.get_logger()
     try:
-        token_file = node.live.folders.parent(config) / '.page_token'
+        token_file = node.live.folders.root(config) / '.page_token'
         page = PageServer(page_source(node), config.page.address, config.page.port, token_file)
     except InputError as error:
         log.warning(f'there is no page: {error}')

@@ -9,12 +9,13 @@ from pathlib import Path
 import shutil
 import sqlite3
 
+from handeye_ros.arm import arm_of
 from handeye_ros.bags import bag, bag_write
-from handeye_ros.bags.reader import Raw, TF_TYPE
+from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, Raw, TF_TYPE
 from handeye_ros.config import Config, ProfileConfig
 from handeye_ros.errors import DataError, InputError, UnwritableError
 from handeye_ros.results.truth import true_transform
-from handeye_ros.simulate import FILE_SCENES, SCENARIOS, simulate
+from handeye_ros.simulate import FILE_SCENES, robot, SCENARIOS, simulate
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
@@ -26,7 +27,9 @@ import pytest
 from recordings import (
     assert_equal_recordings,
     CONFIG,
+    header,
     LAYOUTS_OF_MCAP,
+    new,
     POINTS,
     POSES,
     POSES_PERIOD,
@@ -374,6 +377,24 @@ def test_messages_that_cannot_be_used_are_counted_and_left_out(good_bag, tmp_pat
              'used; the first reason: .*of length 0'),
             ('none', {'poses': []}, CONFIG, 'no topic /flange_pose')):
         refused(words, written(tmp_path, name=name, **items), config)
+
+
+def test_joint_states_of_another_device_are_no_fault_beside_those_of_the_arm(tmp_path):
+    pytest.importorskip('pinocchio', reason='needs pinocchio')
+    bag_write.write(tmp_path / 'bag', PROFILES, (),
+                    joints=[(profile.stamp, np.zeros(6)) for profile in PROFILES])
+    (_, messages), arm = scan(tmp_path / 'bag'), arm_of(robot.URDF)
+    assert [raw.log_time for raw in messages] == sorted(raw.log_time for raw in messages)
+    data = bag_write.to_cdr(new(JOINTS_TYPE, header(START, ''), ['gripper'], np.zeros(1),
+                                np.zeros(0), np.zeros(0)))
+    clouds = [raw for raw in messages if raw.message_type == CLOUD_TYPE]
+    others = [raw._replace(data=data) for raw in messages if raw.message_type == JOINTS_TYPE]
+    both = bag.read(rewrite(tmp_path / 'bag', tmp_path / 'both.mcap',
+                            [*messages, *others, *others]), CONFIG, arm=arm)
+    assert (len(both.poses), both.warnings) == (len(PROFILES), [])
+    with pytest.raises(InputError, match='none of the 30 .*; the joints with values are gripper'):
+        bag.read(rewrite(tmp_path / 'bag', tmp_path / 'others.mcap', [*clouds, *others]), CONFIG,
+                 arm=arm)
 
 
 @pytest.mark.parametrize('kind, frame, items', [

@@ -18,15 +18,14 @@ from handeye_ros.bags.bag_write import write
 from handeye_ros.bags.session_files import (
     files_of,
     is_session,
-    OutputFolders,
     read_session,
     SessionFiles,
     sessions_in,
-    settings_and_session,
 )
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, InputError
+from handeye_ros.node.folders import OutputFolders, settings_and_session
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import sample_count, state_of
 from handeye_ros.results.calibration_file import read_calibration
@@ -105,7 +104,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     live.remove_last_sample()
     changed(live, samples__exclude=[3])
     computed(live)
-    np.save(Path(live.path).parent / 'answer.npy', live.answer.calibration.T_flange_sensor)
+    np.save(Path(live.path).parent / 'answer.npy', live.solver.calibration.T_flange_sensor)
     live.files.close()
     return Path(live.path)
 
@@ -159,10 +158,10 @@ def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
     state = state_of(other)
     assert [s['number'] for s in state['samples']][:5] == [1, 2, 3, 4, 6], 'no number comes twice'
     computed(other)
-    T = other.answer.calibration.T_flange_sensor
+    T = other.solver.calibration.T_flange_sensor
     third = again(other)
     assert state_of(third)['calibration']['state'] == 'current', 'it is solved without being asked'
-    assert np.abs(third.answer.calibration.T_flange_sensor - T).max() < 1e-9
+    assert np.abs(third.solver.calibration.T_flange_sensor - T).max() < 1e-9
 
 
 def test_a_restart_keeps_the_frames_of_poses_and_profiles(tmp_path: Path) -> None:

@@ -31,7 +31,6 @@ def batch(stamp: int, rows: int, *, first: int = 0, gocator: bool = False) -> by
     number = np.arange(first, first + rows).repeat(len(X))
     scan = cloud({'x': np.tile(X, rows), 'y': 1e-3 * number, 'z': 0.2 + 1e-5 * number}, LAYOUT,
                  12, height=rows)
-    height, width = (rows * len(X), 1) if gocator else (rows, len(X))
     if gocator:
         scan.height, scan.width, scan.row_step = rows * len(X), 1, 12
     return bytes(STORE.serialize_cdr(cloud_message(scan, stamp), CLOUD_TYPE))

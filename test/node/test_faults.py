@@ -13,7 +13,11 @@ import subprocess
 import sys
 from unittest.mock import MagicMock
 
+from cells import set_to
+from handeye_ros.bags.messages import message_of, stamp_and_frame
+from handeye_ros.bags.reader import CLOUD_TYPE
 from handeye_ros.config import Config
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
@@ -21,8 +25,10 @@ from command import PATIENCE  # noqa: E402, I100
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from handeye_ros.node.streams import Streams  # noqa: E402
 from rclpy._rclpy_pybind11 import RCLError  # noqa: E402
+from ros_clouds import cloud  # noqa: E402
 from ros_helpers import (  # noqa: E402
     Client,
+    cloud_message,
     LATCHED,
     parameter,
     pose_message,
@@ -32,9 +38,10 @@ from ros_helpers import (  # noqa: E402
     set_parameter,
     sphere_profile,
     stand_still,
+    XZ,
 )
 from rosgraph_msgs.msg import Clock  # noqa: E402
-from sensor_msgs.msg import PointCloud2  # noqa: E402
+from sensor_msgs.msg import JointState, PointCloud2  # noqa: E402
 from std_msgs.msg import Empty, String  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
@@ -105,6 +112,26 @@ def test_topics_are_read_on_after_a_fault(client, monkeypatch):
         return receiver.add_poses.called
     client.until(heard, 'it reads a pose')
     streams.stop()
+
+
+def test_messages_keep_their_stamps_and_those_without_get_the_time_of_receipt(client):
+    config = set_to(Config(), time_offset=0.5, profile__rows='profiles', profile__period=0.01)
+    receiver, joints = MagicMock(config=config), client.node.create_publisher(
+        JointState, '/joint_states', RELIABLE)
+    streams = Streams(client.node, receiver, receiver.add_joints)
+    client.until(lambda: client.profiles.get_subscription_count()
+                 and joints.get_subscription_count(), 'it subscribes')
+    two_rows = cloud({axis: np.linspace(0.01, 0.02, 100) for axis in 'xz'}, XZ, 8, height=2)
+    client.profiles.publish(cloud_message(two_rows, START))
+    joints.publish(JointState())
+    client.until(lambda: receiver.add_profile.call_count == 2 and receiver.add_joints.called,
+                 'it reads both')
+    streams.stop()
+    for place, call in enumerate(receiver.add_profile.call_args_list):
+        profile, = call.args
+        assert profile.stamp == START + place * 10**7 + 5 * 10**8
+        assert stamp_and_frame(message_of(CLOUD_TYPE, profile.fetch()))[0] == START + place * 10**7
+    assert receiver.add_joints.call_args.args[0] > START
 
 
 @pytest.mark.thorough

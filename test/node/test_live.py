@@ -51,7 +51,7 @@ def test_one_solve_gives_the_answer_of_the_recording(monkeypatch: pytest.MonkeyP
     assert len(solves) == 1, 'review, advice and the next call are of the same answer'
     monkeypatch.undo()
     offline = pipeline.calibrate(SPHERE.profiles, SPHERE.poses, SPHERE.config)
-    online = live.answer.calibration
+    online = live.solver.calibration
     assert np.allclose(online.T_flange_sensor, offline.T_flange_sensor, atol=1e-12)
     assert online.samples == offline.samples
     state = state_of(live)
@@ -78,7 +78,7 @@ def test_what_the_streams_dropped_is_told_with_the_answer() -> None:
     live = new(SPHERE.config)
     feed(live, [*SPHERE.poses, SPHERE.poses[9], *SPHERE.profiles])
     computed(live)
-    warnings = live.answer.calibration.provenance['warnings']
+    warnings = live.solver.calibration.provenance['warnings']
     assert [text for text in warnings if text.startswith('dropped a pose whose stamp')], warnings
     assert warnings == list(dict.fromkeys(warnings))
 
@@ -102,7 +102,7 @@ def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording() -> No
     live = fed(config, recording)
     text = computed(live)
     offline = pipeline.calibrate(recording.profiles, recording.poses, config)
-    assert np.allclose(live.answer.calibration.T_flange_sensor, offline.T_flange_sensor, atol=1e-9)
+    assert np.allclose(live.solver.calibration.T_flange_sensor, offline.T_flange_sensor, atol=1e-9)
     assert ' profiles used, ' in text
 
 
@@ -118,9 +118,9 @@ def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
     assert [s['number'] for s in state['samples'] if s['excluded']] == [4]
     assert state['calibration']['state'] == 'current', 'it was solved again'
     assert state['worst'][0] == 4, 'what is left out is still compared with the rest'
-    without = live.answer.calibration.T_flange_sensor
+    without = live.solver.calibration.T_flange_sensor
     changed(live, samples__exclude=[])
-    assert not np.array_equal(live.answer.calibration.T_flange_sensor, without)
+    assert not np.array_equal(live.solver.calibration.T_flange_sensor, without)
 
 
 def test_the_review_follows_a_stop_that_goes_on() -> None:
@@ -129,7 +129,7 @@ def test_the_review_follows_a_stop_that_goes_on() -> None:
         feed_one(live, item)
         if live.to_evaluate:
             update(live)
-            answer, last = live.answer.review.answer, live.session.stops[-1].sample
+            answer, last = live.solver.review.answer, live.session.stops[-1].sample
             if answer and last:
                 shared.append((last.stamp, last.profiles) in {
                     (sample.stamp, sample.profiles) for sample in answer.samples})
@@ -222,12 +222,12 @@ def test_another_frame_after_the_samples_is_told_and_they_are_computed(kind: str
 
 def test_cleared_samples_leave_no_joints_and_no_view() -> None:
     live, wide = fed(), fed()
-    wide.answer.view = np.array([[-0.5, 0.5], [0.5, 0.5]])  # by another sensor
+    wide.solver.view = np.array([[-0.5, 0.5], [0.5, 0.5]])  # by another sensor
     wide.add_joints(SPHERE.poses[0].stamp, b'')
     wide.call_on_worker(wide.clear_samples)
     assert not wide.joints
     feed(wide, SPHERE.messages)
-    assert wide.answer.review.advice.sigmas == live.answer.review.advice.sigmas
+    assert wide.solver.review.advice.sigmas == live.solver.review.advice.sigmas
 
 
 def test_settings_that_change_need_no_new_samples() -> None:
@@ -238,7 +238,7 @@ def test_settings_that_change_need_no_new_samples() -> None:
         changed(live, **{key: value})
         config = set_to(config, **{key: value})
         expected = pipeline.calibrate(SPHERE.profiles, SPHERE.poses, config)
-        calibration = live.answer.calibration
+        calibration = live.solver.calibration
         assert np.allclose(calibration.T_flange_sensor, expected.T_flange_sensor, atol=1e-12)
         solved_with, name = calibration.provenance['config'], key.replace('__', '.')
         assert solved_with[name] == expected.provenance['config'][name]
@@ -311,30 +311,30 @@ def test_an_answer_is_saved_once_and_by_one_node(tmp_path: Path) -> None:
     config = replace(SPHERE.config, output_dir=str(tmp_path))
     live, folder = fed(config), tmp_path / 'sphere'
     with pytest.raises(DataError, match='there is no calibration to save'):
-        live.answer.save_calibration()
+        live.solver.save_calibration()
     computed(live)
     assert state_of(live)['calibration']['saved'] == ''
     for _ in range(3):
-        live.answer.save_calibration()
+        live.solver.save_calibration()
     assert state_of(live)['calibration']['saved'] == str(folder / 'calibration.yaml')
     assert not (folder / 'history').exists()
     changed(live, guidance__accuracy=1e-3)  # of which no answer follows
     assert state_of(live)['calibration']['saved'] == str(folder / 'calibration.yaml')
     changed(live, record__operator='A. Nother')  # a text, of which no answer follows
-    live.answer.save_calibration()
+    live.solver.save_calibration()
     assert 'A. Nother' in (folder / 'calibration.yaml').read_text()
     (folder / 'calibration.yaml').write_text('of another')
-    assert live.answer.save_calibration().startswith('wrote ')
+    assert live.solver.save_calibration().startswith('wrote ')
     assert 'of another' in [
         file.read_text() for file in (folder / 'history').glob('*/calibration.yaml')]
     other = new(config)
-    other.answer.calibration = live.answer.calibration
+    other.solver.calibration = live.solver.calibration
     before = (folder / 'calibration.yaml').read_bytes()
     with pytest.raises(InputError, match='another running node saves its results in'):
-        other.answer.save_calibration()
+        other.solver.save_calibration()
     assert (folder / 'calibration.yaml').read_bytes() == before
     other.configure(set_to(other.config, name='other'))
-    assert str(tmp_path / 'other' / 'calibration.yaml') in other.answer.save_calibration()
+    assert str(tmp_path / 'other' / 'calibration.yaml') in other.solver.save_calibration()
 
 
 # -- streams that are disturbed
@@ -344,12 +344,12 @@ def test_a_base_frame_unlike_that_of_the_poses_is_refused() -> None:
     poses = [replace(p, parent_frame='base_link') for p in SPHERE.poses]
     live = fed(recording=replace(SPHERE, poses=poses))
     computed(live)
-    assert live.answer.calibration.provenance['config']['robot_base_frame'] == 'base_link'
+    assert live.solver.calibration.provenance['config']['robot_base_frame'] == 'base_link'
     changed(live, robot_base_frame='base')
-    for ask in (live.answer.compute_calibration, live.take_sample):
+    for ask in (live.solver.compute_calibration, live.take_sample):
         with pytest.raises(InputError, match='robot_base_frame is "base"'):
             ask()
-    assert live.answer.calibration is not None
+    assert live.solver.calibration is not None
 
 
 def test_the_newest_stops_are_kept_and_others_counted(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ from command import PATIENCE
 from handeye_ros import pipeline
 from handeye_ros.config import Config
 from handeye_ros.errors import DataError
-from handeye_ros.node import answer as answers
+from handeye_ros.node import solver
 from handeye_ros.node.pool import Pool, PoolEndedError
 from handeye_ros.node.state import sample_count, state_of
 from handeye_ros.sampling.features import result_of
@@ -58,11 +58,11 @@ def test_nobody_waits_for_a_solve_or_a_verdict() -> None:
     computed(live)
     gate.open.clear()
     changed(live, noise__sensor=5e-5)  # else it is not computed again
-    answer = live.call_on_worker(live.answer.compute_calibration)
+    answer = live.call_on_worker(live.solver.compute_calibration)
     assert live.working == 'the calibration is computed'
     assert ' taken again, ' in live.call_on_worker(live.take_sample)
     assert live.call_on_worker(live.remove_last_sample).startswith('removed sample ')
-    saved = live.call_on_worker(live.answer.save_calibration)
+    saved = live.call_on_worker(live.solver.save_calibration)
     assert saved.endswith('again: save it again after that')
     gate.open.set()
     assert answer.result(PATIENCE).startswith('laser in flange')
@@ -80,7 +80,7 @@ def test_nobody_waits_for_a_solve_or_a_verdict() -> None:
     assert result.result(PATIENCE).startswith('sphere: PASS, ')
     assert live.verification.text.startswith('sphere: 0 usable stops')
     gate.open.clear()
-    answer = live.call_on_worker(live.answer.compute_calibration)
+    answer = live.call_on_worker(live.solver.compute_calibration)
     live.call_on_worker(live.clear_samples)
     gate.open.set()
     with pytest.raises(DataError, match='cleared while the calibration was computed'):
@@ -115,9 +115,10 @@ def test_a_stop_is_not_lost_where_its_process_ends(monkeypatch: pytest.MonkeyPat
     assert sample_count(state_of(live)) >= 7
 
 
-def test_an_answer_whose_process_ended_is_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_review_and_an_answer_whose_process_ended_are_made_again(
+        monkeypatch: pytest.MonkeyPatch) -> None:
     live, ended = fed(), Future()
-    text = computed(live)
+    text, last = computed(live), state_of(live)['guidance']['sample']
     live.remove_last_sample()
     ended.set_exception(PoolEndedError())
     monkeypatch.setattr(live.pool, 'submit', lambda *args: ended)
@@ -126,6 +127,8 @@ def test_an_answer_whose_process_ended_is_computed_again(monkeypatch: pytest.Mon
     with pytest.raises(PoolEndedError):
         computed(live)
     monkeypatch.undo()
+    update(live)
+    assert state_of(live)['guidance']['sample'] == last - 1
     assert computed(live) not in ('', text)
     assert not state_of(live)['session']['trouble']
 
@@ -137,13 +140,13 @@ def test_a_late_review_does_not_replace_a_newer_one(monkeypatch: pytest.MonkeyPa
     live.remove_last_sample()
     update(live)
     monkeypatch.setattr(live.pool, 'submit', submit)
-    old_review = live.answer.review
+    old_review = live.solver.review
     live.remove_last_sample()
     computed(live)
-    newest_review = live.answer.review
+    newest_review = live.solver.review
     late_review.set_result(old_review)
     update(live)
-    assert live.answer.review is newest_review
+    assert live.solver.review is newest_review
 
 
 def test_of_two_answers_the_last_asked_for_stays(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -152,9 +155,9 @@ def test_of_two_answers_the_last_asked_for_stays(monkeypatch: pytest.MonkeyPatch
     jobs, submit = [], live.pool.submit
     monkeypatch.setattr(live.pool, 'submit', lambda *args: jobs.append((Future(), args))
                         or jobs[-1][0])
-    first = live.call_on_worker(live.answer.compute_calibration)
+    first = live.call_on_worker(live.solver.compute_calibration)
     live.remove_last_sample()
-    second = live.call_on_worker(live.answer.compute_calibration)
+    second = live.call_on_worker(live.solver.compute_calibration)
     for future, args in reversed(jobs):
         future.set_result(submit(*args).result())
     assert first.result(PATIENCE) != second.result(PATIENCE)
@@ -174,7 +177,7 @@ def test_a_recomputation_whose_process_is_killed_is_told(monkeypatch: pytest.Mon
 def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     live = fed()
     live.start()
-    monkeypatch.setattr(answers, 'extremes', lambda points: 1 / 0)
+    monkeypatch.setattr(solver, 'extremes', lambda points: 1 / 0)
     changed = threading.Event()
     live.call_on_worker(lambda: live.configure(set_to(live.config, noise__sensor=4e-5)))
     while 'ZeroDivisionError' not in state_of(live)['session']['trouble']:

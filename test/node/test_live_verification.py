@@ -4,24 +4,25 @@
 from __future__ import annotations
 
 import hashlib
+from itertools import islice
 from pathlib import Path
 
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node.state import state_of
-from handeye_ros.verification.routines import routine_of
-from live_sessions import changed, computed, feed, later, new, PARTS, TO_VERIFY, verdict
+from live_sessions import (
+    changed,
+    computed,
+    feed,
+    feed_one,
+    later,
+    new,
+    PARTS,
+    TO_VERIFY,
+    update,
+    verdict,
+)
 import pytest
 import yaml
-
-
-def test_the_progress_is_told_while_a_verification_ends() -> None:
-    live = new(TO_VERIFY)
-
-    class Ending(type(live.verification)):
-        routine = property(lambda _: next(routines), lambda *_: None)
-
-    routines = iter([routine_of('sphere'), None, None])
-    assert Ending(live).text == 'sphere: 0 usable stops of 0'
 
 
 def test_stops_after_the_start_verify_and_are_no_samples() -> None:
@@ -54,11 +55,30 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
     assert not state_of(live)['session']['notes']
 
 
+def test_the_stop_in_which_a_verification_is_given_up_is_no_sample() -> None:
+    live = new(TO_VERIFY)
+    feed(live, PARTS[0].messages)
+    computed(live)
+    before = [stop.number for stop in live.session_copy().stops]
+    live.verification.verify_start()
+    for item in (items := iter(PARTS[1].messages)):
+        feed_one(live, item)
+        if live.to_evaluate:
+            update(live)
+        if '1 usable stops' in live.verification.text:
+            break
+    changed(live, verify__routine='')
+    for item in islice(items, 100):  # until the robot has moved on
+        feed_one(live, item)
+    update(live)
+    assert [stop.number for stop in live.session_copy().stops] == before
+
+
 def test_the_verification_of_a_saved_answer_names_its_file() -> None:
     live = new(TO_VERIFY)
     feed(live, PARTS[0].messages)
     computed(live)
-    live.answer.save_calibration()
+    live.solver.save_calibration()
     live.verification.verify_start()
     feed(live, PARTS[1].messages)
     verdict(live)

@@ -20,7 +20,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 from command import PATIENCE, succeeds  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped, TransformStamped  # noqa: E402
-from handeye_ros.bags.session_files import OutputFolders  # noqa: E402
+from handeye_ros.node.folders import OutputFolders  # noqa: E402
 from handeye_ros.node.node import declare_settings  # noqa: E402
 from handeye_ros.node.outputs import current_markers, session_markers  # noqa: E402
 from live_sessions import computed, feed, new  # noqa: E402
@@ -225,11 +225,11 @@ def test_samples_and_the_profile_of_now_lie_on_the_target() -> None:
     assert [m.text for m in before.markers if m.text] == [str(o.number) for o in stops if o.sample]
     assert len(current_markers(current, None, CELL.config).markers) == 1
     computed(live)
-    of_session = session_markers(stops, live.answer.calibration, CELL.config)
-    of_current = current_markers(current, live.answer.calibration, CELL.config)
+    of_session = session_markers(stops, live.solver.calibration, CELL.config)
+    of_current = current_markers(current, live.solver.calibration, CELL.config)
     assert {m.header.frame_id for m in [*of_session.markers, *of_current.markers]} == {'base'}
     assert len({(m.ns, m.id) for m in of_session.markers}) == len(of_session.markers)
-    centre = np.array([live.answer.calibration.target['centre'][axis] for axis in 'xyz'])
+    centre = np.array([live.solver.calibration.target['centre'][axis] for axis in 'xyz'])
     for drawn in (points(of_session, 'what the answer comes from'), points(of_current, 'feature')):
         np.testing.assert_allclose(np.linalg.norm(drawn - centre, axis=1), 0.04, atol=5e-4)
     assert len(points(of_current, 'profile')) >= len(points(of_current, 'feature')) > 10

@@ -57,8 +57,8 @@ def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Pop
         yield process
 
 
-@pytest.fixture(scope='module')
-def client() -> Iterator[Client]:
+@pytest.fixture(scope='module', name='client')
+def shared_client() -> Iterator[Client]:
     """Give one client to all tests: a new one is discovered in some seconds only."""
     client = Client()
     yield client

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, ExitStack
+from dataclasses import replace
 from http.client import HTTPConnection
 import json
 import math
@@ -12,16 +13,19 @@ from pathlib import Path
 import socket
 from tempfile import TemporaryDirectory
 import threading
+from types import SimpleNamespace
 from typing import Any
 
 from command import free_port
+from handeye_ros.bags.session_files import files_of
 from handeye_ros.errors import HandeyeError, InputError
+from live_sessions import fed, new, PARTS, SPHERE
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 pytest.importorskip('aiohttp', reason='needs aiohttp')
 from handeye_ros.page import server as servers  # noqa: E402, I100
-from handeye_ros.page.contents import PageSource  # noqa: E402
+from handeye_ros.page.contents import page_source, PageSource  # noqa: E402
 from handeye_ros.page.server import PageServer, token_of  # noqa: E402
 
 pytestmark = pytest.mark.once
@@ -206,3 +210,13 @@ def test_a_port_in_use_and_an_address_that_is_none(server: tuple[PageServer, Cel
         PageServer(PageSource(dict, {}), '127.0.0.1', server[0].port, Path())
     with pytest.raises(InputError, match='expected an IP address'):
         PageServer(PageSource(dict, {}), 'everywhere', 1, Path())
+
+
+def test_a_damaged_session_hides_no_setting_and_no_other_session(tmp_path: Path) -> None:
+    config = replace(SPHERE.config, output_dir=str(tmp_path))
+    folder = Path(fed(config, PARTS[0]).path)
+    file = files_of(folder)[1]
+    file.write_bytes(file.read_bytes()[:1000])
+    node = SimpleNamespace(live=new(config), streams=SimpleNamespace(topics_of=lambda kind: []))
+    cell = page_source(node).queries['cell']({})
+    assert (cell['sessions'], cell['previous']) == ([folder.name], 0) and cell['settings']

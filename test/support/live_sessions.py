@@ -9,9 +9,9 @@ from dataclasses import replace
 import tempfile
 
 from cells import Recorded, recorded, set_to
-from handeye_ros.bags.session_files import OutputFolders, settings_and_session
 from handeye_ros.config import Config
 from handeye_ros.data import TimedPose
+from handeye_ros.node.folders import OutputFolders, settings_and_session
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.pool import Pool
 from handeye_ros.sampling.stops import StopFinder
@@ -90,7 +90,7 @@ def update(live: LiveSession) -> None:
     """Let a session that was not started do what is due."""
     while live.call_on_worker(live.evaluate_next):
         pass
-    live.call_on_worker(live.answer.review_if_changed)
+    live.call_on_worker(live.solver.review_if_changed)
     live.call_on_worker(lambda: None)  # the review has been put
 
 
@@ -101,7 +101,7 @@ def changed(live: LiveSession, **values: object) -> None:
 
 def computed(live: LiveSession) -> str:
     """Return what the session says of a new answer."""
-    return live.call_on_worker(live.answer.compute_calibration).result()
+    return live.call_on_worker(live.solver.compute_calibration).result()
 
 
 def verdict(live: LiveSession) -> str:

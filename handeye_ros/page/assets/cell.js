@@ -36,7 +36,11 @@ function setting({ key, value, description, choices }) {
 
 async function readCell() {
   const answer = await fetch('read/cell').catch(() => null);
-  if (!answer || !answer.ok) return;
+  if (!answer) return;
+  if (!answer.ok) {
+    say((await answer.json()).message, false);
+    return;
+  }
   const { settings, sessions, session, previous } = await answer.json();
   const parts = verify => settings.filter(s => NAMES[s.key] && s.key.startsWith('verify.') === verify);
   $('cell-form').replaceChildren(...parts(false).map(s => {

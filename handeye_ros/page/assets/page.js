@@ -6,7 +6,6 @@ const $ = id => document.getElementById(id);
 const mm = (v, digits = 3) => (1e3 * v).toFixed(digits);
 const degrees = (v, digits = 4) => (v * 180 / Math.PI).toFixed(digits);
 const SILENT = 3;  // s without a message, after which what is shown is old
-const FEW_STOPS = 3;  // of a session that may have begun by itself after a restart
 const NEAR = [5e-3, 0.053];  // m and rad from the next pose at which to stop
 let latest = null, heard = 0;
 const shown = {};
@@ -40,7 +39,7 @@ function show(state) {
   latest = state;
   heard = Date.now();
   if (refused !== null && refused !== situation(state)) say('');
-  if (state.samples.length > FEW_STOPS) $('before').hidden = true;
+  if (!state.has_just_begun) $('before').hidden = true;
   text('name', `${state.name}: hand-eye calibration`);
   showNow(state);
   showAim(state);

@@ -3,8 +3,9 @@
 """
 What follows from the samples of a running session: answer, review and advice, computed together.
 
-The review begins by itself whenever samples or settings have changed. The answer is computed when
-it is asked for, and from then on again whenever settings change that affect it.
+The review begins by itself where samples or settings have changed since the last one; one that
+fails is made again after the next work. The answer is computed when it is asked for, and from then
+on again whenever settings change that affect it.
 """
 from __future__ import annotations
 
@@ -52,6 +53,13 @@ class Inputs(NamedTuple):
     samples: Sequence[tuple[int, Sample | None]]
 
 
+class Request(NamedTuple):
+    """An answer that was asked for: what it is made from, and the message about it."""
+
+    inputs: Inputs
+    message: Future[str]
+
+
 @dataclass(frozen=True, eq=False)
 class Review:
     """
@@ -84,12 +92,12 @@ def review_of(session: Session, config: Config, view: Array, with_cause: bool) -
                   max((stop.number for stop in session.stops if stop.sample), default=0))
 
 
-class LiveAnswer:
+class LiveSolver:
     """
-    The answer of a running session; its methods are for the worker (see live.py).
+    Reviews and solves the samples of a running session; for the worker (see live.py).
 
     review: of the samples, the last one
-    calibration: the last answer that was not refused
+    calibration: of the last answer that was asked for, None where that was refused
     solved_session: that it was computed from, also of one that is withdrawn
     why_missing: why there is none
     saved: the file of the answer, '' before it is saved
@@ -109,9 +117,9 @@ class LiveAnswer:
         self.review = review_of(Session(config), config, self.view, with_cause=False)
         self.calibration: Calibration | None = None
         self.why_missing, self.saved, self.is_wanted = why, '', False
-        self._reviewed: Inputs | None = None  # by the last review that was begun
-        self._requested: Inputs | None = None  # by the last answer that was asked for
-        self._message = Future[str]()  # about that
+        self._reviewed: Inputs | None = None  # what self.review was made from, None: no samples
+        self._begun: Inputs | None = None  # of the last review that was begun
+        self._request: Request | None = None  # the last one
 
     def changes_since(self, session: Session) -> str:
         """Return in words how the samples of a session differ from those of the answer, or ''."""
@@ -151,8 +159,8 @@ class LiveAnswer:
         except HandeyeError as error:
             self._refuse(error)
             raise
-        if self._requested == self._inputs():
-            message = self._message
+        if self._request and self._request.inputs == self._inputs():
+            message = self._request.message
             if not message.done() or (self.calibration and not message.exception()):
                 return message
         return self._begin_review(is_requested=True)
@@ -178,13 +186,14 @@ class LiveAnswer:
         if snapshot := live.current_snapshot():
             self.view = extremes(np.concatenate([self.view, snapshot.points]))
         session = live.session_copy().without_messages(config)
-        self._reviewed = inputs
+        self._begun = inputs
         message = live.run_job(
             COMPUTING if is_requested else '',
             partial(self._accept, inputs, session, is_requested),
-            review_of, session, config, self.view, is_requested or self.calibration is not None)
+            review_of, session, config, self.view, is_requested or self.calibration is not None,
+            is_requested=is_requested)
         if is_requested:
-            self._requested, self._message = inputs, message
+            self._request = Request(inputs, message)
         return message
 
     def _accept(self, inputs: Inputs, session: Session, is_requested: bool, review: Review) -> str:
@@ -194,14 +203,14 @@ class LiveAnswer:
         Raises DataError for a refusal.
         """
         live, answer = self._live, review.answer
-        if inputs is self._reviewed:  # others may be ready later
-            self.review = review
+        if inputs is self._begun:  # others may be ready later
+            self.review, self._reviewed = review, inputs
         if not is_requested:
             return ''
         if inputs.session is not live.session:
             raise DataError('the samples were cleared while the calibration was computed, so '
                             'there is no answer: take new samples')
-        is_newest = inputs is self._requested
+        is_newest = bool(self._request and inputs is self._request.inputs)
         if answer.refusal and is_newest:
             self._refuse(answer.refusal)
         calibration = answer.require_calibration()
