@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
+Indices: TypeAlias = NDArray[np.intp]
 T = TypeVar('T')
 NS = 1_000_000_000  # nanoseconds in a second: stamps are in ns
 # keys of estimated values: two times (s), and the seconds that the clock of the profiles loses in
@@ -35,7 +36,7 @@ def robust_std(deviations: Array) -> float:
     return float(SIGMA_OF_MEDIAN * np.median(np.abs(deviations)))
 
 
-def in_order(x: Array, is_return: NDArray[np.bool_]) -> NDArray[np.intp] | slice:
+def in_order(x: Array, is_return: NDArray[np.bool_]) -> Indices | slice:
     """
     Return the columns of a profile in order along its line, as indices into its columns.
 
@@ -230,6 +231,7 @@ class EdgePoint:
     arc_offset: (2,) from the point to where its rounding is located best, if it is one
     arc_std: 1 sigma of this place along the direction, for a given radius
     shape_std: 1 sigma of the edge position from its uncertain shape, common to all ends
+    is_moved: whether it is where face and wall meet by that shape, no longer where it was seen
     """
 
     point: Array
@@ -242,7 +244,13 @@ class EdgePoint:
     arc_offset: Array = field(default_factory=lambda: np.zeros(2))
     arc_std: float = 0.0
     shape_std: float = 0.0
+    is_moved: bool = False
     noun: ClassVar[str] = 'edge point'
+
+    @property
+    def is_movable(self) -> bool:
+        """Return whether a common shape of all edges moves it: once, and not to a visible wall."""
+        return self.ending != 'roof' and not self.is_moved
 
     @property
     def polyline(self) -> Array:
@@ -358,7 +366,11 @@ class ClockEstimate:
 
 @dataclass(frozen=True)
 class Reject:
-    """A stop, or a profile of a pass, without a sample, and why; final: with any settings."""
+    """
+    A stop, or a profile of a pass, without a sample, and why.
+
+    final: it is not evaluated again, whatever settings change.
+    """
 
     stamp: int
     reason: str

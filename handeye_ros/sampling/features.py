@@ -9,7 +9,7 @@ of its single profiles, each with the pose of its time.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -17,6 +17,7 @@ from functools import partial
 from handeye_ros import se3, targets
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import (
+    AnyProfile,
     Arc,
     Array,
     EdgePoint,
@@ -59,9 +60,10 @@ def result_of(stop: Stop, config: Config) -> Sample | Reject:
 
 def _sample_of(stop: Stop, config: Config) -> Sample:
     """Return the sample of a robot that stood still; raises FeatureError with the reason."""
-    profiles = decoded(stop.settled_profiles(config), config)
+    settled = stop.settled_profiles(config)
+    profiles = decoded(settled, config)
     if not profiles:
-        raise _no_profiles(stop, config)
+        raise _no_profiles(settled, stop, config)
     used, features = combined_features(profiles, config)
     poses = interpolate(stop.poses, [profile.stamp for profile in used])
     return Sample(used[0].stamp, se3.mean_pose(poses), features, len(used),
@@ -72,12 +74,12 @@ def _pass_of(stop: Stop, config: Config) -> Sample:
     """Return the middle sample of a pass, with those of its profiles; raises FeatureError."""
     # of a stored pass some may lie beyond its poses, with another time_offset
     profiles = [p for p in stop.profiles if stop.start <= p.stamp <= stop.end]
-    shown, reason = _features_of_each(decoded(evenly(profiles, MOST_OF_PASS), config), config)
-    if len(shown) < LEAST_SHOWING * MOST_OF_PASS and len(profiles) > MOST_OF_PASS:
-        shown, reason = _features_of_each(
-            decoded(evenly(profiles, 2 * MOST_OF_PASS), config), config)
+    for most in (MOST_OF_PASS, 2 * MOST_OF_PASS):
+        shown, reason = _features_of_each(decoded(evenly(profiles, most), config), config)
+        if len(shown) >= LEAST_SHOWING * MOST_OF_PASS or len(profiles) <= most:
+            break
     if not shown:
-        raise FeatureError(reason) if reason else _no_profiles(stop, config)
+        raise FeatureError(reason) if reason else _no_profiles(profiles, stop, config)
     T = interpolate(stop.poses, [profile.stamp for profile, _ in shown])
     single = tuple(
         Sample(profile.stamp, pose, features,
@@ -89,19 +91,24 @@ def _pass_of(stop: Stop, config: Config) -> Sample:
                    centroid=_centroid(shown[0][0]))
 
 
-def _no_profiles(stop: Stop, config: Config) -> FeatureError:
-    """Return the refusal of a stop without a usable profile of the time of its poses."""
-    for profile in stop.settled_profiles(config):
+def _no_profiles(unusable: Iterable[AnyProfile], stop: Stop, config: Config) -> FeatureError:
+    """Return the refusal of a stop or pass whose profiles, if any, are all unusable."""
+    for profile in unusable:
         try:
             profile.read(config.profile)
         except UnusableMessageError as error:
             return FeatureError(str(error), reason='unusable')
-    return FeatureError(f'no profile has a stamp of the {(stop.end - stop.start) / NS:.1f} s '
-                        'during which the robot stood still here: the sensor sent none, they '
-                        'were dropped (the warnings say why), or its clock is not that of the '
-                        'robot' + (', or time_offset was another when this was recorded: take '
-                                   'the sample again' if config.time_offset else ''),
-                        reason='no_profiles')
+    seconds, settle = (stop.end - stop.start) / NS, config.sampling.settle_time
+    if seconds <= 2 * settle and not config.sampling.moving:
+        return FeatureError(f'sampling.settle_time leaves out {settle:g} s at either end of the '
+                            f'{seconds:.1f} s during which the robot stood still here: stay '
+                            'longer at each stop, or lower it', reason='no_profiles')
+    span = 'of this pass' if config.sampling.moving else 'during which the robot stood still here'
+    other_offset = (', or time_offset was another when this was recorded: take the sample again'
+                    if config.time_offset else '')
+    return FeatureError(f'no profile has a stamp of the {seconds:.1f} s {span}: the sensor sent '
+                        'none, they were dropped (the warnings say why), or its clock is not that '
+                        f'of the robot{other_offset}', reason='no_profiles')
 
 
 def features_of(profile: Profile, config: Config) -> tuple[Feature, ...]:
@@ -148,7 +155,7 @@ def combined_features(profiles: Sequence[Profile], config: Config
             combine([features for _, features in shown], targets.target_for(config).face_count))
 
 
-def combine(features_by_profile: Sequence[tuple[Feature, ...]], lines_per_group: int = 1
+def combine(features_by_profile: Sequence[tuple[Feature, ...]], lines_per_group: int
             ) -> tuple[Feature, ...]:
     """
     Return the features of a stop from those of its profiles (one tuple each).
@@ -253,16 +260,16 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     std_across = float(np.median([edge.std_across for edge in edges]))
     agree = _near_median(along, 4.0, 2 * single_std, 'where the edge is')
     agree &= _near_median(across, 6.0, 6 * std_across, 'where the edge is')
-    n = max(int(agree.sum()), 1)
+    edges = [edge for edge, agrees in zip(edges, agree, strict=True) if agrees]
+    n = len(edges)
     scatter = float(along[agree].std(ddof=1)) if n > 1 else single_std
     # a robot that stands still repeats the rounding to a column, and mixed and lost points pull
     # the edge inwards in every profile: that does not average out
     std = np.hypot(single_std, scatter / min(n, MOST_INDEPENDENT) ** 0.5)
     combined = EdgePoint(points[agree].mean(axis=0), direction, float(std), std_across, ending,
                          np.median([edge.drop for edge in edges], axis=0))
-    bent = [edge for edge, agrees in zip(edges, agree, strict=True)
-            if agrees and len(edge.shape_log_odds)]
-    if len(bent) <= LEAST_SHOWING * agree.sum():
+    bent = [edge for edge in edges if len(edge.shape_log_odds)]
+    if len(bent) <= LEAST_SHOWING * n:
         return combined
     independent = min(len(bent), MOST_INDEPENDENT)
     log_odds = np.mean([edge.shape_log_odds for edge in bent], axis=0) * independent
