@@ -11,6 +11,7 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
+from handeye_ros.sampling.stream import in_majority_order
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -177,6 +178,25 @@ def test_why_there_are_no_stops_is_told(poses: list[TimedPose], end: float, reas
     assert refusal.value.reason == reason
 
 
+@pytest.mark.parametrize(('mode', 'words'), [
+    ('still', 'but for 0.3 s at most: stop'), ('moving', 'make no sweep.*: record a longer')])
+def test_a_recording_too_short_says_what_it_lacks(mode: str, words: str) -> None:
+    config = with_values(CONFIG, {'sampling.mode': mode}, 'test')
+    with pytest.raises(DataError, match=words):
+        played(stops((0, 0.3)), profiles(0, 0.3), config).require_any_stop()
+
+
+def test_stamps_against_the_order_of_the_others_are_found() -> None:
+    stamps = START + NS * np.arange(50)
+    late, wild = stamps.copy(), stamps.copy()
+    late[7] -= NS
+    wild[7] += 1000 * NS
+    assert in_majority_order(late, 'of the poses').all(), 'as in transit'
+    assert np.flatnonzero(~in_majority_order(wild, 'of the poses')).tolist() == [7]
+    with pytest.raises(DataError, match='of the poses jump back by 49.0 s at message 51'):
+        in_majority_order(np.append(stamps, stamps), 'of the poses')
+
+
 def test_sparse_poses_are_enough_where_gaps_may_be_longer() -> None:
     wide = with_values(CONFIG, {'sampling.max_pose_gap': 2.0}, 'test')
     assert len(played(SPARSE, profiles(0, 60), wide).samples) == 6
@@ -274,4 +294,4 @@ def test_profiles_of_a_pass_beyond_its_poses_are_not_used() -> None:
     pass_profiles = profiles(0.5, 3.0)
     assert isinstance(result_of(Stop(track[0].stamp, track, tuple(pass_profiles)), config), Sample)
     beyond = result_of(Stop(track[0].stamp, track, tuple(profiles(2.0, 3.0))), config)
-    assert isinstance(beyond, Reject) and 'no profile has a stamp' in beyond.reason
+    assert isinstance(beyond, Reject) and 'stamp of the 1.0 s of this pass' in beyond.reason
