@@ -155,8 +155,7 @@ def _on_arc(points: Array, circle: Array, noise: float, config: Config) -> tuple
     return points.take(columns, axis=0), noise
 
 
-def _without_rims(columns: Indices, near: NDArray[np.bool_], angle: Array
-                  ) -> Indices:
+def _without_rims(columns: Indices, near: NDArray[np.bool_], angle: Array) -> Indices:
     """
     Return the columns of an arc without those beside a rim of the ball.
 

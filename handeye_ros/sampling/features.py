@@ -54,7 +54,7 @@ def result_of(stop: Stop, config: Config) -> Sample | Reject:
     stop = stop.load(config)
     try:
         return _pass_of(stop, config) if config.sampling.moving else _sample_of(stop, config)
-    except FeatureError as error:
+    except (FeatureError, UnusableMessageError) as error:
         return Reject(stop.stamp, str(error))
 
 
@@ -92,23 +92,20 @@ def _pass_of(stop: Stop, config: Config) -> Sample:
 
 
 def _no_profiles(unusable: Iterable[AnyProfile], stop: Stop, config: Config) -> FeatureError:
-    """Return the refusal of a stop or pass whose profiles, if any, are all unusable."""
+    """Return why there are no profiles; if there are, raises why the first is unusable."""
     for profile in unusable:
-        try:
-            profile.read(config.profile)
-        except UnusableMessageError as error:
-            return FeatureError(str(error), reason='unusable')
+        profile.read(config.profile)
     seconds, settle = (stop.end - stop.start) / NS, config.sampling.settle_time
     if seconds <= 2 * settle and not config.sampling.moving:
         return FeatureError(f'sampling.settle_time leaves out {settle:g} s at either end of the '
                             f'{seconds:.1f} s during which the robot stood still here: stay '
-                            'longer at each stop, or lower it', reason='no_profiles')
+                            'longer at each stop, or lower it')
     span = 'of this pass' if config.sampling.moving else 'during which the robot stood still here'
     other_offset = (', or time_offset was another when this was recorded: take the sample again'
                     if config.time_offset else '')
     return FeatureError(f'no profile has a stamp of the {seconds:.1f} s {span}: the sensor sent '
                         'none, they were dropped (the warnings say why), or its clock is not that '
-                        f'of the robot{other_offset}', reason='no_profiles')
+                        f'of the robot{other_offset}')
 
 
 def features_of(profile: Profile, config: Config) -> tuple[Feature, ...]:
@@ -178,9 +175,7 @@ def combine(features_by_profile: Sequence[tuple[Feature, ...]], lines_per_group:
         if len(of_side) > LEAST_SHOWING * len(features_by_profile):
             combined_edges.append(with_line_errors(_combined_edge(of_side), lines[0]))
     if edges and not combined_edges:
-        points = np.array([edge.point for edge in edges])
-        raise _disagreeing('where the edge is',
-                           float(np.linalg.norm(np.ptp(points, axis=0))))
+        raise _disagreeing('where the edge is', [edge.point for edge in edges])
     return (*lines, *combined_edges)
 
 
@@ -290,7 +285,7 @@ def _near_median(values: Array, scatters: float, least: float, what: str) -> NDA
     limit = min(max(scatters * robust_std(values - median), least), LARGEST_DISAGREEMENT)
     near = np.abs(values - median) <= limit
     if near.sum() < LEAST_AGREEING * len(values):
-        raise _disagreeing(what, float(np.ptp(values)))
+        raise _disagreeing(what, values)
     return np.asarray(near)
 
 
@@ -303,17 +298,16 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     agree = distance < min(LARGEST_DISAGREEMENT,
                            scatter + max(3.0 * scatter, SMALLEST_DISAGREEMENT))
     if agree.sum() < LEAST_AGREEING * len(arcs):
-        centres = np.array([arc.centre for arc in arcs])
-        raise _disagreeing('where the sphere is',
-                           float(np.linalg.norm(np.ptp(centres, axis=0))))
+        raise _disagreeing('where the sphere is', [arc.centre for arc in arcs])
     combined = normal_points(np.concatenate([
         arc.raw for arc, agrees in zip(arcs, agree, strict=True) if agrees]))
     # for the residuals: 0.8 MB of a sample at most
     return replace(combined, raw=combined.raw[evenly_chosen(len(combined.raw), 50_000)])
 
 
-def _disagreeing(what: str, distance: float) -> FeatureError:
-    """Return the refusal of profiles that show the target at places so far apart (m)."""
+def _disagreeing(what: str, places: Sequence[Array] | Array) -> FeatureError:
+    """Return the refusal of profiles that show the target at places (n, ...), in m."""
+    distance = float(np.linalg.norm(np.ptp(places, axis=0)))
     return FeatureError(f'the profiles of this stop do not agree on {what}: they are '
                         f'{mm(distance)} apart; something moved, or some of them show another '
-                        'object; take the sample again', reason='disagreeing')
+                        'object; take the sample again')

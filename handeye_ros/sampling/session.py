@@ -270,10 +270,9 @@ class Session(Copyable):
                 f'({sampling.max_pose_gap:g} s): publish them more often, also while the robot '
                 'stands still, or raise sampling.max_pose_gap', reason='sparse_poses')
         if sampling.moving:
-            raise DataError(f'the {poses.count} poses make no sweep: none of their passes lasts '
-                            f'{min(sampling.still_time, 1.0):g} s without a gap longer than '
-                            f'{sampling.max_pose_gap:g} s (sampling.max_pose_gap): record a '
-                            'longer sweep', reason='no_stops')
+            raise DataError(f'the {poses.count} poses make no sweep: nowhere are there '
+                            f'{min(sampling.still_time, 1.0):g} s of them without a gap: record '
+                            'a longer sweep', reason='no_stops')
         raise DataError(f'the robot never stood still for {sampling.still_time:g} s in '
                         f'{poses.count} poses, but for {self._finder.longest_rest / NS:.2g} s at '
                         'most: stop at each sample, and let its poses be sent while it stands, '

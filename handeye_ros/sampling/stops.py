@@ -98,7 +98,9 @@ class Stop:
         """Return the stop with the profiles surely taken during it, among candidates in order."""
         begin = bisect_left(candidates, self.start, key=by_stamp)
         end = bisect_right(candidates, self.end, key=by_stamp)
-        taken = [profile for profile in candidates[begin:end] if self._covers(profile)]
+        taken = [profile for profile in candidates[begin:end]
+                 if self.start <= profile.stamp - profile.reach[0]
+                 and profile.stamp + profile.reach[1] <= self.end]
         first_settled, last_settled = self._settled_span(config)
         begin = bisect_left(taken, first_settled, key=by_stamp)
         end = max(begin, bisect_right(taken, last_settled, key=by_stamp))
@@ -119,11 +121,6 @@ class Stop:
         profiles = self.settled_profiles(config)
         poses = around(self.poses, [profile.stamp for profile in profiles])
         return replace(stop, poses=tuple(poses), profiles=tuple(profiles))
-
-    def _covers(self, profile: AnyProfile) -> bool:
-        """Return whether a profile was surely taken during the stop, given its duration."""
-        before, after = profile.reach
-        return profile.stamp - before >= self.start and profile.stamp + after <= self.end
 
     def _settled_span(self, config: Config) -> tuple[int, int]:
         """Return the first and last stamp of the time without vibration."""

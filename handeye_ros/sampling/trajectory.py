@@ -103,8 +103,7 @@ class Trajectory:
             std[nearest] = piece.std_at(stamps[nearest])
         return std
 
-    def _by_piece(self, stamps: NDArray[np.int64]
-                  ) -> Iterator[tuple[_Piece, NDArray[np.bool_]]]:
+    def _by_piece(self, stamps: NDArray[np.int64]) -> Iterator[tuple[_Piece, NDArray[np.bool_]]]:
         """Yield each piece with the stamps (n,) to which it is the nearest one, if any."""
         middles = np.array([before.last + (after.first - before.last) // 2
                             for before, after in pairwise(self.pieces)], dtype=np.int64)
