@@ -35,6 +35,7 @@ METRES = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3, 'um': 1e-6, 'in': 0.0254}
 RADIANS = {'rad': 1.0, 'mrad': 1e-3, 'deg': math.pi / 180, 'degrees': math.pi / 180}
 SECONDS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6}
 WITH_UNIT = re.compile(r'(?<![\w.])([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) *([a-z]+)(?![\w.])')
+MICRO = re.compile('[\u00b5\u03bc]')  # of µm, in the two ways that it is written
 NOT_SET = math.nan  # default of a number that changes an answer by its full size: it has none
 # Accuracy classes of robots: 1 sigma of the smooth error of each axis (m), half of the largest
 # error in data sheets.
@@ -495,12 +496,11 @@ def with_values(config: Config, values: Mapping[str, Any], source: str = 'values
 
 def from_provenance(values: Any) -> Config:
     """Return the configuration of a calibration file; what other versions know is ignored."""
-    known, usable = {p.key for p in parameters()}, {}
+    usable = {}
     for key, value in values.items() if isinstance(values, Mapping) else ():
-        if key in known or str(key).startswith(RECORD_PREFIX):
-            with suppress(BadValueError):
-                with_values(Config(), {key: value})
-                usable[key] = value
+        with suppress(InputError):
+            with_values(Config(), {key: value})
+            usable[key] = value
     return with_values(Config(), usable)
 
 
@@ -600,14 +600,9 @@ def in_si(text: str, unit: str) -> str:
     unit: m, rad or s, into which they are converted; of another one none is.
     """
     factors = {'m': METRES, 'rad': RADIANS, 's': SECONDS}.get(unit, {})
-    text = with_plain_micro(text) if factors else text
+    text = MICRO.sub('u', text) if factors else text
     return WITH_UNIT.sub(lambda match: repr(float(match[1]) * factors[match[2]])
                          if match[2] in factors else match[0], text)
-
-
-def with_plain_micro(text: str) -> str:
-    """Return a text with um for µm, in the two ways that a micro is written."""
-    return re.sub('[\u00b5\u03bc]', 'u', text)
 
 
 def parse_length(text: str, option: str, usual: float, least: float = -math.inf) -> float:

@@ -248,11 +248,6 @@ class EdgePoint:
     noun: ClassVar[str] = 'edge point'
 
     @property
-    def is_movable(self) -> bool:
-        """Return whether a common shape of all edges moves it: once, and not to a visible wall."""
-        return self.ending != 'roof' and not self.is_moved
-
-    @property
     def polyline(self) -> Array:
         """Return the point, as the only one (1, 2) of what is drawn."""
         return self.point[None]

@@ -21,7 +21,7 @@ import re
 import warnings
 
 from handeye_ros import se3
-from handeye_ros.config import METRES, RADIANS, with_plain_micro
+from handeye_ros.config import METRES, MICRO, RADIANS
 from handeye_ros.data import Array, QUATERNION_TOLERANCE
 from handeye_ros.errors import InputError, nearest, UnknownNameError
 import numpy as np
@@ -69,7 +69,7 @@ class Table:
             if not match:
                 raise TableError(path, f'cannot read the column header "{cell}"; expected a name '
                                  'with its unit, such as base_x [mm]')
-            unit = with_plain_micro(match[2] or '')
+            unit = MICRO.sub('u', match[2] or '')
             units[match[1]] = SPELLINGS.get(unit, unit)
         if len(units) != len(header):
             raise TableError(path, 'two columns have the same name')

@@ -52,7 +52,7 @@ def with_common_shape(samples: Sequence[Sample]) -> list[Sample]:
 def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     """Return the edge shape that all samples support, with one common radius where they agree."""
     edges = [f for sample in samples for f in sample.features
-             if isinstance(f, EdgePoint) and f.is_movable]
+             if isinstance(f, EdgePoint) and f.ending != 'roof']
     depth = np.hypot(*np.reshape([edge.drop for edge in edges], (-1, 2)).T)
     if len(edges) < 3 or np.median(depth) <= SHARP_DEPTH:
         return EdgeShape()
@@ -103,7 +103,7 @@ def _moved(feature: Feature, shape: EdgeShape) -> Feature:
     result is on the wall for any crossing angle of the laser. Of a bevel, or a barely visible
     rounding, the end is. A bevel returns light as a whole or not at all; it is as wide as deep.
     """
-    if not isinstance(feature, EdgePoint) or not feature.is_movable:
+    if not isinstance(feature, EdgePoint) or feature.ending == 'roof' or feature.is_moved:
         return feature
     edge, size = replace(feature, is_moved=True), shape.size
     if not size:

@@ -7,7 +7,7 @@ from typing import Any
 import warnings
 
 from handeye_ros.config import Config, with_values
-from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
+from handeye_ros.data import Array, EdgePoint, FaceLine
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import face_features
 from hypothesis import given
@@ -185,16 +185,12 @@ def test_any_array_gives_finite_features_or_a_reason(points: Array) -> None:
                 assert str(error)
                 continue
         assert len(features) >= 2
-        assert_finite(features)
+        for f in features:
+            values = [f.centre, f.direction, f.spread, f.std] if isinstance(f, FaceLine) else [
+                f.point, f.direction, f.std, f.std_across]
+            assert all(np.isfinite(value).all() for value in values)
+            assert np.linalg.norm(f.direction) == pytest.approx(1) and f.std >= 0
     assert np.array_equal(points, before, equal_nan=True)
-
-
-def assert_finite(features: tuple[Feature, ...]) -> None:
-    for f in features:
-        values = [f.centre, f.direction, f.spread, f.std] if isinstance(f, FaceLine) else [
-            f.point, f.direction, f.std, f.std_across]
-        assert all(np.isfinite(value).all() for value in values)
-        assert np.linalg.norm(f.direction) == pytest.approx(1) and f.std >= 0
 
 
 @pytest.mark.parametrize('slope', [-0.3, 0.0, 0.3])

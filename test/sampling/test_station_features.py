@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from cells import recorded
+from handeye_ros import pipeline
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.profiles.lines import bin_means
 from handeye_ros.sampling.features import combine
-from handeye_ros.sampling.session import Session
 import numpy as np
 from profiles import (
     COLUMNS,
@@ -107,12 +107,7 @@ def test_simulated_edges_are_as_near_to_the_truth_as_they_say(name: str) -> None
     along, across = [], []
     for seed in range(2):
         recording = recorded(name, seed)
-        session = Session(recording.config)
-        for pose in recording.poses:
-            session.add_pose(pose)
-        for profile in recording.profiles:
-            session.add_profile(profile)
-        session.evaluate_remaining()
+        session = pipeline.gather(recording.profiles, recording.poses, recording.config)
         mirror = np.array([-1.0 if name == 'plate_x_reversed' else 1.0, 1.0])
         for station in recording.truth.stations:
             sample, = (s for s in session.samples if station.start <= s.stamp <= station.end)
