@@ -71,9 +71,8 @@ def of_pose(pose: TimedPose) -> Array:
 
 def quaternion(T: Array) -> Array:
     """Return the (..., 4) quaternion x y z w, w >= 0, of (..., 4, 4) transforms."""
-    q = _rotations(T[..., :3, :3]).as_quat()
-    q = np.where(q[:, 3:] < 0, -q, q)
-    return cast(Array, q.reshape(*T.shape[:-2], 4))
+    flat = _rotations(T[..., :3, :3]).as_quat(canonical=True)
+    return cast(Array, flat.reshape(*T.shape[:-2], 4))
 
 
 def transform_values(T: Array) -> dict[str, dict[str, float]]:
