@@ -168,7 +168,7 @@ SPARSE = [pose(t, x=0.1 * (t // 10)) for t in range(60)]
 
 
 @pytest.mark.parametrize(('poses', 'mode', 'reason', 'words'), [
-    ([], 'still', 'no_poses', 'no flange pose'), (MOVING, 'still', 'no_stops', 'never stood still'),
+    ([], 'still', 'no_poses', 'no flange pose'), (MOVING, 'still', 'no_stops', 'never stood'),
     (SPARSE, 'still', 'sparse_poses', 'come only every 1 s'),
     ([replace(p, translation=p.translation * 1e3) for p in MOVING], 'still', 'position_unit',
      'in mm'),
