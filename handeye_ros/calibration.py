@@ -90,7 +90,7 @@ def assemble_calibration(config: Config, method: str, sensor_frame: str, T_flang
     quality = Quality(used, len(reports) - used, residual_rms, holdout_rms,
                       f'position along {name_direction(direction, parent)} (m)', std)
     return Calibration(
-        config.name or config.target.type, method, parent, sensor_frame, T_flange_sensor,
+        config.calibration_name, method, parent, sensor_frame, T_flange_sensor,
         covariance, target, quality, tuple(reports),
         {'version': __version__, **provenance, 'config': flatten(config)}, time_offset)
 

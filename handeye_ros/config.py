@@ -35,6 +35,7 @@ METRES = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3, 'um': 1e-6, 'in': 0.0254}
 RADIANS = {'rad': 1.0, 'mrad': 1e-3, 'deg': math.pi / 180, 'degrees': math.pi / 180}
 SECONDS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6}
 WITH_UNIT = re.compile(r'(?<![\w.])([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) *([a-z]+)(?![\w.])')
+MICRO = re.compile('[\u00b5\u03bc]')  # of µm, in the two ways that it is written
 NOT_SET = math.nan  # default of a number that changes an answer by its full size: it has none
 # Accuracy classes of robots: 1 sigma of the smooth error of each axis (m), half of the largest
 # error in data sheets.
@@ -52,7 +53,7 @@ BAD_YAML = yaml.YAMLError, ValueError, RecursionError  # ValueError: of an inval
 LONGEST_TEXT = 1000  # characters of a record.*
 NODE_NAME = 'handeye'  # the name of the node, and of its section in parameter files
 # Parameters of every ROS node, also in a dump of ours.
-EVERY_NODES = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
+ROS_OWN_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
 
 
 def setting(default: Any, description: str, minimum: float | None = None,
@@ -212,18 +213,19 @@ class SamplingConfig(Section):
         '~/take_sample or ~/take (manual), or of single profiles while the robot moves (moving).',
         choices=('still', 'manual', 'moving'))
     still_time: float = setting(
-        0.5, 'The robot stands still when its pose did not change for this long.', 0.05, 60.0, 's')
+        0.5, 'The robot stands still when its pose did not change for this long.', 0.05, 9.0, 's')
     still_translation: float = setting(
         5e-4, 'Largest change of position of a robot that stands still.', 0.0, 0.1, 'm')
     still_rotation: float = setting(
         2e-3, 'Largest change of orientation of a robot that stands still.', 0.0, 0.1, 'rad')
     settle_time: float = setting(
-        0.1, 'Profiles so soon after a stop begins or before it ends are unused.', 0.0, 10.0, 's')
+        0.1, 'Profiles so soon after a stop begins or before it ends are unused.', 0.0, 4.0, 's')
     max_pose_gap: float = setting(
         0.5, 'Poses further apart than this around a profile are too sparse.', 1e-3, 60.0, 's')
     min_points: int = setting(20, 'Fewest points of a face or an arc in one profile.', 5, 100000)
     min_crossing_angle: float = setting(
-        0.44, 'A laser line that crosses an edge at a smaller angle is not used.', 0.0, 1.5, 'rad')
+        0.44, 'A laser line that crosses an edge of the plate at a smaller angle is not used.',
+        0.0, 1.5, 'rad')
     new_translation: float = setting(
         8e-3, 'A stop nearer than this to an earlier one, and turned by less than '
         'new_rotation, is not used; 0: every stop is used.', 0.0, 1.0, 'm')
@@ -231,7 +233,7 @@ class SamplingConfig(Section):
         0.05, 'The turn that goes with new_translation; 0: every stop is used.', 0.0, 3.15, 'rad')
 
     @property
-    def by_itself(self) -> bool:
+    def automatic(self) -> bool:
         """Return whether samples are taken automatically."""
         return self.mode != 'manual'
 
@@ -415,6 +417,11 @@ class Config(Section):
     record: tuple[tuple[str, str], ...] = ()  # record.*: names and texts, free
 
     @property
+    def calibration_name(self) -> str:
+        """Return the name of the calibration, by default the type of the target."""
+        return self.name or self.target.type
+
+    @property
     def in_hand(self) -> bool:
         """Return whether the sensor is on the flange, else beside the robot."""
         return self.calibration_type == 'eye_in_hand'
@@ -489,12 +496,11 @@ def with_values(config: Config, values: Mapping[str, Any], source: str = 'values
 
 def from_provenance(values: Any) -> Config:
     """Return the configuration of a calibration file; what other versions know is ignored."""
-    known, usable = {p.key for p in parameters()}, {}
+    usable = {}
     for key, value in values.items() if isinstance(values, Mapping) else ():
-        if key in known or str(key).startswith(RECORD_PREFIX):
-            with suppress(BadValueError):
-                with_values(Config(), {key: value})
-                usable[key] = value
+        with suppress(InputError):
+            with_values(Config(), {key: value})
+            usable[key] = value
     return with_values(Config(), usable)
 
 
@@ -582,7 +588,7 @@ def load(path: Path | str, config: Config | None = None) -> Config:
         raise InputError(f'{path} holds the parameters of {", ".join(for_ours)}: keep those of '
                          f'one "{NODE_NAME}"')
     values = {key: value for node in (*for_all, *for_ours) for key, value in sections[node].items()
-              if not key.startswith(EVERY_NODES)}
+              if not key.startswith(ROS_OWN_PARAMETERS)}
     return with_values(config or Config(), values, str(path))
 
 
@@ -605,8 +611,7 @@ def in_si(text: str, unit: str) -> str:
     unit: m, rad or s, into which they are converted; of another one none is.
     """
     factors = {'m': METRES, 'rad': RADIANS, 's': SECONDS}.get(unit, {})
-    if factors:
-        text = re.sub('[\u00b5\u03bc]', 'u', text)  # µm, in the two ways that a micro is written
+    text = MICRO.sub('u', text) if factors else text
     return WITH_UNIT.sub(lambda match: repr(float(match[1]) * factors[match[2]])
                          if match[2] in factors else match[0], text)
 

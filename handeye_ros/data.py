@@ -36,7 +36,7 @@ def robust_std(deviations: Array) -> float:
     return float(SIGMA_OF_MEDIAN * np.median(np.abs(deviations)))
 
 
-def in_order(x: Array, is_return: NDArray[np.bool_]) -> NDArray[np.intp] | slice:
+def in_order(x: Array, is_return: NDArray[np.bool_]) -> Indices | slice:
     """
     Return the columns of a profile in order along its line, as indices into its columns.
 
@@ -231,6 +231,7 @@ class EdgePoint:
     arc_offset: (2,) from the point to where its rounding is located best, if it is one
     arc_std: 1 sigma of this place along the direction, for a given radius
     shape_std: 1 sigma of the edge position from its uncertain shape, common to all ends
+    is_moved: whether it is where face and wall meet by that shape, no longer where it was seen
     """
 
     point: Array
@@ -243,6 +244,7 @@ class EdgePoint:
     arc_offset: Array = field(default_factory=lambda: np.zeros(2))
     arc_std: float = 0.0
     shape_std: float = 0.0
+    is_moved: bool = False
     noun: ClassVar[str] = 'edge point'
 
     @property
@@ -359,7 +361,11 @@ class ClockEstimate:
 
 @dataclass(frozen=True)
 class Reject:
-    """A stop, or a profile of a pass, without a sample, and why; final: with any settings."""
+    """
+    A stop, or a profile of a pass, without a sample, and why.
+
+    final: it is not evaluated again, whatever settings change.
+    """
 
     stamp: int
     reason: str

@@ -23,7 +23,7 @@ EARLIEST_STAMP = 10 ** 18  # ns (2001): stamps before it are of no clock of the 
 
 def folder_name(config: Config) -> str:
     """Return the name of the folder that a calibration is saved in; raises BadValueError."""
-    name = config.name or config.target.type
+    name = config.calibration_name
     if name in ('', '.', '..') or '/' in name:
         raise BadValueError('name', name, 'the name of a folder, without "/"')
     return name

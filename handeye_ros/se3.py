@@ -71,9 +71,8 @@ def of_pose(pose: TimedPose) -> Array:
 
 def quaternion(T: Array) -> Array:
     """Return the (..., 4) quaternion x y z w, w >= 0, of (..., 4, 4) transforms."""
-    q = _rotations(T[..., :3, :3]).as_quat()
-    q = np.where(q[:, 3:] < 0, -q, q)
-    return cast(Array, q.reshape(*T.shape[:-2], 4))
+    flat = _rotations(T[..., :3, :3]).as_quat(canonical=True)
+    return cast(Array, flat.reshape(*T.shape[:-2], 4))
 
 
 def transform_values(T: Array) -> dict[str, dict[str, float]]:
@@ -150,6 +149,11 @@ def skew(v: Array) -> Array:
     return cast(Array, S - np.swapaxes(S, -1, -2))
 
 
+def unit(vectors: Array) -> Array:
+    """Return vectors (..., 3) at length 1."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
 def nearest_rotation(M: Array) -> Array:
     """Return the rotation nearest to M (3, 3) in the Frobenius norm."""
     U, _, V_transposed = np.linalg.svd(M)
@@ -161,6 +165,12 @@ def mean_pose(T: Array) -> Array:
     """Return the mean (4, 4) of close (n, 4, 4) transforms."""
     R = _rotations(T[:, :3, :3]).mean().as_matrix()
     return transform(R, T[:, :3, 3].mean(axis=0))
+
+
+def turns_from_mean(T: Array) -> Array:
+    """Return the rotation vectors (n, 3), in rad, of (n, 4, 4) transforms from their mean."""
+    rotations = _rotations(T[:, :3, :3])
+    return cast(Array, (rotations.mean().inv() * rotations).as_rotvec())
 
 
 def worst_translation(covariance: Array) -> tuple[float, Array]:

@@ -21,7 +21,7 @@ import re
 import warnings
 
 from handeye_ros import se3
-from handeye_ros.config import METRES, RADIANS
+from handeye_ros.config import METRES, MICRO, RADIANS
 from handeye_ros.data import Array, QUATERNION_TOLERANCE
 from handeye_ros.errors import InputError, nearest, UnknownNameError
 import numpy as np
@@ -31,7 +31,7 @@ LENGTH, ANGLE, NUMBER = 'length', 'angle', 'number'
 UNITS = {LENGTH: METRES, ANGLE: RADIANS, NUMBER: {'': 1.0}}
 SPELLINGS = {'degree': 'deg', '°': 'deg', 'radian': 'rad', 'radians': 'rad', 'metre': 'm',
              'metres': 'm', 'meter': 'm', 'meters': 'm', 'millimetres': 'mm',
-             'millimeters': 'mm', 'µm': 'um'}
+             'millimeters': 'mm'}
 LARGEST_VALUE = 1e6  # m or rad: more is a mistake
 _HEADER = re.compile(r'\s*([\w.:/-]+)\s*(?:\[\s*(\w+|°)\s*\])?\s*')  # name [unit]
 
@@ -69,7 +69,8 @@ class Table:
             if not match:
                 raise TableError(path, f'cannot read the column header "{cell}"; expected a name '
                                  'with its unit, such as base_x [mm]')
-            units[match[1]] = SPELLINGS.get(match[2], match[2] or '')
+            unit = MICRO.sub('u', match[2] or '')
+            units[match[1]] = SPELLINGS.get(unit, unit)
         if len(units) != len(header):
             raise TableError(path, 'two columns have the same name')
         if not rows:

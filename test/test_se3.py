@@ -17,11 +17,7 @@ quaternions = arrays(float, 4, elements=st.floats(-1, 1)).filter(
     lambda q: np.linalg.norm(q) > 1e-3)
 
 
-def any_transform(translation: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    return se3.from_quaternion(translation, quaternion)
-
-
-transforms = st.builds(any_transform, vectors, quaternions)
+transforms = st.builds(se3.from_quaternion, vectors, quaternions)
 
 
 @st.composite
@@ -92,16 +88,18 @@ def test_nearest_rotation_is_one_and_none_is_nearer(q: np.ndarray, off: np.ndarr
         assert np.linalg.norm(nearby - M) >= np.linalg.norm(R - M) - 1e-12
 
 
-def test_mean_pose_lies_in_the_middle() -> None:
+def test_mean_pose_lies_in_the_middle_and_turns_are_from_it() -> None:
     T = se3.transform(Rotation.from_quat([0.5, 0.1, -0.3, 0.8]).as_matrix(), np.ones(3))
     step = np.array([0.01, -0.02, 0.03, 0.002, -0.001, 0.003])
     both = np.array([se3.perturb(T, step), se3.perturb(T, -step)])
     assert np.allclose(se3.mean_pose(both), T, atol=1e-9)
+    turns = np.linalg.inv(T[:3, :3]) @ step[3:]  # in the frame that the sensor is fixed in
+    assert np.allclose(se3.turns_from_mean(both), [turns, -turns], atol=1e-9)
 
 
 def test_stacks_give_what_single_transforms_give() -> None:
     rng = np.random.default_rng(1)
-    T = any_transform(rng.normal(size=(5, 2, 3)), rng.normal(size=(5, 2, 4)))
+    T = se3.from_quaternion(rng.normal(size=(5, 2, 3)), rng.normal(size=(5, 2, 4)))
     points = rng.normal(size=(5, 2, 7, 3))
     vectors = rng.normal(size=(5, 2, 3))
     for i, j in np.ndindex(5, 2):

@@ -31,9 +31,10 @@ def test_any_file_is_read_or_refused(content: bytes) -> None:
             assert values.shape[1] == 2 and np.isfinite(values).all()
 
 
-def test_values_are_in_si_units(tmp_path: Path) -> None:
+@pytest.mark.parametrize('micro', ['u', '\u00b5', '\u03bc'])
+def test_values_are_in_si_units(tmp_path: Path, micro: str) -> None:
     path = tmp_path / 'table.csv'
-    path.write_text('\ufeff# remark\nx [mm];y[ um ]\n1;2\n\n-3.5; 4e3\n', encoding='utf-8')
+    path.write_text(f'\ufeff# remark\nx [mm];y[ {micro}m ]\n1;2\n\n-3.5; 4e3\n', encoding='utf-8')
     np.testing.assert_allclose(Table(path).values('xy', LENGTH), [[1e-3, 2e-6], [-3.5e-3, 4e-3]])
 
 

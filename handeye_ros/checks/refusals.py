@@ -20,9 +20,13 @@ from handeye_ros.estimation.noise import EDGES
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import axes_across, mount_frame, name_direction
-from handeye_ros.se3 import mapped_covariance, worst_rotation, worst_translation
+from handeye_ros.se3 import (
+    mapped_covariance,
+    turns_from_mean,
+    worst_rotation,
+    worst_translation,
+)
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 LARGEST_DROPPED_SHARE = 0.34  # largest share of the stations that an answer may leave out
 FEWEST_REDUNDANT = 3  # redundant conditions needed, and as many for each dropped station
@@ -101,9 +105,7 @@ def rms_turns_and_axes(poses: Array) -> tuple[Array, Array]:
 
     Largest first; the axes are the rows, in the frame that the sensor is fixed in.
     """
-    rotations = Rotation.from_matrix(poses[:, :3, :3])
-    vectors = (rotations.mean().inv() * rotations).as_rotvec()
-    squares, axes = np.linalg.eigh(np.cov(vectors, rowvar=False, bias=True))
+    squares, axes = np.linalg.eigh(np.cov(turns_from_mean(poses), rowvar=False, bias=True))
     return np.sqrt(np.maximum(squares[::-1], 0.0)), axes.T[::-1]
 
 

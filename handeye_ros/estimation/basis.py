@@ -21,7 +21,6 @@ from handeye_ros.estimation.least_squares import eigen
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 # Distances at which the robot's errors have the correlation 0.5: m, rad, s.
 POSITION_LENGTH, ROTATION_LENGTH, TIME_LENGTH = 1.0, 1.4, 0.5
@@ -150,9 +149,8 @@ def bent_surface(p: Array, on_surface: NDArray[np.bool_], degrees: Sequence[int]
 
 def pose_features(poses: Array) -> Array:
     """Return positions and rotation vectors (n, 6) of poses (n, 4, 4), over length scales."""
-    rotations = Rotation.from_matrix(poses[:, :3, :3])
-    vectors = (rotations.mean().inv() * rotations).as_rotvec()
-    return np.concatenate([poses[:, :3, 3] / POSITION_LENGTH, vectors / ROTATION_LENGTH], axis=1)
+    return np.concatenate([poses[:, :3, 3] / POSITION_LENGTH,
+                           se3.turns_from_mean(poses) / ROTATION_LENGTH], axis=1)
 
 
 def smooth_basis(poses: Array, long_errors: bool = False) -> Array:

@@ -123,7 +123,7 @@ class LiveSession:
             self.message_counts['profile'].add(profile.stamp)
             self._profiles.append(profile)
             self.session.add_profile(profile)
-            self._queue_stops(self.session.completed())
+            self._queue_stops(self.session.take_completed())
 
     def add_poses(self, poses: Sequence[TimedPose]) -> None:
         """Add poses."""
@@ -133,7 +133,8 @@ class LiveSession:
                 self._poses.append(pose)
                 self.session.add_pose(pose)
             early_stop = self.session.early_stop()
-            self._queue_stops([*self.session.completed(), *([early_stop] if early_stop else [])])
+            self._queue_stops([*self.session.take_completed(),
+                               *([early_stop] if early_stop else [])])
 
     def add_joints(self, stamp: int, data: bytes) -> None:
         """Keep a serialised JointState, to be stored with the stop of its time."""
@@ -319,7 +320,7 @@ class LiveSession:
 
     def _end_stops(self) -> list[Stop]:
         """Return the stops that have begun; nothing more is taken of them. Under lock."""
-        stops = self.session.copied().remaining()  # raises for mixed frames
+        stops = self.session.copied().take_remaining()  # raises for mixed frames
         for stop in stops:
             self.session.mark_done(stop)
         return stops

@@ -12,7 +12,7 @@ from typing import Any
 
 from handeye_ros import config as configuration
 from handeye_ros.bags.session_files import read_session, StoredSession
-from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD_NAMES, RECORD_PREFIX
+from handeye_ros.config import Config, Parameter, RECORD_NAMES, RECORD_PREFIX, ROS_OWN_PARAMETERS
 from handeye_ros.errors import InputError, sentence_and_log, without_numbers
 from handeye_ros.node.folders import OutputFolders, PARAMETERS, settings_and_session
 from handeye_ros.node.live import LiveSession
@@ -255,7 +255,7 @@ def _values_by_key(parameters: Iterable[RosParameter]) -> dict[str, Any]:
         key = parameter.name
         if key.startswith(FILES_ONLY):
             raise InputError(f'{key} is a key of the command line alone: leave it out')
-        if not key.startswith(EVERY_NODES):
+        if not key.startswith(ROS_OWN_PARAMETERS):
             # ROS gives an empty list no type, and other lists as arrays
             is_empty = parameter.type_ == RosParameter.Type.NOT_SET
             value = [] if is_empty else parameter.value

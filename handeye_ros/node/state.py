@@ -154,7 +154,7 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
         'so, sampling goes on with them', str(session.unusable_poses or ''),
         # of two publishers stamps that seem to be of two clocks follow
         '' if graph_trouble else _clock_trouble(profiles, poses),
-        session.unasked, *live.troubles.values())
+        session.unrequested_stops, *live.troubles.values())
     return {
         'name': folder_name(config),
         'profiles': profiles.state(config.profile_topic, graph_troubles.get('profile', '')),

@@ -14,7 +14,7 @@ from dataclasses import replace
 import math
 
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, SIGMA_OF_MEDIAN
+from handeye_ros.data import Arc, Array, Indices, SIGMA_OF_MEDIAN
 from handeye_ros.errors import FeatureError, mm
 from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
 from handeye_ros.profiles.ransac import circles_among
@@ -155,8 +155,7 @@ def _on_arc(points: Array, circle: Array, noise: float, config: Config) -> tuple
     return points.take(columns, axis=0), noise
 
 
-def _without_rims(columns: NDArray[np.intp], near: NDArray[np.bool_], angle: Array
-                  ) -> NDArray[np.intp]:
+def _without_rims(columns: Indices, near: NDArray[np.bool_], angle: Array) -> Indices:
     """
     Return the columns of an arc without those beside a rim of the ball.
 

@@ -5,8 +5,9 @@ Where a face of a profile ends in an edge, and where it only ends.
 
 `edge_at` decides from one end of a face: all that makes it real, or speaks against it, stands
 there, in the order of the file. `face_features` (faces.py) chooses the face; `combine`
-(sampling/features.py) needs the edge in most profiles of a stop; in the solve a target leaves an
-edge unused that lies on none of its own (`reassign`).
+(sampling/features.py) needs an edge on that side in most profiles of a stop, and takes those of
+the most frequent ending; in the solve a target leaves an edge unused that lies on none of its own
+(`reassign`).
 
 The sensor looks down on a face (===) that ends at its right:
 
@@ -30,7 +31,7 @@ from functools import cached_property
 import math
 
 from handeye_ros.config import Config
-from handeye_ros.data import Array, EdgePoint
+from handeye_ros.data import Array, EdgePoint, Indices
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.edge_rounding import fitted_bend
 from handeye_ros.profiles.segment import (
@@ -41,7 +42,6 @@ from handeye_ros.profiles.segment import (
     STEEPEST_SURFACE,
 )
 import numpy as np
-from numpy.typing import NDArray
 
 BOW_SIGMAS = 3.0  # least bow of a face that counts
 BOW_REACH = 2.5  # the bow goes on up to so many spreads of its points; the ends are at 1.7
@@ -66,7 +66,7 @@ class FaceEnd:
     segment: Segment
     segments: Sequence[Segment]
     points: Array
-    returns: NDArray[np.intp]
+    returns: Indices
     near_sign: int
 
     @property
@@ -100,7 +100,7 @@ class FaceEnd:
         down = self.near_sign * np.array([along[1], -along[0]])
         return np.array([[x, segment.height(x)], math.copysign(1.0, x - first) * along, down])
 
-    def in_frame(self, columns: NDArray[np.intp]) -> tuple[Array, Array]:
+    def in_frame(self, columns: Indices) -> tuple[Array, Array]:
         """Return u and v (k,) of columns (k,); a bow of the face is taken off v."""
         origin, outwards, down = self.frame
         offsets = self.points.take(columns, axis=0) - origin
@@ -159,7 +159,8 @@ def edge_at(end: FaceEnd) -> EdgePoint:
     """
     Return the edge at the end of a face; raises NoEdgeError where the face only ends.
 
-    An end is real if one of these is seen beyond it, and the view goes on for VIEW_MARGIN:
+    An end is real if one of these is seen beyond it; in a profile with lost columns the view must
+    also go on for VIEW_MARGIN:
 
     roof    a wall or another face that meets it and goes down
     step    a lower surface
@@ -169,9 +170,8 @@ def edge_at(end: FaceEnd) -> EdgePoint:
             it may be the border, and the target decides (reassign)
 
     It is none before a surface of the same height, before a nearer one, or at the border of a
-    profile with lost columns. The edge
-    is at the crossing with the other face, at a wall seen in the tail, or else beyond the last
-    point before the drop.
+    profile with lost columns. The edge is at the crossing with the other face, at a wall seen in
+    the tail, or else beyond the last point before the drop.
     """
     tail, beyond = _tail(end), end.beyond
     if beyond and _is_bevel(end, beyond[0], tail):
@@ -202,7 +202,7 @@ SLACK_SIGMAS = 6.0  # of the range difference between two neighbours on a surfac
 FURTHER_COLUMNS = 80  # columns beyond a face that may still be its bent end or its wall
 
 
-def _tail(end: FaceEnd) -> NDArray[np.intp]:
+def _tail(end: FaceEnd) -> Indices:
     """
     Return the tail of a face: the columns beyond its straight piece where its surface goes on.
 
@@ -236,7 +236,7 @@ LARGEST_BEVEL = 2.5e-3  # of a bevel between a face and its wall; a larger piece
 WALL_SLOPE = 0.45  # largest |tangent| between a wall in the profile and the face's normal
 
 
-def _is_bevel(end: FaceEnd, piece: Segment, tail: NDArray[np.intp]) -> bool:
+def _is_bevel(end: FaceEnd, piece: Segment, tail: Indices) -> bool:
     """Return whether the next piece is a bevel of the same plate, not a wall or face."""
     if piece.first not in tail:
         return False
@@ -249,7 +249,7 @@ ROOF_ANGLE = 0.15  # two pieces that meet at a smaller angle (rad) are one bent 
 ROOF_REACH = 8.0  # they meet when their ends are this many columns from the crossing
 
 
-def _meet_in_corner(end: FaceEnd, other: Segment, tail: NDArray[np.intp]) -> bool:
+def _meet_in_corner(end: FaceEnd, other: Segment, tail: Indices) -> bool:
     """
     Return whether the lines of a face and of the next surface cross between them, at an angle.
 
@@ -291,7 +291,7 @@ SHADOW_SLOPE = 2.0  # largest width hidden beyond a nearer surface, over its hei
 MIN_STEP_SIGMAS = 8.0
 
 
-def _ending(end: FaceEnd, next_surface: Segment | None, tail: NDArray[np.intp]) -> str:
+def _ending(end: FaceEnd, next_surface: Segment | None, tail: Indices) -> str:
     """
     Return how a face ends without a corner; raises NoEdgeError where it does not.
 
@@ -325,7 +325,7 @@ SMALLEST_WALL = 1.2e-3  # smallest depth of a visible wall below the face (m)
 WALL_POINTS = 4  # fewest points of a wall
 
 
-def _wall(end: FaceEnd, tail: NDArray[np.intp]) -> EdgePoint | None:
+def _wall(end: FaceEnd, tail: Indices) -> EdgePoint | None:
     """Return the edge where a wall, seen in the tail of a face, meets it; None without a wall."""
     if len(tail) < WALL_POINTS:
         return None
@@ -363,7 +363,7 @@ RIM_SHARE, LONGEST_RIM = 4, 3  # last points of a bent end that are not used: 1 
 LOST_STD = 0.17  # 1 sigma of an edge due to lost points, in columns
 
 
-def _edge_before_drop(end: FaceEnd, tail: NDArray[np.intp], ending: str,
+def _edge_before_drop(end: FaceEnd, tail: Indices, ending: str,
                       next_surface: Segment | None) -> EdgePoint:
     """
     Return the edge at the end of a plate, its tail included, before a drop.

@@ -13,10 +13,9 @@ from __future__ import annotations
 from dataclasses import replace
 import math
 
-from handeye_ros.data import Array, EdgePoint, FaceLine
+from handeye_ros.data import Array, EdgePoint, FaceLine, Indices
 from handeye_ros.profiles.segment import legendre_2, Segment
 import numpy as np
-from numpy.typing import NDArray
 
 LINE_POINTS, SWEPT_LINE_POINTS = 6, 4  # of a line; where hundreds of profiles show each part of it
 BIN_COUNT = 24  # bins whose scatter gives the variance of the normal points
@@ -74,7 +73,7 @@ def line_of_bins(centre: Array, slope: float, spread: float, bins: Array, white_
                     normal_points, np.sqrt(variance / size), bins)
 
 
-def bin_means(values: Array, bins: int) -> tuple[Array, NDArray[np.intp]]:
+def bin_means(values: Array, bins: int) -> tuple[Array, Indices]:
     """Return the means (k, ...) of equal bins of values (n, ...), and the bin sizes (k,)."""
     first = np.arange(bins) * len(values) // bins
     count = np.append(first[1:], len(values)) - first

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import lru_cache
 
-from handeye_ros.data import Array
+from handeye_ros.data import Array, Indices
 import numpy as np
 from numpy.typing import NDArray
 
@@ -101,7 +101,7 @@ def _near(shapes: Array, terms: Array, tolerance: float) -> NDArray[np.bool_]:
 
 
 @lru_cache(1000)  # sizes of profiles
-def _subsets(size: int, members: int, count: int, spans: tuple[float, ...]) -> NDArray[np.intp]:
+def _subsets(size: int, members: int, count: int, spans: tuple[float, ...]) -> Indices:
     """
     Return rows (members, k) of subsets of the points of a profile, distributed over it.
 

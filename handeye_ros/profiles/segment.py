@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
-from handeye_ros.data import Array
+from handeye_ros.data import Array, Indices
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.ransac import dominant_line, NARROWEST_LINE
 import numpy as np
-from numpy.typing import NDArray
 
 MAX_LINES = 5
 FOREIGN_POINTS = 5  # largest number of other points between two of a line; more split it
@@ -46,11 +45,11 @@ class Segment:
 
     first: int
     last: int
-    columns: NDArray[np.intp]
+    columns: Indices
     offset: float
     slope: float
     noise: float
-    straight: NDArray[np.intp]
+    straight: Indices
 
     def height(self, x: Any) -> Any:
         """Return the range of the line at x, a number or an array."""
@@ -91,13 +90,13 @@ def noise_level(z: Array, configured: float) -> float:
     return min(max(level, configured / 3), MOST_NOISE * configured)
 
 
-def returned(points: Array) -> NDArray[np.intp]:
+def returned(points: Array) -> Indices:
     """Return the columns of points (n, 2) that are finite."""
     finite = np.isfinite(points)
     return (finite[:, 0] & finite[:, 1]).nonzero()[0]
 
 
-def without_clutter(columns: NDArray[np.intp], points: Array, noise: float) -> NDArray[np.intp]:
+def without_clutter(columns: Indices, points: Array, noise: float) -> Indices:
     """
     Return the columns (k,) whose points are on a surface; all columns if few points are clutter.
 
@@ -126,40 +125,41 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
     columns = without_clutter(returned(points), points, noise)
     x, z = points.take(columns, axis=0).T.copy()
     tolerance = INLIER_SIGMAS * max(noise_level(z, noise), noise)
-    segments, free = list[Segment](), np.arange(len(columns))
+    segments, unassigned = list[Segment](), np.arange(len(columns))
 
-    def segments_of(members: NDArray[np.intp]) -> list[Segment]:
+    def segments_of(members: Indices) -> list[Segment]:
         fitted = [_segment(columns.take(piece), x.take(piece), z.take(piece), noise / 3)
                   for piece in _pieces(members) if len(piece) >= min_points]
         return [segment for segment in fitted if segment and segment.noise <= MOST_NOISE * noise]
 
     for _ in range(MAX_LINES):
-        near = dominant_line(x.take(free), z.take(free), tolerance, min_points)
-        if near is None:
+        left_x, left_z = x.take(unassigned), z.take(unassigned)
+        is_near = dominant_line(left_x, left_z, tolerance, min_points)
+        if is_near is None:
             break
-        new = segments_of(free[near])
+        new = segments_of(unassigned[is_near])
         if len(new) > 1:
             # a line that slants through two surfaces may have more points than either has
             largest = max(new, key=lambda s: len(s.columns))
-            near = np.abs(z.take(free) - largest.height(x.take(free))) < tolerance
-            new = segments_of(free[near])
+            is_near = np.abs(left_z - largest.height(left_x)) < tolerance
+            new = segments_of(unassigned[is_near])
         if len(new) == 1:
             # a bent laser line shows a plane as a parabola, of which parts are off every line
-            within = (columns[free] >= new[0].first) & (columns[free] <= new[0].last)
-            if np.count_nonzero(within & ~near) > FOREIGN_POINTS:
-                on_line = free[near & within]
-                parabola = np.polyfit(x[on_line], z[on_line], 2)
-                near |= within & (np.abs(z[free] - np.polyval(parabola, x[free])) < tolerance)
-                new = segments_of(free[near])
+            within = (columns[unassigned] >= new[0].first) & (columns[unassigned] <= new[0].last)
+            if np.count_nonzero(within & ~is_near) > FOREIGN_POINTS:
+                on_line = is_near & within
+                parabola = np.polyfit(left_x[on_line], left_z[on_line], 2)
+                is_near |= within & (np.abs(left_z - np.polyval(parabola, left_x)) < tolerance)
+                new = segments_of(unassigned[is_near])
         segments += new
-        free = free[~near]
+        unassigned = unassigned[~is_near]
     if not segments:
         raise FeatureError(f'no straight piece of {min_points} points or more in the profile, so '
                            'no face')
     return sorted(segments, key=lambda s: s.first)
 
 
-def _pieces(members: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
+def _pieces(members: Indices) -> Iterator[Indices]:
     """Split the points of a line where points of another surface are between them."""
     cuts = np.flatnonzero(np.diff(members) > FOREIGN_POINTS) + 1
     for piece in np.split(members, cuts):
@@ -170,7 +170,7 @@ def _pieces(members: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
         yield piece
 
 
-def _segment(columns: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> Segment | None:
+def _segment(columns: Indices, x: Array, z: Array, least_noise: float) -> Segment | None:
     """
     Return the segment fitted to the points x, z of columns, None if all have the same x.
 

@@ -42,7 +42,7 @@ def with_common_shape(samples: Sequence[Sample]) -> list[Sample]:
     All samples share the shape of rounded or bevelled ends, but one profile shows it only
     roughly, or not at all if a bevel returns no light. So the shape that is likeliest for all ends
     together is used. Edges with a visible wall need no correction. The samples of a session are as
-    measured, those of an answer moved: once, as a second time moves them again.
+    measured, those of an answer moved; what is moved already stays as it is.
     """
     shape = common_shape(samples)
     return [replace(sample, features=tuple(_moved(f, shape) for f in sample.features))
@@ -103,9 +103,9 @@ def _moved(feature: Feature, shape: EdgeShape) -> Feature:
     result is on the wall for any crossing angle of the laser. Of a bevel, or a barely visible
     rounding, the end is. A bevel returns light as a whole or not at all; it is as wide as deep.
     """
-    if not isinstance(feature, EdgePoint) or feature.ending == 'roof':
+    if not isinstance(feature, EdgePoint) or feature.ending == 'roof' or feature.is_moved:
         return feature
-    edge, size = feature, shape.size
+    edge, size = replace(feature, is_moved=True), shape.size
     if not size:
         return replace(edge, drop=np.zeros(2))
     # the point of the shape that is measured: how far outwards of the end it is, and how deep

@@ -9,7 +9,7 @@ of its single profiles, each with the pose of its time.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -17,6 +17,7 @@ from functools import partial
 from handeye_ros import se3, targets
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import (
+    AnyProfile,
     Arc,
     Array,
     EdgePoint,
@@ -53,15 +54,16 @@ def result_of(stop: Stop, config: Config) -> Sample | Reject:
     stop = stop.load(config)
     try:
         return _pass_of(stop, config) if config.sampling.moving else _sample_of(stop, config)
-    except FeatureError as error:
+    except (FeatureError, UnusableMessageError) as error:
         return Reject(stop.stamp, str(error))
 
 
 def _sample_of(stop: Stop, config: Config) -> Sample:
     """Return the sample of a robot that stood still; raises FeatureError with the reason."""
-    profiles = decoded(stop.settled_profiles(config), config)
+    settled = stop.settled_profiles(config)
+    profiles = decoded(settled, config)
     if not profiles:
-        raise _no_profiles(stop, config)
+        raise _no_profiles(settled, stop, config)
     used, features = combined_features(profiles, config)
     poses = interpolate(stop.poses, [profile.stamp for profile in used])
     return Sample(used[0].stamp, se3.mean_pose(poses), features, len(used),
@@ -72,12 +74,12 @@ def _pass_of(stop: Stop, config: Config) -> Sample:
     """Return the middle sample of a pass, with those of its profiles; raises FeatureError."""
     # of a stored pass some may lie beyond its poses, with another time_offset
     profiles = [p for p in stop.profiles if stop.start <= p.stamp <= stop.end]
-    shown, reason = _features_of_each(decoded(evenly(profiles, MOST_OF_PASS), config), config)
-    if len(shown) < LEAST_SHOWING * MOST_OF_PASS and len(profiles) > MOST_OF_PASS:
-        shown, reason = _features_of_each(
-            decoded(evenly(profiles, 2 * MOST_OF_PASS), config), config)
+    for most in (MOST_OF_PASS, 2 * MOST_OF_PASS):
+        shown, reason = _features_of_each(decoded(evenly(profiles, most), config), config)
+        if len(shown) >= LEAST_SHOWING * MOST_OF_PASS or len(profiles) <= most:
+            break
     if not shown:
-        raise FeatureError(reason) if reason else _no_profiles(stop, config)
+        raise FeatureError(reason) if reason else _no_profiles(profiles, stop, config)
     T = interpolate(stop.poses, [profile.stamp for profile, _ in shown])
     single = tuple(
         Sample(profile.stamp, pose, features,
@@ -89,19 +91,21 @@ def _pass_of(stop: Stop, config: Config) -> Sample:
                    centroid=_centroid(shown[0][0]))
 
 
-def _no_profiles(stop: Stop, config: Config) -> FeatureError:
-    """Return the refusal of a stop without a usable profile of the time of its poses."""
-    for profile in stop.settled_profiles(config):
-        try:
-            profile.read(config.profile)
-        except UnusableMessageError as error:
-            return FeatureError(str(error), reason='unusable')
-    return FeatureError(f'no profile has a stamp of the {(stop.end - stop.start) / NS:.1f} s '
-                        'during which the robot stood still here: the sensor sent none, they '
-                        'were dropped (the warnings say why), or its clock is not that of the '
-                        'robot' + (', or time_offset was another when this was recorded: take '
-                                   'the sample again' if config.time_offset else ''),
-                        reason='no_profiles')
+def _no_profiles(unusable: Iterable[AnyProfile], stop: Stop, config: Config) -> FeatureError:
+    """Return why there are no profiles; if there are, raises why the first is unusable."""
+    for profile in unusable:
+        profile.read(config.profile)
+    seconds, settle = (stop.end - stop.start) / NS, config.sampling.settle_time
+    if seconds <= 2 * settle and not config.sampling.moving:
+        return FeatureError(f'sampling.settle_time leaves out {settle:g} s at either end of the '
+                            f'{seconds:.1f} s during which the robot stood still here: stay '
+                            'longer at each stop, or lower it')
+    span = 'of this pass' if config.sampling.moving else 'during which the robot stood still here'
+    other_offset = (', or time_offset was another when this was recorded: take the sample again'
+                    if config.time_offset else '')
+    return FeatureError(f'no profile has a stamp of the {seconds:.1f} s {span}: the sensor sent '
+                        'none, they were dropped (the warnings say why), or its clock is not that '
+                        f'of the robot{other_offset}')
 
 
 def features_of(profile: Profile, config: Config) -> tuple[Feature, ...]:
@@ -148,7 +152,7 @@ def combined_features(profiles: Sequence[Profile], config: Config
             combine([features for _, features in shown], targets.target_for(config).face_count))
 
 
-def combine(features_by_profile: Sequence[tuple[Feature, ...]], lines_per_group: int = 1
+def combine(features_by_profile: Sequence[tuple[Feature, ...]], lines_per_group: int
             ) -> tuple[Feature, ...]:
     """
     Return the features of a stop from those of its profiles (one tuple each).
@@ -171,9 +175,7 @@ def combine(features_by_profile: Sequence[tuple[Feature, ...]], lines_per_group:
         if len(of_side) > LEAST_SHOWING * len(features_by_profile):
             combined_edges.append(with_line_errors(_combined_edge(of_side), lines[0]))
     if edges and not combined_edges:
-        points = np.array([edge.point for edge in edges])
-        raise _disagreeing('where the edge is',
-                           float(np.linalg.norm(np.ptp(points, axis=0))))
+        raise _disagreeing('where the edge is', [edge.point for edge in edges])
     return (*lines, *combined_edges)
 
 
@@ -253,16 +255,16 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     std_across = float(np.median([edge.std_across for edge in edges]))
     agree = _near_median(along, 4.0, 2 * single_std, 'where the edge is')
     agree &= _near_median(across, 6.0, 6 * std_across, 'where the edge is')
-    n = max(int(agree.sum()), 1)
+    edges = [edge for edge, agrees in zip(edges, agree, strict=True) if agrees]
+    n = len(edges)
     scatter = float(along[agree].std(ddof=1)) if n > 1 else single_std
     # a robot that stands still repeats the rounding to a column, and mixed and lost points pull
     # the edge inwards in every profile: that does not average out
     std = np.hypot(single_std, scatter / min(n, MOST_INDEPENDENT) ** 0.5)
     combined = EdgePoint(points[agree].mean(axis=0), direction, float(std), std_across, ending,
                          np.median([edge.drop for edge in edges], axis=0))
-    bent = [edge for edge, agrees in zip(edges, agree, strict=True)
-            if agrees and len(edge.shape_log_odds)]
-    if len(bent) <= LEAST_SHOWING * agree.sum():
+    bent = [edge for edge in edges if len(edge.shape_log_odds)]
+    if len(bent) <= LEAST_SHOWING * n:
         return combined
     independent = min(len(bent), MOST_INDEPENDENT)
     log_odds = np.mean([edge.shape_log_odds for edge in bent], axis=0) * independent
@@ -283,7 +285,7 @@ def _near_median(values: Array, scatters: float, least: float, what: str) -> NDA
     limit = min(max(scatters * robust_std(values - median), least), LARGEST_DISAGREEMENT)
     near = np.abs(values - median) <= limit
     if near.sum() < LEAST_AGREEING * len(values):
-        raise _disagreeing(what, float(np.ptp(values)))
+        raise _disagreeing(what, values)
     return np.asarray(near)
 
 
@@ -296,17 +298,16 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     agree = distance < min(LARGEST_DISAGREEMENT,
                            scatter + max(3.0 * scatter, SMALLEST_DISAGREEMENT))
     if agree.sum() < LEAST_AGREEING * len(arcs):
-        centres = np.array([arc.centre for arc in arcs])
-        raise _disagreeing('where the sphere is',
-                           float(np.linalg.norm(np.ptp(centres, axis=0))))
+        raise _disagreeing('where the sphere is', [arc.centre for arc in arcs])
     combined = normal_points(np.concatenate([
         arc.raw for arc, agrees in zip(arcs, agree, strict=True) if agrees]))
     # for the residuals: 0.8 MB of a sample at most
     return replace(combined, raw=combined.raw[evenly_chosen(len(combined.raw), 50_000)])
 
 
-def _disagreeing(what: str, distance: float) -> FeatureError:
-    """Return the refusal of profiles that show the target at places so far apart (m)."""
+def _disagreeing(what: str, places: Sequence[Array] | Array) -> FeatureError:
+    """Return the refusal of profiles that show the target at places (n, ...), in m."""
+    distance = float(np.linalg.norm(np.ptp(places, axis=0)))
     return FeatureError(f'the profiles of this stop do not agree on {what}: they are '
                         f'{mm(distance)} apart; something moved, or some of them show another '
-                        'object; take the sample again', reason='disagreeing')
+                        'object; take the sample again')

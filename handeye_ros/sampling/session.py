@@ -8,9 +8,10 @@ The same Session takes the messages of a bag and those of live topics. A stop pa
 1. the current stop, while the robot stands: it is cut from the stream of poses alone (StopFinder)
 2. waiting, once the robot has gone on, until the profiles have passed its end, too: so it does not
    depend on the order of arrival. In manual mode it ends here, only counted
-3. done: `completed` returns it, once, with its profiles (at the end of a recording `remaining`,
-   with the current one). `stop_on_request` and `early_stop` return the current stop already while
-   the robot stands: it may come back with more profiles, unless `mark_done` forbids it
+3. done: `take_completed` returns it, once, with its profiles (at the end of a recording
+   `take_remaining`, with the current one). `stop_on_request` and `early_stop` return the current
+   stop already while the robot stands: it may come back with more profiles, unless `mark_done`
+   forbids it
 4. evaluated: `result_of` (features.py) makes a Sample or a Reject of it, `evaluated` gives it a
    number, and `add_stop` stores it
 """
@@ -23,7 +24,7 @@ import math
 from handeye_ros import se3, targets
 from handeye_ros.config import Config, UNNAMED_FRAME
 from handeye_ros.data import AnyProfile, Array, NS, Reject, Sample, TimedPose
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.errors import count_of, DataError, InputError
 from handeye_ros.frames import frame_notes
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.stops import Motion, ProfileBuffer, PROFILES_OF_SAMPLE, Stop, StopFinder
@@ -78,7 +79,7 @@ class Session(Copyable):
         self._profiles = ProfileBuffer()
         self._done: set[int] = set()  # stamps of stops that are not returned (again)
         self._early_looks = 0  # how often early_stop has looked at the current stop
-        self._unasked_stops = 0  # stops in manual mode
+        self._unrequested_count = 0  # stops in manual mode
         self._expired_stops = 0  # stops dropped while waiting for profiles
         self._reach = 0.0  # of the last pose (m)
         self._pose_stream: Stream[TimedPose] = Stream('pose', frames[0])
@@ -93,8 +94,8 @@ class Session(Copyable):
         if config.sampling.moving != self.config.sampling.moving:
             self._finder = StopFinder(config.sampling)
         if config.offset_ns != self.config.offset_ns:  # stamps before have the old one
-            self._profiles = ProfileBuffer()
-            self._profile_stream = Stream('profile', self._profile_stream.frame)
+            self._profiles.clear()
+            self._profile_stream.restart()
         self.config, self._finder.sampling = config, config.sampling
 
     def without_messages(self, config: Config) -> Session:
@@ -113,10 +114,10 @@ class Session(Copyable):
         for pose in poses:
             self._reach = math.hypot(*pose.translation)
             stop = self._finder.add(pose)
-            if stop and self.config.sampling.by_itself:
+            if stop and self.config.sampling.automatic:
                 self._waiting.append(stop)
             elif stop:
-                self._unasked_stops += 1
+                self._unrequested_count += 1
 
     def add_profile(self, profile: AnyProfile) -> None:
         """Take a laser profile; one that cannot be used is dropped with a warning."""
@@ -128,7 +129,7 @@ class Session(Copyable):
         self._expired_stops += too_many
         del self._waiting[:too_many]
 
-    def completed(self) -> list[Stop]:
+    def take_completed(self) -> list[Stop]:
         """Return the stops that are over in both streams, each once, with their profiles."""
         if any(stream.set_back for stream in self._streams):
             return self._before_setting_back()
@@ -147,18 +148,19 @@ class Session(Copyable):
         stops = self._take_out(self._all_stops())
         self._finder = StopFinder(self.config.sampling)
         if self._profile_stream.set_back:
-            self._profiles = ProfileBuffer()
+            self._profiles.clear()
         for stream in self._streams:
             if stream.set_back:
                 stream.restart()
         return stops
 
-    def remaining(self) -> list[Stop]:
+    def take_remaining(self) -> list[Stop]:
         """
         Return the stops that were not returned yet, the current one as if it were over.
 
-        Raises InputError for another base frame than that of the settings, a tilted light plane,
-        and two frames on a topic, unless there are samples: all are of the first.
+        Raises InputError for another base frame than that of the settings, a tilted light plane
+        that earlier samples show (those of these stops: require_any_stop), and two frames on a
+        topic, unless there are samples: all are of the first.
         """
         self._require_samples_of_one_frame()
         self._take_poses(self._pose_stream.released(0, LAST_STAMP))
@@ -167,7 +169,7 @@ class Session(Copyable):
 
     def _all_stops(self) -> list[Stop]:
         """Return the stops that wait, and the current one unless stops are taken by hand."""
-        current = self._finder.current() if self.config.sampling.by_itself else None
+        current = self._finder.current() if self.config.sampling.automatic else None
         return [*self._waiting, *([current] if current else [])]
 
     def _take_out(self, stops: Sequence[Stop]) -> list[Stop]:
@@ -244,20 +246,22 @@ class Session(Copyable):
         """
         Refuse a recording in which the robot never stood still, or seldom long enough.
 
-        Raises InputError as remaining does, and DataError, its reason no_poses, not_asked,
-        late_poses, position_unit, sparse_poses or no_stops.
+        Raises InputError as take_remaining does, of a tilted light plane by all samples, and
+        DataError, its reason no_poses, not_asked, late_poses, position_unit, sparse_poses or
+        no_stops.
         """
         self._require_samples_of_one_frame()
         poses, sampling, count = self._pose_stream, self.config.sampling, len(self._done)
         if sampling.mode == 'still' and self._finder.short_rests > count and (
                 0 < count < targets.target_for(self.config).min_samples):
-            raise DataError(f'the robot stood still for {sampling.still_time:g} s only {count} '
-                            f'times, and {self._finder.short_rests} times for less: stay longer '
-                            'at each stop, or lower sampling.still_time', reason='no_stops')
+            raise DataError(f'the robot stood still for {sampling.still_time:g} s only '
+                            f'{count_of(count, "time")}, and {self._finder.short_rests} times for '
+                            'less: stay longer at each stop, or lower sampling.still_time',
+                            reason='no_stops')
         if count or self.last_number:
             return
-        if self.unasked:
-            raise DataError(self.unasked, reason='not_asked')
+        if self.unrequested_stops:
+            raise DataError(self.unrequested_stops, reason='not_asked')
         self._require_usable_poses()
         if poses.period > sampling.max_pose_gap:
             raise DataError(
@@ -265,6 +269,10 @@ class Session(Copyable):
                 f'{poses.period:.2g} s, more than sampling.max_pose_gap '
                 f'({sampling.max_pose_gap:g} s): publish them more often, also while the robot '
                 'stands still, or raise sampling.max_pose_gap', reason='sparse_poses')
+        if sampling.moving:
+            raise DataError(f'the {poses.count} poses make no sweep: nowhere are there '
+                            f'{min(sampling.still_time, 1.0):g} s of them without a gap: record '
+                            'a longer sweep', reason='no_stops')
         raise DataError(f'the robot never stood still for {sampling.still_time:g} s in '
                         f'{poses.count} poses, but for {self._finder.longest_rest / NS:.2g} s at '
                         'most: stop at each sample, and let its poses be sent while it stands, '
@@ -276,8 +284,8 @@ class Session(Copyable):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return one sentence for each kind of message that was dropped."""
-        expired = [f'gave up {self._expired_stops} stops, the oldest that waited for profiles'
-                   ] if self._expired_stops else []
+        expired = [f'gave up {count_of(self._expired_stops, "stop")}, the oldest that waited for '
+                   'profiles'] if self._expired_stops else []
         out_of_plane = max((abs(float(across)) for across, *_ in self._centroids), default=0.0)
         return (*self._pose_stream.warnings, *self._profile_stream.warnings,
                 *self._profiles.warnings, *expired,
@@ -341,13 +349,13 @@ class Session(Copyable):
         return motion is not None and motion.still >= self.config.sampling.still_time
 
     @property
-    def unasked(self) -> str:
+    def unrequested_stops(self) -> str:
         """Return in words that the robot stopped but no sample was requested, '' otherwise."""
-        if self._done or not self._unasked_stops:
+        if self._done or not self._unrequested_count:
             return ''
-        return (f'the robot stood still {self._unasked_stops} times, but no sample was requested: '
-                'sampling.mode is manual; call ~/take_sample at each stop, send ~/take, or set '
-                'sampling.mode to still')
+        return (f'the robot stood still {count_of(self._unrequested_count, "time")}, but no '
+                'sample was requested: sampling.mode is manual; call ~/take_sample at each stop, '
+                'send ~/take, or set sampling.mode to still')
 
     @property
     def stops(self) -> tuple[Stop, ...]:
@@ -372,14 +380,14 @@ class Session(Copyable):
         """Return whether samples.exclude contains the sample of a stop."""
         return stop.number in self.config.samples.exclude
 
-    def with_base(self, config: Config) -> Config:
+    def with_base_frame(self, config: Config) -> Config:
         """Return settings with the frame of the poses as the base, if they name none."""
         return config if config.robot_base_frame else replace(
             config, robot_base_frame=self.base_frame)
 
     def evaluate_remaining(self) -> None:
-        """Evaluate and store all remaining stops; raises InputError as remaining does."""
-        for stop in self.remaining():
+        """Evaluate and store all remaining stops; raises InputError as take_remaining does."""
+        for stop in self.take_remaining():
             self.add_stop(self.evaluated(stop, result_of(stop, self.config)))
 
     def early_stop(self) -> Stop | None:
@@ -389,7 +397,7 @@ class Session(Copyable):
         It is looked at when the robot has stood for still_time and twice settle_time, and, until
         it gives a sample, each time that this has become LATER_LOOK times longer, as the cause may
         be gone. At first it needs PROFILES_OF_SAMPLE, later one, and none after
-        NO_PROFILE_PATIENCE. completed() returns it again when it is over.
+        NO_PROFILE_PATIENCE. take_completed() returns it again when it is over.
         """
         sampling, stood = self.config.sampling, self._pose_stream.latest - self._finder.stamp
         first_look = (sampling.still_time + 2 * sampling.settle_time) * NS

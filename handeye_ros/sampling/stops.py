@@ -18,14 +18,13 @@ from typing import NamedTuple, TypeVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config, SamplingConfig
-from handeye_ros.data import AnyProfile, Array, NS, Profile, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Array, Indices, NS, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.sampling.stream import around, by_stamp, Copyable, LAST_STAMP
 import numpy as np
-from numpy.typing import NDArray
 
 MOTION_TIME = 3 * NS // 10  # time over which the speed is averaged
-LONGEST_STOP = 10 * NS  # of a stop: more adds nothing but memory
+LONGEST_STOP = 10 * NS  # of a stop; sampling.still_time and settle_time must fit into it
 PASS_TIME = 2 * NS  # of motion
 SHORT_REST = NS // 10  # a rest that was probably meant as a stop
 MOST_POSES = 20_000  # of one stop: stamps need not go on as time does
@@ -34,6 +33,8 @@ MOST_POSES = 20_000  # of one stop: stamps need not go on as time does
 # reduce the noise of single ones far below that of the poses. A stop keeps more: for other
 # settings, and for the test of the clocks (50 ms apart, see checks/clocks.py) in 3.75 s.
 PROFILES_OF_SAMPLE = 32
+KEPT_PER_SECOND, MOST_KEPT = 40, 150
+LEAST_SETTLED, LEAST_SETTLING = 64, 8  # kept of short times without and with vibration
 
 Item = TypeVar('Item')
 NOT_EVALUATED = Reject(0, 'not evaluated yet')
@@ -97,14 +98,15 @@ class Stop:
         """Return the stop with the profiles surely taken during it, among candidates in order."""
         begin = bisect_left(candidates, self.start, key=by_stamp)
         end = bisect_right(candidates, self.end, key=by_stamp)
-        taken = [profile for profile in candidates[begin:end] if self._covers(profile)]
+        taken = [profile for profile in candidates[begin:end]
+                 if self.start <= profile.stamp - profile.reach[0]
+                 and profile.stamp + profile.reach[1] <= self.end]
         first_settled, last_settled = self._settled_span(config)
         begin = bisect_left(taken, first_settled, key=by_stamp)
         end = max(begin, bisect_right(taken, last_settled, key=by_stamp))
-        # few from times with vibration
-        return replace(self, profiles=(*_thinned(taken[:begin], 8),
-                                       *_thinned(taken[begin:end], 64),
-                                       *_thinned(taken[end:], 8)))
+        return replace(self, profiles=(*_thinned(taken[:begin], LEAST_SETTLING),
+                                       *_thinned(taken[begin:end], LEAST_SETTLED),
+                                       *_thinned(taken[end:], LEAST_SETTLING)))
 
     def settled_profiles(self, config: Config) -> list[AnyProfile]:
         """Return PROFILES_OF_SAMPLE of the time without vibration at most, not yet decoded."""
@@ -120,11 +122,6 @@ class Stop:
         poses = around(self.poses, [profile.stamp for profile in profiles])
         return replace(stop, poses=tuple(poses), profiles=tuple(profiles))
 
-    def _covers(self, profile: AnyProfile) -> bool:
-        """Return whether a profile was surely taken during the stop, given its duration."""
-        before, after = profile.reach
-        return profile.stamp - before >= self.start and profile.stamp + after <= self.end
-
     def _settled_span(self, config: Config) -> tuple[int, int]:
         """Return the first and last stamp of the time without vibration."""
         settle = round(config.sampling.settle_time * NS)
@@ -135,12 +132,12 @@ NO_STOP = Stop(0)
 
 
 def _thinned(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
-    """Return a part of the profiles of a stop: 40 per second, at most 150."""
+    """Return a part of the profiles of a stop, evenly spread."""
     seconds = (profiles[-1].stamp - profiles[0].stamp) / NS if profiles else 0.0
-    return evenly(profiles, min(150, max(least, 1 + round(40 * seconds))))
+    return evenly(profiles, min(MOST_KEPT, max(least, 1 + round(KEPT_PER_SECOND * seconds))))
 
 
-def evenly_chosen(n: int, most: int) -> NDArray[np.intp]:
+def evenly_chosen(n: int, most: int) -> Indices:
     """Return the indices of at most a number of n items, evenly spaced."""
     return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.intp)
 
@@ -175,8 +172,7 @@ class StopFinder(Copyable):
     Cuts a stream of poses into stops, or into passes where sampling.mode is moving.
 
     stamp: of the first pose of the current stop or pass (ns), -1 before any pose
-    longest_rest: the longest time that the robot stood near one pose, of those that are over (ns);
-        in a pass, too
+    longest_rest: the longest time that the robot stood near one pose (ns); in a pass, too
     short_rests: number of stops or passes that lasted SHORT_REST, but not sampling.still_time
     """
 
@@ -195,10 +191,8 @@ class StopFinder(Copyable):
         no_gap = bool(self._recent) and (
             pose.stamp - self._recent[-1].stamp <= sampling.max_pose_gap * NS)
         if not (no_gap and self._rest and self._is_near(self._rest, pose)):
-            if self._rest:
-                stood = self._recent[-1].stamp - self._rest.stamp
-                self.longest_rest = max(self.longest_rest, stood)
             self._rest = pose
+        self.longest_rest = max(self.longest_rest, pose.stamp - self._rest.stamp)
         self._recent.append(pose)
         while pose.stamp - self._recent[0].stamp > MOTION_TIME:
             self._recent.popleft()
@@ -216,7 +210,7 @@ class StopFinder(Copyable):
     def _prolong(self, pose: TimedPose) -> None:
         """Add a pose to the current stop; a long one keeps its first, on request its last ones."""
         self._poses.append(pose)
-        forget = self._poses.pop if self.sampling.by_itself else self._poses.popleft
+        forget = self._poses.pop if self.sampling.automatic else self._poses.popleft
         while (self._poses[-1].stamp - self._poses[0].stamp > LONGEST_STOP
                or len(self._poses) > MOST_POSES):
             forget()
@@ -224,6 +218,8 @@ class StopFinder(Copyable):
     def current(self) -> Stop | None:
         """Return the current stop without profiles, None before sampling.still_time."""
         poses, least = self._poses, self.sampling.still_time * NS
+        if self.sampling.moving:  # a pass is never longer than PASS_TIME
+            least = min(least, PASS_TIME / 2)
         is_stop = bool(poses) and poses[-1].stamp - poses[0].stamp >= least
         return Stop(self.stamp, tuple(poses)) if is_stop else None
 
@@ -243,7 +239,7 @@ class StopFinder(Copyable):
         if not self._poses:
             return 0, LAST_STAMP
         first = self._poses[0].stamp
-        return first, first + LONGEST_STOP if self.sampling.by_itself else LAST_STAMP
+        return first, first + LONGEST_STOP if self.sampling.automatic else LAST_STAMP
 
     def _is_near(self, first: TimedPose, pose: TimedPose) -> bool:
         """Return whether the robot still is where it was."""

@@ -26,7 +26,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 REORDER_TIME = NS  # a smaller step back is only a reordering in transit
 LAST_STAMP = 2 ** 63 - 1  # the largest (ns)
-LATE_TIME = NS // 2  # of messages that are late, after which the clock was set back
+# messages in a row that are late, and their time, after which the clock was set back
+LATE_COUNT, LATE_TIME = 5, NS // 2
 FEW_STRAYS = 3  # messages of another frame, or with wrong stamps: a topic may hold this number,
 FEW_SHARE = 0.05  # or a recording this share of many; with more, the right one is unknown
 UNMIXED_TIME = 3 * NS  # of messages of one frame, after which others are of the past
@@ -135,17 +136,17 @@ class Stream(Copyable, Generic[Stamped]):
         self.successor = frame if stamp - self._other_since > UNMIXED_TIME else ''
 
     def _look_for_set_back(self, stamp: int) -> None:
-        """Note a clock that was set back: five messages in a row, in order, are far too late."""
-        if self.latest - stamp <= REORDER_TIME or self._late and stamp < self._late[-1]:
+        """Note a clock that was set back: LATE_COUNT messages, in order, are far too late."""
+        if self.latest - stamp <= REORDER_TIME or (self._late and stamp < self._late[-1]):
             self._late = []
         if self.latest - stamp > REORDER_TIME:
             self._late.append(stamp)
-        if len(self._late) >= 5 and stamp - self._late[0] >= LATE_TIME:
+        if len(self._late) >= LATE_COUNT and stamp - self._late[0] >= LATE_TIME:
             self.set_back = self.latest - self._late[0]
 
     def restart(self) -> None:
-        """Continue in the time of the next message: the clock was set back."""
-        self._set_backs.append(self.set_back)
+        """Continue in the time of the next message: the clock was set back, or its offset set."""
+        self._set_backs += [self.set_back] if self.set_back else []
         self._held, self.latest, self.late, self.count = None, -1, False, 0
         self._last_stray = -1  # strays before are of the past
         self.set_back, self._late = 0, []

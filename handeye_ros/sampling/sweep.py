@@ -20,22 +20,8 @@ twist of the flange: one more column each. They need no start value: some of the
 from several offsets until one is good, then all. However long a sweep is, MOST_SAMPLES of its
 profiles make the answer.
 
-A sweep differs from stops in these places, found by Sample.moving, sampling.moving and the
-PoseModel of the problem:
-
-- profiles: fewer points of a line or arc are kept (lines.py, arcs.py)
-- stops.py cuts it by time, into passes; features.py combines no profiles; passes_expanded (here)
-  takes a pass apart, with one trajectory for all
-- estimation: problem_with_clocks (here) adds the three unknowns; fewer profiles than stops are
-  enough (Problem.enough)
-- session.py: a pass is never a duplicate, nor taken early; guidance advises to sweep on
-- checks: other settings and clocks, and a scale of an answer that fits, are not tried (causes.py);
-  with the other sign of the range or other poses the clocks are searched anew (hypotheses.py,
-  conventions.py); a move must be larger than the smooth error of the robot (moved.py); edges may
-  scatter (refusals.py, require_edges); profiles dropped at one end tell of no move (moved.py);
-  a pass agrees if most of its profiles do (review.py)
-- verification: a gauge is measured in passes (stations.py); a sweep also checks a calibration
-  (check.py)
+Where else a sweep differs from stops is found by searching for `moving` (of the settings, or of a
+sample), `pose_model` (of the problem) and `station_samples` (of a stop or pass).
 """
 from __future__ import annotations
 

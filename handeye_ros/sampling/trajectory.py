@@ -82,8 +82,7 @@ class Trajectory:
         length = np.linalg.norm(later_values[:, 3:], axis=1, keepdims=True)
         q, dq = later_values[:, 3:] / length, later_rates[:, 3:] / length
         # the vector of 2 dq/dt q*, in which the change of length is of the scalar part alone
-        turning = 2 * (q[:, 3:] * dq[:, :3] - dq[:, 3:] * q[:, :3]
-                       - np.cross(dq[:, :3], q[:, :3]))
+        turning = 2 * (q[:, 3:] * dq[:, :3] - dq[:, 3:] * q[:, :3] - np.cross(dq[:, :3], q[:, :3]))
         return Instants(se3.from_quaternion(values[:, :3], q), np.hstack([rates[:, :3], turning]),
                         inside & later_inside)
 
@@ -103,8 +102,7 @@ class Trajectory:
             std[nearest] = piece.std_at(stamps[nearest])
         return std
 
-    def _by_piece(self, stamps: NDArray[np.int64]
-                  ) -> Iterator[tuple[_Piece, NDArray[np.bool_]]]:
+    def _by_piece(self, stamps: NDArray[np.int64]) -> Iterator[tuple[_Piece, NDArray[np.bool_]]]:
         """Yield each piece with the stamps (n,) to which it is the nearest one, if any."""
         middles = np.array([before.last + (after.first - before.last) // 2
                             for before, after in pairwise(self.pieces)], dtype=np.int64)

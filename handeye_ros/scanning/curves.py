@@ -14,7 +14,7 @@ from functools import cached_property
 from operator import itemgetter
 
 from handeye_ros.data import Array, rms, robust_std
-from handeye_ros.scanning.seam_course import unit
+from handeye_ros.se3 import unit
 import numpy as np
 from scipy.interpolate import BSpline, make_lsq_spline
 

@@ -22,8 +22,9 @@ from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, mm
 from handeye_ros.output import csv_text, write_atomically, yaml_text
 from handeye_ros.scanning.curves import Curve, spline
-from handeye_ros.scanning.seam_course import course, FLAT_RATIO, sheets_of, unit
+from handeye_ros.scanning.seam_course import course, FLAT_RATIO, sheets_of
 from handeye_ros.scanning.seam_sections import Edges, edges_of_seam
+from handeye_ros.se3 import unit
 import numpy as np
 from scipy.spatial.transform import Rotation
 

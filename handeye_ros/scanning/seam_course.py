@@ -22,6 +22,7 @@ import math
 
 from handeye_ros.data import Array, Indices
 from handeye_ros.errors import DataError, mm
+from handeye_ros.se3 import unit
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum
@@ -56,11 +57,6 @@ SEAM_KINDS = ('v', 'butt', 'lap', 'fillet')  # in the order of preference
 
 Pairs = Indices
 """Pairs (k, 2) of points on rims that face each other: rows of the cloud."""
-
-
-def unit(vectors: Array) -> Array:
-    """Return vectors (..., 3) at length 1."""
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 @dataclass(frozen=True, eq=False)

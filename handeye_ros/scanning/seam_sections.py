@@ -21,8 +21,8 @@ from handeye_ros.scanning.seam_course import (
     position_text,
     SAME_PLANE,
     Sheets,
-    unit,
 )
+from handeye_ros.se3 import unit
 import numpy as np
 from scipy.signal import find_peaks
 

@@ -19,7 +19,7 @@ from handeye_ros.targets.wedge import WEDGE
 
 TARGETS: dict[str, ProfileTarget] = {
     target.name: target for target in (PLATE, LINE, PLANE, SPHERE, WEDGE)}
-FROM_FILES = ('points', 'hand_eye', 'tracker')  # see tabulated/
+SOLVED_FROM_FILES = ('points', 'hand_eye', 'tracker')  # see tabulated/
 
 
 def target_for(config: Config) -> ProfileTarget:
@@ -28,13 +28,13 @@ def target_for(config: Config) -> ProfileTarget:
 
     Raises InputError for a name that does not exist, or a target that is solved from files.
     """
-    if config.target.type in FROM_FILES:
+    if config.target.type in SOLVED_FROM_FILES:
         raise InputError(f'target.type {config.target.type} is solved from files ("handeye solve '
                          'INPUT --config FILE"), and profiles show no such target')
     key, name = ('target.type', config.target.type) if config.method == 'auto' else (
         'method', config.method)
     if name not in TARGETS:
-        known = [*TARGETS, *FROM_FILES] if key == 'target.type' else TARGETS
+        known = [*TARGETS, *SOLVED_FROM_FILES] if key == 'target.type' else TARGETS
         raise BadValueError(key, name, 'one of ' + ', '.join(known))
     return TARGETS[name]
 

@@ -97,7 +97,7 @@ def test_a_batch_during_which_the_robot_moved_is_not_used(stamp: str, used: set[
                                    np.array([0, 0, 0, 1.0])))
     for profile in profiles([batch(START + i * 500 * MS, 4) for i in range(8)], config.profile):
         session.add_profile(profile)
-    assert used == {round((p.stamp - START) / MS) // 500 for stop in session.remaining()
+    assert used == {round((p.stamp - START) / MS) // 500 for stop in session.take_remaining()
                     for p in stop.load(config).profiles}
 
 

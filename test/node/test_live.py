@@ -367,4 +367,4 @@ def test_the_newest_stops_are_kept_and_others_counted(monkeypatch: pytest.Monkey
                for note in state_of(live)['session']['notes'])
     session = live.session_copy()
     session.keep_waiting(0)
-    assert len(session.remaining()) <= 1, 'the current one'
+    assert len(session.take_remaining()) <= 1, 'the current one'

@@ -171,7 +171,7 @@ def test_what_repeats_is_not_averaged_away() -> None:
             points[:, 1] += frozen + rng.normal(0, 4e-6, len(points))
             features.append(arc_features(points, KNOWN))
         for count, misfit in misfits.items():
-            arc, = combine(features[:count])
+            arc, = combine(features[:count], 1)
             assert isinstance(arc, Arc)
             misfit.append((np.linalg.norm(arc.points - CENTRE, axis=1) - 0.03) / arc.std)
     for misfit in misfits.values():
@@ -181,8 +181,8 @@ def test_what_repeats_is_not_averaged_away() -> None:
 def test_the_profiles_of_a_station_are_one_arc_without_a_stray() -> None:
     features = [arc_features(wide(ball, seed), KNOWN) for seed in range(8)]
     stray = arc_features(wide(lambda x: ball(x, 0.02)), KNOWN)
-    arc, = combine(features)
-    with_stray, = combine([*features, stray])
+    arc, = combine(features, 1)
+    with_stray, = combine([*features, stray], 1)
     assert isinstance(arc, Arc) and isinstance(with_stray, Arc)
     assert np.array_equal(arc.raw, with_stray.raw)
     assert np.median(arc.std) == pytest.approx(np.median(features[0][0].std) / 8 ** 0.5, rel=0.2)

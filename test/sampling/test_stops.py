@@ -10,7 +10,7 @@ from handeye_ros.config import Config, ProfileConfig, with_values
 from handeye_ros.data import EdgePoint, NS, Profile, RawProfile, TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import ProfileBuffer, PROFILES_OF_SAMPLE, Stop
+from handeye_ros.sampling.stops import ProfileBuffer, PROFILES_OF_SAMPLE
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -49,6 +49,13 @@ def test_a_stop_shorter_than_still_time_is_none(still_time: float) -> None:
     assert len(session.samples) == (2 if still_time < 0.5 else 1)
 
 
+@pytest.mark.parametrize(('mode', 'poses'), [
+    ('still', stops((0, 30))), ('moving', [pose(t, x=0.1 * t) for t in np.arange(0, 30, 0.02)])])
+def test_the_longest_still_time_can_be_met(mode: str, poses: list[TimedPose]) -> None:
+    config = with_values(CONFIG, {'sampling.still_time': 9.0, 'sampling.mode': mode}, 'test')
+    assert played(poses, profiles(0, 30), config).samples
+
+
 def test_a_robot_that_creeps_does_not_stand_still() -> None:
     creeping = [pose(t, x=9e-4 * t) for t in np.arange(0, 4, 0.02)]  # 0.9 mm/s
     assert len(played(creeping, profiles(0, 4)).samples) >= 4, 'the limit is 0.5 mm'
@@ -70,6 +77,9 @@ def test_profiles_near_the_ends_of_a_stop_are_left_out() -> None:
         sample, = played(stops((0, 1)), profiles(0, 1), config).samples
         times = np.arange(0, 1, 0.05) + 0.003
         assert sample.profiles == ((times >= settle) & (times <= 1 - settle)).sum()
+    config = with_values(CONFIG, {'sampling.settle_time': 0.6}, 'test')
+    reject, = played(stops((0, 1)), profiles(0, 1), config).rejects
+    assert reject.reason.startswith('sampling.settle_time leaves out 0.6 s at either end of')
 
 
 def test_a_gap_in_the_poses_ends_a_stop() -> None:
@@ -157,10 +167,18 @@ def test_no_more_is_kept_than_fits(steps: list[tuple[int, int, int]]) -> None:
         assert all(first <= p.stamp <= last or p.stamp > stamp for p in buffer.items)
 
 
-def removed_last(session: Session) -> Stop:
-    last = session.stops[-1]
-    session.remove(last)
-    return last
+def test_profiles_that_were_dropped_stay_told() -> None:
+    session = Session(CONFIG)
+    for k in range(4):
+        session.add_profile(raw(START + k * NS, 200_000_000))
+    told, = session.warnings
+    assert told.startswith('dropped 3 profiles, the oldest')
+    session.configure(with_values(CONFIG, {'time_offset': 0.1}, 'test'))
+    assert session.warnings == (told,)
+    for k in range(8):
+        session.add_profile(raw(START - 10 * NS + k * NS, 0))
+        session.take_completed()
+    assert told in session.warnings
 
 
 def test_a_sample_is_kept_when_taking_it_again_fails() -> None:
@@ -210,7 +228,8 @@ def test_why_no_sample_is_taken(poses: list[TimedPose], stream: list[Profile], w
 
 def test_the_last_sample_can_be_removed() -> None:
     session = played(stops((0, 1), (2, 3)), profiles(0, 3))
-    first, second = session.samples
-    assert removed_last(session).result is second and session.samples == (first,)
-    assert removed_last(session).result is first and not session.samples
+    first, second = session.stops
+    session.remove(second)
+    assert session.samples == (first.sample,)
+    session.remove(first)
     session.require_any_stop()  # they were stops

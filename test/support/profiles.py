@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Feature
+from handeye_ros.data import Array, EdgePoint, Feature
 from handeye_ros.profiles.faces import face_features
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -36,6 +36,13 @@ def marked(height: Callable[[Array], Array], seed: int = 0) -> Array:
     return with_lost(drawn(height, seed))
 
 
+def edge_of(points: Array) -> EdgePoint:
+    """Return the edge of a profile that shows one."""
+    _, edge = face_features(with_lost(points), Config())
+    assert isinstance(edge, EdgePoint)
+    return edge
+
+
 def many(height: Callable[[Array], Array], count: int = 15, seed: int = 0
          ) -> list[tuple[Feature, ...]]:
     """Return the features of so many profiles of one face."""
@@ -49,6 +56,12 @@ def face(x: Array, tilt: float = 0.1, at: float = 0.17) -> Array:
 def step_up_to(edge: float, tilt: float = 0.1, drop: float = 0.01) -> Callable[[Array], Array]:
     """Return a face for x > edge, and a table further away beyond it."""
     return lambda x: np.where(x > edge, face(x, tilt), face(x, tilt) + drop)
+
+
+def shadow_up_to(edge: float, tilt: float = 0.1) -> Callable[[Array], Array]:
+    """Return a step of which the first 3 mm below it are not seen."""
+    step = step_up_to(edge, tilt)
+    return lambda x: np.where((x > edge) | (x < edge - 0.003), step(x), np.nan)
 
 
 def gap_up_to(edge: float, tilt: float = 0.1) -> Callable[[Array], Array]:

@@ -65,7 +65,7 @@ def played(poses: Sequence[TimedPose], profiles: Sequence[Profile], config: Conf
 
 def collect(session: Session, config: Config = CONFIG) -> None:
     """Evaluate the stops that were completed since the last call, as the node does."""
-    for stop in session.completed():
+    for stop in session.take_completed():
         session.add_stop(session.evaluated(stop, result_of(stop, config)))
 
 
