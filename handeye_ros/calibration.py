@@ -15,7 +15,7 @@ import math
 from typing import Any
 
 from handeye_ros import __version__, se3
-from handeye_ros.config import Config, flatten
+from handeye_ros.config import Config, flatten, UNNAMED_FRAME
 from handeye_ros.data import (
     Array,
     Calibration,
@@ -67,7 +67,7 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
                 for i, square in solution.dropped_squares.items()]
     reports += [SampleReport(reject.stamp, False, reason=reject.reason) for reject in rejects]
     return assemble_calibration(
-        config, problem.target.name, frame_id or 'laser',
+        config, problem.target.name, frame_id or UNNAMED_FRAME,
         solution.estimate.X @ se3.inverse(T_sensor_plane(config)), solution.transform_covariance,
         rms(residuals), rms(left_out), _described_target(solution, config),
         sorted(reports, key=lambda report: report.stamp),
@@ -348,4 +348,5 @@ def lost_edges(solution: Solution) -> str:
     where = unused.target.describe_strays(unused.observations, unused.points_in_base(estimate.X),
                                           estimate.state, unused.config)
     return (f'the edges of {len(stations)} of the {shown} samples that show one lie on none of '
-            'the target' + (f': {where}' if where else ''))
+            'the target, or the laser crosses them at less than sampling.min_crossing_angle'
+            + (f': {where}' if where else ''))

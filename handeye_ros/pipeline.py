@@ -27,6 +27,7 @@ from handeye_ros.checks.refusals import (
     require_certain,
     require_distinct_frame,
     require_edges,
+    require_features,
     require_left_out,
     require_no_half_turn_twin,
     require_rotations,
@@ -172,10 +173,11 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         # 1. Edges: move each edge point to where face and wall meet, by the rounding or bevel that
         # all stops have in common.
         samples = with_common_shape(samples)
-        # 2. Preconditions: refuse a sensor with the frame of the robot, too few samples, and poses
-        # that do not turn about two axes.
+        # 2. Preconditions: refuse a sensor with the frame of the robot, samples that are too few or
+        # of another target, and poses that do not turn about two axes.
         require_distinct_frame(frame_id, config)
         require_samples(samples, rejects, target)
+        require_features(samples, target)
         require_rotations(mount_poses_of(samples, config), mount_frame(config), target.one_axis)
         # 3. Synchronisation of a sweep: the time offset gives each profile its pose.
         synced = with_estimated_clocks(samples, config)

@@ -27,7 +27,7 @@ from handeye_ros.checks.hypotheses import (
 from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.blocks import ParameterBlock
-from handeye_ros.estimation.least_squares import chi2_isf
+from handeye_ros.estimation.least_squares import chi2_isf, eigen
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise, whitening
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import quick_solution, reassigned
@@ -336,7 +336,7 @@ def _bayes_factors(solution: Solution, moments: NDArray[np.intp], random_orders:
                     solution.postfit_residuals)
     D = np.array([whiten(columns) for columns in _wrt_moves(solution)])
     scale = np.sqrt(np.diag(solution.covariance))  # m, rad and sigmas differ by 1e5
-    values, axes = np.linalg.eigh(solution.covariance / scale / scale[:, None])
+    values, axes = eigen(solution.covariance / scale / scale[:, None])
     root = (axes * np.sqrt(np.maximum(values, 0.0)) * scale[:, None]).T  # of C
     parts = np.split(np.arange(len(A)), np.searchsorted(
         solution.problem.observations.station, moments))

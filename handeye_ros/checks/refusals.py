@@ -18,9 +18,9 @@ from handeye_ros.errors import count_of, DataError, degrees, mm
 from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.noise import EDGES
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.estimation.target import Target
 from handeye_ros.frames import axes_across, mount_frame, name_direction
 from handeye_ros.se3 import mapped_covariance, worst_rotation, worst_translation
+from handeye_ros.targets.profile_target import ProfileTarget
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -52,7 +52,7 @@ def require_distinct_frame(frame_id: str, config: Config) -> None:
     frame_id: of the profiles. The answer would relate a frame to itself.
     """
     key = {config.base_frame: 'robot_base_frame',
-           config.robot_effector_frame: 'robot_effector_frame'}.get(frame_id)
+           config.robot_effector_frame: 'robot_effector_frame'}.get(frame_id.lstrip('/'))
     if key:
         raise DataError(
             f'the profiles have the frame_id "{frame_id}", and {key} is the same frame, so the '
@@ -60,7 +60,8 @@ def require_distinct_frame(frame_id: str, config: Config) -> None:
             f'driver of the sensor, or set {key}', reason='frame')
 
 
-def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target: Target) -> None:
+def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target: ProfileTarget
+                    ) -> None:
     """
     Raise DataError when there are fewer samples than the target needs.
 
@@ -72,8 +73,18 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
             f' ({count_of(len(rejects), "stop")} gave none, most often: {reasons[0][0]})')
         enough = len(samples) + len(rejects) >= target.min_samples
         raise (UnexplainedError if enough else DataError)(
-            f'{len(samples)} usable samples{why}; target.type {target.name} needs at least '
+            f'{count_of(len(samples), "usable sample")}{why}; target.type {target.name} needs at least '
             f'{target.min_samples}: take more, with the laser across the target', reason='few')
+
+
+def require_features(samples: Sequence[Sample], target: ProfileTarget) -> None:
+    """Raise DataError for a sample without the features that every one of the target has."""
+    for sample in samples:
+        for missing in Counter(target.least_features) - Counter(map(type, sample.features)):
+            raise DataError(
+                f'the sample with the stamp {sample.stamp} lacks a feature ({missing.noun}) that '
+                f'target.type {target.name} needs in every sample: gather the samples with this '
+                'target.type', reason='features')
 
 
 def require_rotations(poses: Array, frame: str, lost: str) -> None:
@@ -244,7 +255,7 @@ def require_edges(solution: Solution) -> None:
         raise UnexplainedError(
             f'only {used} of the {len(solution.used)} usable samples show an edge of the target, '
             f'and {target.name} needs {target.min_samples}: cross the edges with the laser, '
-            'inside the field of view, or calibrate from the plane alone (target.type plane)',
+            'steeply and inside the field of view, or calibrate from the plane alone (target.type plane)',
             reason='edges')
     shown = int(solution.full_problem.shows_essential.sum())
     if shown - used > LARGEST_DROPPED_SHARE * shown:
@@ -254,8 +265,8 @@ def require_edges(solution: Solution) -> None:
         raise UnexplainedError(
             f'only {used} of the {shown} samples that show an edge agree on the target, and such '
             f'an answer cannot be trusted ({why}): check target.size, that the edges are straight '
-            'and that the laser crosses no other edges, or calibrate from the plane alone '
-            '(target.type plane)', reason='edges')
+            'and that the laser crosses them steeply and no others, or calibrate from the plane '
+            'alone (target.type plane)', reason='edges')
 
 
 def require_left_out(left_out: float, residual: float, limit: float) -> None:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, EdgePoint
+from handeye_ros.data import Array, EdgePoint, FaceLine
 from handeye_ros.estimation.problem import (
     Estimate,
     Observations,
@@ -127,6 +127,7 @@ class Plate(ProfileTarget):
     parameter_names = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'size_p', 'size_q', 'edge_angle')
     pose_axes = range(6)
     extract = staticmethod(face_features)
+    least_features = (FaceLine, EdgePoint)
     essential = kinds[1:]
     free_shape = {'edge_angle_free': True}
     loose_lengths = {'size_std': 3e-3}
@@ -189,7 +190,8 @@ class Plate(ProfileTarget):
         steepness = np.array([edge.side * outward[:, edge.axis] for edge in edges.values()])
         distance[steepness < np.sin(config.sampling.min_crossing_angle)] = np.inf
         nearest, far = kinds[np.argmin(distance, axis=0)], np.min(distance, axis=0)
-        typical = np.quantile(far, SURE_SHARE, method='lower') if len(far) else 0.0
+        possible = far[np.isfinite(far)]
+        typical = np.quantile(possible, SURE_SHARE, method='lower') if len(possible) else 0.0
         kind = observations.kind.copy()
         kind[rows] = np.where(far > max(SMALLEST_GATE, GATE_RATIO * typical), UNUSED, nearest)
         return replace(observations, kind=kind)

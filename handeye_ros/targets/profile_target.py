@@ -24,7 +24,7 @@ from typing import Any, ClassVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, EdgePoint, ENDINGS, FaceLine, Sample
+from handeye_ros.data import Arc, Array, EdgePoint, ENDINGS, FaceLine, Feature, Sample
 from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.problem import Linear, Observations, UNUSED
@@ -103,6 +103,7 @@ class ProfileTarget(Target):
     pose_axes: which of x y z rx ry rz, along and about its own axes, are parameters; the others
         leave it the same. The measures are parameters after them.
     normals: (kinds, 3) by kind, of the surface through the origin on which its points lie
+    least_features: types of the features that extract gives at least, one for each
     edge_kinds: the kinds of the conditions that one edge point gives, before it is reassigned
     several_in_view: whether a profile may show several surfaces, or pairs of them, of which one is
         the target
@@ -110,6 +111,7 @@ class ProfileTarget(Target):
 
     pose_axes: ClassVar[Sequence[int]]
     normals: ClassVar[Array]
+    least_features: ClassVar[Sequence[type[Feature]]] = (FaceLine,)
     edge_kinds: tuple[int, ...] = ()
     face_count = 1
     several_in_view = False

@@ -75,6 +75,7 @@ class Sphere(ProfileTarget):
     free_shape = {'radius': 0.0}
     face_count = 0
     extract = staticmethod(arc_features)
+    least_features = (Arc,)
 
     def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
         """Return the radius if it is given."""
