@@ -173,8 +173,8 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         # 1. Edges: move each edge point to where face and wall meet, by the rounding or bevel that
         # all stops have in common.
         samples = with_common_shape(samples)
-        # 2. Preconditions: refuse a sensor with the frame of the robot, samples that are too few or
-        # of another target, and poses that do not turn about two axes.
+        # 2. Preconditions: refuse a sensor with the frame of the robot, samples that are few or of
+        # another target, and poses that do not turn about two axes.
         require_distinct_frame(frame_id, config)
         require_samples(samples, rejects, target)
         require_features(samples, target)
