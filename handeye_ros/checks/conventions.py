@@ -77,7 +77,7 @@ def _wxyz(T: Array) -> list[Array]:
 
 
 def _composed(read_as: str, meant: str, T: Array, factor: float = 1.0) -> list[Array]:
-    """Undo angles about the axes `meant` that were composed as `read_as`; factor: on the angles."""
+    """Undo angles about the axes `meant` that were composed as `read_as`; factor: on them."""
     angles = se3.euler_angles(Rotation.from_matrix(T[:, :3, :3]), read_as) * factor
     return [se3.transform(Rotation.from_euler(meant, angles).as_matrix(), T[:, :3, 3])]
 

@@ -73,8 +73,9 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
             f' ({count_of(len(rejects), "stop")} gave none, most often: {reasons[0][0]})')
         enough = len(samples) + len(rejects) >= target.min_samples
         raise (UnexplainedError if enough else DataError)(
-            f'{count_of(len(samples), "usable sample")}{why}; target.type {target.name} needs at least '
-            f'{target.min_samples}: take more, with the laser across the target', reason='few')
+            f'{count_of(len(samples), "usable sample")}{why}; target.type {target.name} needs at '
+            f'least {target.min_samples}: take more, with the laser across the target',
+            reason='few')
 
 
 def require_features(samples: Sequence[Sample], target: ProfileTarget) -> None:
@@ -255,8 +256,8 @@ def require_edges(solution: Solution) -> None:
         raise UnexplainedError(
             f'only {used} of the {len(solution.used)} usable samples show an edge of the target, '
             f'and {target.name} needs {target.min_samples}: cross the edges with the laser, '
-            'steeply and inside the field of view, or calibrate from the plane alone (target.type plane)',
-            reason='edges')
+            'steeply and inside the field of view, or calibrate from the plane alone (target.type '
+            'plane)', reason='edges')
     shown = int(solution.full_problem.shows_essential.sum())
     if shown - used > LARGEST_DROPPED_SHARE * shown:
         dropped = len(solution.dropped_squares)
