@@ -311,9 +311,8 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     target = solution.problem.target
     measures, stated_to_solver = map(target.stated_values, (config, solution.problem.config))
     estimates, reported = block_estimates(solution), block_estimates(solution.for_report)
-    names = target.parameter_names  # only the measures, the last of names and state, are read
-    values = dict(zip(names, solution.estimate.state[-len(names):].tolist(), strict=True))
-    stds = dict(zip(names, solution.target_std[-len(names):].tolist(), strict=True))
+    values = target.measures(solution.estimate.state)
+    stds = dict(zip(target.parameter_names, solution.target_std.tolist(), strict=True))
     freed = [name for name, (_, tolerance) in measures.items()
              if name in stated_to_solver and stated_to_solver[name][1] > tolerance]
     # each freed length may be any of those that are stated

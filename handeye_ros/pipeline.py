@@ -209,7 +209,8 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         require_certain(solution.transform_covariance, config,
                         move_warning or missing_motion(solution, config), solution.linear.lever)
         require_edges(solution)
-        # 9. Cross-validation: predict each sample from the others.
+        # 9. Cross-validation: refuse samples that the others do not predict. The figures of the
+        # answer hold these residuals.
         candidate = calibration_of(
             samples, rejects, solution, config, frame_id,
             [*filter(None, [move_warning]), *(session.warnings if session else warnings)])
@@ -220,11 +221,11 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         # 10. Diagnosis of a refusal without a certain cause: do other settings or clocks explain
         # the stops? Stops that show another surface are left out, if the others carry an answer.
         refusal = with_known_cause(error, baseline, session, config) if session else error
-        if session and isinstance(refusal, NotOfTargetError):
-            answer = _answer_without_stops(refusal, session, config)
-            if answer.calibration:
-                return answer
-    return Answer(samples, solution, samples_agree, calibration, refusal)
+    answer = Answer(samples, solution, samples_agree, calibration, refusal)
+    if session and isinstance(refusal, NotOfTargetError):
+        others = _answer_without_stops(refusal, session, config)
+        return others if others.calibration else answer
+    return answer
 
 
 def _answer_without_stops(not_of_target: NotOfTargetError, session: Session, config: Config

@@ -54,9 +54,10 @@ def convention_hypotheses(samples: Sequence[Sample], problem: Problem, baseline:
 
     for name, undone, advice in CONVENTION_ERRORS:
         for fit in map(fit_with, undone(poses)):
-            beside = fit.in_words_beside(baseline, f'{name} undone'.format(other=other_mounting))
+            comparison = fit.comparison_in_words(
+                baseline, f'{name} undone'.format(other=other_mounting))
             yield Hypothesis(fit, DataError(
-                f'the poses contradict the samples: {beside}; '
+                f'the poses contradict the samples: {comparison}; '
                 f'{advice.format(other=other_mounting)}', reason='convention'))
 
 

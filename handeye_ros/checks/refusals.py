@@ -244,7 +244,7 @@ def require_edges(solution: Solution) -> None:
     if not target.essential:
         return
     factor = solution.noise.variance_factors[EDGES]
-    at_rest = solution.problem.pose_model is None  # a robot on its way has errors of its own
+    at_rest = not solution.problem.is_sweep  # a robot on its way has errors of its own
     if at_rest and factor > STRAY_EDGES and solution.residual_rms > solution.expected_rms:
         raise UnexplainedError(
             f'the edges of the target scatter {factor ** 0.5:.1f} times more than the profiles '

@@ -192,6 +192,11 @@ class Problem:
         return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
 
     @property
+    def is_sweep(self) -> bool:
+        """Return whether the poses depend on clocks: those of a moving robot."""
+        return self.pose_model is not None
+
+    @property
     def pose_stds(self) -> Array:
         """Return 1 sigma (k,) of the prior of the pose values."""
         return np.array(self.pose_model.stds if self.pose_model else ())

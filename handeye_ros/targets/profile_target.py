@@ -113,7 +113,6 @@ class ProfileTarget(Target):
     normals: ClassVar[Array]
     least_features: ClassVar[Sequence[type[Feature]]] = (FaceLine,)
     edge_kinds: tuple[int, ...] = ()
-    face_count = 1
     several_in_view = False
 
     def observe(self, samples: Sequence[Sample]) -> Observations:
@@ -127,7 +126,7 @@ class ProfileTarget(Target):
                                  edge_error_factor(feature)[None], number, feature)
                 else:
                     points, across = _normal_points(feature)
-                    rows.add(station, points, number % max(self.face_count, 1),
+                    rows.add(station, points, number % self.face_count,
                              np.stack([across, np.zeros_like(across)], axis=-1), number)
         return rows.observations()
 
@@ -154,6 +153,11 @@ class ProfileTarget(Target):
         normals = self.normals[kind]
         g = (local * normals).sum(axis=-1)
         return g, np.broadcast_to(normals, local.shape), np.empty((*g.shape, 0))
+
+    def measures(self, state: Array) -> dict[str, float]:
+        """Return the measures by their names, where each is a number of the state (16 + j,)."""
+        names = self.parameter_names[len(self.pose_axes):]
+        return dict(zip(names, state[16:].tolist(), strict=True))
 
     def axes(self, R: Array) -> Array:
         """Return the axes (..., 3, 3), in the columns, of the moves of a target turned by R."""
