@@ -127,12 +127,10 @@ def _joint(solution: Solution) -> dict[str, Any]:
 
 def edges_used(problem: Problem) -> list[str]:
     """Return for each station the edges of the target that it shows, in words."""
-    observations, target = problem.observations, problem.target
-    kinds_of_stations = np.split(
-        observations.kind, np.searchsorted(observations.station, range(1, len(problem.poses))))
+    obs, target = problem.observations, problem.target
     return [', '.join(dict.fromkeys(  # each once, in the order of the points
-        target.kinds[kind] for kind in kinds if target.kinds[kind] in target.essential))
-        for kinds in kinds_of_stations]
+        target.kinds[k] for k in obs.kind[obs.station == station] if k in target.essential))
+        for station in range(len(problem.poses))]
 
 
 def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
@@ -278,7 +276,7 @@ def notes_of(solution: Solution, config: Config) -> Iterator[str]:
     problem, target = solution.problem, solution.problem.target
     # the far edge of a plate, as p_far, shows its direction as the near one does
     seen = {target.kinds[k].partition('_')[0] for k in set(problem.observations.kind)}
-    for edge in sorted({name.partition('_')[0] for name in target.essential} - seen):
+    for edge in sorted({target.kinds[k].partition('_')[0] for k in target.essential} - seen):
         yield (f'no sample shows edge {edge} of the target: cross it too, or set target.type to '
                'line if the target has one edge only')
     n = len(solution.used)

@@ -254,7 +254,7 @@ class Problem:
     def shows_essential(self) -> NDArray[np.bool_]:
         """Return which stations (n,) have an observation of an essential kind."""
         obs, shows = self.observations, np.zeros(len(self.poses), dtype=bool)
-        shows[obs.station[np.isin(obs.kind, self.target.essential_kinds)]] = True
+        shows[obs.station[np.isin(obs.kind, self.target.essential)]] = True
         return shows
 
     def points_in_base(self, X: Array) -> Array:

@@ -42,7 +42,8 @@ class Target(ABC):
 
     kinds: names of the conditions
     parameter_names: names of the parameters
-    essential: kinds of which a station must use one, if it shows any
+    essential: the conditions, by their index in kinds, of which a station must use one if it
+        shows any: those at edges
     min_samples: fewest samples
     free_shape: settings of the target with which its shape (the last parameter) is unknown, where
         it has one
@@ -56,17 +57,12 @@ class Target(ABC):
     extract: ClassVar[staticmethod[[Array, Config], tuple[Feature, ...]]]
     kinds: tuple[str, ...]
     parameter_names: tuple[str, ...]
-    essential: tuple[str, ...] = ()
+    essential: tuple[int, ...] = ()
     min_samples = 6
     free_shape: ClassVar[Mapping[str, Any]] = {}
     loose_lengths: ClassVar[Mapping[str, Any]] = {}
     one_axis = 'the position along it is free'
     face_count = 1
-
-    @property
-    def essential_kinds(self) -> list[int]:
-        """Return the essential kinds as indices into kinds."""
-        return [k for k, name in enumerate(self.kinds) if name in self.essential]
 
     def half_turn_misfit(self, linear: Linear) -> tuple[str, float]:
         """

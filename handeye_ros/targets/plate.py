@@ -128,7 +128,7 @@ class Plate(ProfileTarget):
     pose_axes = range(6)
     extract = staticmethod(face_features)
     least_features = (FaceLine, EdgePoint)
-    essential = kinds[1:]
+    essential = tuple(EDGES)
     free_shape = {'edge_angle_free': True}
     loose_lengths = {'size_std': 3e-3}
     edge_kinds = (P,)  # until an edge is found for it
@@ -190,10 +190,10 @@ class Plate(ProfileTarget):
         steepness = np.array([edge.side * outward[:, edge.axis] for edge in edges.values()])
         distance[steepness < np.sin(config.sampling.min_crossing_angle)] = np.inf
         nearest, far = kinds[np.argmin(distance, axis=0)], np.min(distance, axis=0)
-        possible = far[np.isfinite(far)]
-        typical = np.quantile(possible, SURE_SHARE, method='lower') if len(possible) else 0.0
+        typical = np.quantile(far, SURE_SHARE, method='lower') if len(far) else 0.0
+        is_near = np.isfinite(far) & (far <= max(SMALLEST_GATE, GATE_RATIO * typical))
         kind = observations.kind.copy()
-        kind[rows] = np.where(far > max(SMALLEST_GATE, GATE_RATIO * typical), UNUSED, nearest)
+        kind[rows] = np.where(is_near, nearest, UNUSED)
         return replace(observations, kind=kind)
 
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
