@@ -155,11 +155,9 @@ def with_possible_move(solution: Solution) -> tuple[Solution, str]:
     With a warning, the covariance covers the transform with that move as well, but where all
     dropped stations are at one end. Raises DataError as require_no_sure_move does.
     """
-    if warning := outliers_at_one_end(solution):
-        return solution, warning
     move = require_no_sure_move(solution)
     if not move:
-        return solution, ''
+        return solution, outliers_at_one_end(solution)
     away = se3.difference(move.moved.estimate.X, move.unmoved.estimate.X)
     with_move = move.moved.covariance[:6, :6] + np.outer(away, away)
     covariance = solution.transform_covariance
