@@ -319,7 +319,7 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
          for lengths in permutations(measures[name][0] for name in freed)),
         key=lambda lengths: sum(abs(lengths[name] - values[name]) for name in freed))
     for name, (stated, tolerance) in measures.items():
-        value, std = values[name], stds[name]
+        value, std = values.get(name, stated), stds[name]
         if name not in reported:  # it was freed, to make the stations agree
             contradicts = abs(value - stated) > NOTED_SIGMAS * math.hypot(std, tolerance)
         elif name in freed:  # with the other lengths, so that it may be right

@@ -223,8 +223,7 @@ class SamplingConfig(Section):
         0.5, 'Poses further apart than this around a profile are too sparse.', 1e-3, 60.0, 's')
     min_points: int = setting(20, 'Fewest points of a face or an arc in one profile.', 5, 100000)
     min_crossing_angle: float = setting(
-        0.44, 'An edge of a plate that the laser line crosses at a smaller angle is not used; at '
-        'edges of other targets it limits only the poses that are proposed.', 0.0, 1.5, 'rad')
+        0.44, 'A laser line that crosses an edge at a smaller angle is not used.', 0.0, 1.5, 'rad')
     new_translation: float = setting(
         8e-3, 'A stop nearer than this to an earlier one, and turned by less than '
         'new_rotation, is not used; 0: every stop is used.', 0.0, 1.0, 'm')

@@ -99,10 +99,7 @@ def recording_of(calibration: Calibration, folder: Path) -> Path:
 def stop_snapshot(stop: Stop, config: Config) -> StopSnapshot:
     """Return what was seen at a stop."""
     stop, sample, stamp = stop.load(config), stop.sample, stop.result.stamp
-    if sample:
-        T = sample.T_base_flange
-    else:
-        T = se3.of_pose(stop.poses[len(stop.poses) // 2])
+    T = sample.T_base_flange if sample else se3.of_pose(stop.poses[len(stop.poses) // 2])
     points = np.empty((0, 2))
     nearest = min(stop.profiles, key=lambda profile: abs(profile.stamp - stamp), default=None)
     with suppress(UnusableMessageError):

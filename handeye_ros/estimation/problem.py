@@ -188,7 +188,8 @@ class Problem:
     @cached_property
     def free_columns(self) -> NDArray[np.intp]:
         """Return the columns of the Jacobian that belong to unknowns."""
-        free = self.target.is_free(self.config)
+        stated = self.target.stated_values(self.config)
+        free = [name not in stated for name in self.target.parameter_names]
         return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
 
     @property

@@ -111,13 +111,8 @@ class Target(ABC):
         """Return the measures of a state (s,), which stated_values may state too, by name."""
 
     def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
-        """Return value and 1 sigma of the parameters that are not free, by name."""
+        """Return value and 1 sigma of the parameters that are known, by name: no unknowns."""
         return {}
-
-    def is_free(self, config: Config) -> NDArray[np.bool_]:
-        """Return which parameters (k,) are unknown."""
-        stated = self.stated_values(config)
-        return np.array([name not in stated for name in self.parameter_names])
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:

@@ -34,7 +34,6 @@ from handeye_ros.targets.starts import (
     with_one_piece,
 )
 import numpy as np
-from numpy.typing import NDArray
 
 EDGE_Y, EDGE_Z = 1, 2
 LINE_CANDIDATES = 24  # solutions of the sweep that are tried
@@ -117,9 +116,9 @@ class Line(ProfileTarget):
         for start in best_fitting_first(few, rounds):
             yield _with_face(problem, start) if target.use_face else start
 
-    def is_free(self, config: Config) -> NDArray[np.bool_]:
-        """Return that all but, without a face, the turn about the line are unknown."""
-        return np.array([config.target.use_face or name != 'rx' for name in self.parameter_names])
+    def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
+        """Return that the turn about the line is none, without a face."""
+        return {} if config.target.use_face else {'rx': (0.0, 0.0)}
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:
