@@ -6,7 +6,8 @@ What targets share.
 A new target is a subclass of ProfileTarget in a file of its own, listed in __init__.py; plane.py
 is the smallest. It states
 
-- name, and extract: the features of one profile, or FeatureError (profiles/)
+- name, extract: the features of one profile, or FeatureError (profiles/), and least_features: the
+  types of those that are always among them
 - kinds, and normals or local_conditions: what vanishes for the points of features in its frame
 - parameter_names, pose_axes, stated_values: what of its pose and measures is unknown, or known
 - starts: estimates to search from (starts.py), and reassign where a profile may show other things
