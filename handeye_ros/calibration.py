@@ -15,7 +15,7 @@ import math
 from typing import Any
 
 from handeye_ros import __version__, se3
-from handeye_ros.config import Config, flatten
+from handeye_ros.config import Config, flatten, UNNAMED_FRAME
 from handeye_ros.data import (
     Array,
     Calibration,
@@ -67,7 +67,7 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
                 for i, square in solution.dropped_squares.items()]
     reports += [SampleReport(reject.stamp, False, reason=reject.reason) for reject in rejects]
     return assemble_calibration(
-        config, problem.target.name, frame_id or 'laser',
+        config, problem.target.name, frame_id or UNNAMED_FRAME,
         solution.estimate.X @ se3.inverse(T_sensor_plane(config)), solution.transform_covariance,
         rms(residuals), rms(left_out), _described_target(solution, config),
         sorted(reports, key=lambda report: report.stamp),
@@ -127,12 +127,10 @@ def _joint(solution: Solution) -> dict[str, Any]:
 
 def edges_used(problem: Problem) -> list[str]:
     """Return for each station the edges of the target that it shows, in words."""
-    observations, target = problem.observations, problem.target
-    kinds_of_stations = np.split(
-        observations.kind, np.searchsorted(observations.station, range(1, len(problem.poses))))
+    obs, target = problem.observations, problem.target
     return [', '.join(dict.fromkeys(  # each once, in the order of the points
-        target.kinds[kind] for kind in kinds if target.kinds[kind] in target.essential))
-        for kinds in kinds_of_stations]
+        target.kinds[k] for k in obs.kind[obs.station == station] if k in target.essential))
+        for station in range(len(problem.poses))]
 
 
 def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
@@ -278,7 +276,7 @@ def notes_of(solution: Solution, config: Config) -> Iterator[str]:
     problem, target = solution.problem, solution.problem.target
     # the far edge of a plate, as p_far, shows its direction as the near one does
     seen = {target.kinds[k].partition('_')[0] for k in set(problem.observations.kind)}
-    for edge in sorted({name.partition('_')[0] for name in target.essential} - seen):
+    for edge in sorted({target.kinds[k].partition('_')[0] for k in target.essential} - seen):
         yield (f'no sample shows edge {edge} of the target: cross it too, or set target.type to '
                'line if the target has one edge only')
     n = len(solution.used)
@@ -311,9 +309,8 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     target = solution.problem.target
     measures, stated_to_solver = map(target.stated_values, (config, solution.problem.config))
     estimates, reported = block_estimates(solution), block_estimates(solution.for_report)
-    names = target.parameter_names  # only the measures, the last of names and state, are read
-    values = dict(zip(names, solution.estimate.state[-len(names):].tolist(), strict=True))
-    stds = dict(zip(names, solution.target_std[-len(names):].tolist(), strict=True))
+    values = target.measures(solution.estimate.state)
+    stds = dict(zip(target.parameter_names, solution.target_std.tolist(), strict=True))
     freed = [name for name, (_, tolerance) in measures.items()
              if name in stated_to_solver and stated_to_solver[name][1] > tolerance]
     # each freed length may be any of those that are stated
@@ -322,7 +319,7 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
          for lengths in permutations(measures[name][0] for name in freed)),
         key=lambda lengths: sum(abs(lengths[name] - values[name]) for name in freed))
     for name, (stated, tolerance) in measures.items():
-        value, std = values[name], stds[name]
+        value, std = values.get(name, stated), stds[name]
         if name not in reported:  # it was freed, to make the stations agree
             contradicts = abs(value - stated) > NOTED_SIGMAS * math.hypot(std, tolerance)
         elif name in freed:  # with the other lengths, so that it may be right
@@ -348,4 +345,5 @@ def lost_edges(solution: Solution) -> str:
     where = unused.target.describe_strays(unused.observations, unused.points_in_base(estimate.X),
                                           estimate.state, unused.config)
     return (f'the edges of {len(stations)} of the {shown} samples that show one lie on none of '
-            'the target' + (f': {where}' if where else ''))
+            'the target, or the laser crosses them at less than sampling.min_crossing_angle'
+            + (f': {where}' if where else ''))

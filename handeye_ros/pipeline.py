@@ -27,6 +27,7 @@ from handeye_ros.checks.refusals import (
     require_certain,
     require_distinct_frame,
     require_edges,
+    require_features,
     require_left_out,
     require_no_half_turn_twin,
     require_rotations,
@@ -172,10 +173,11 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         # 1. Edges: move each edge point to where face and wall meet, by the rounding or bevel that
         # all stops have in common.
         samples = with_common_shape(samples)
-        # 2. Preconditions: refuse a sensor with the frame of the robot, too few samples, and poses
-        # that do not turn about two axes.
+        # 2. Preconditions: refuse a sensor with the frame of the robot, samples that are few or of
+        # another target, and poses that do not turn about two axes.
         require_distinct_frame(frame_id, config)
         require_samples(samples, rejects, target)
+        require_features(samples, target)
         require_rotations(mount_poses_of(samples, config), mount_frame(config), target.one_axis)
         # 3. Synchronisation of a sweep: the time offset gives each profile its pose.
         synced = with_estimated_clocks(samples, config)
@@ -207,7 +209,8 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         require_certain(solution.transform_covariance, config,
                         move_warning or missing_motion(solution, config), solution.linear.lever)
         require_edges(solution)
-        # 9. Cross-validation: predict each sample from the others.
+        # 9. Cross-validation: refuse samples that the others do not predict. The figures of the
+        # answer hold these residuals.
         candidate = calibration_of(
             samples, rejects, solution, config, frame_id,
             [*filter(None, [move_warning]), *(session.warnings if session else warnings)])
@@ -218,11 +221,11 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         # 10. Diagnosis of a refusal without a certain cause: do other settings or clocks explain
         # the stops? Stops that show another surface are left out, if the others carry an answer.
         refusal = with_known_cause(error, baseline, session, config) if session else error
-        if session and isinstance(refusal, NotOfTargetError):
-            answer = _answer_without_stops(refusal, session, config)
-            if answer.calibration:
-                return answer
-    return Answer(samples, solution, samples_agree, calibration, refusal)
+    answer = Answer(samples, solution, samples_agree, calibration, refusal)
+    if session and isinstance(refusal, NotOfTargetError):
+        others = _answer_without_stops(refusal, session, config)
+        return others if others.calibration else answer
+    return answer
 
 
 def _answer_without_stops(not_of_target: NotOfTargetError, session: Session, config: Config

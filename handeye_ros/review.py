@@ -28,6 +28,7 @@ from handeye_ros.results.file_values import input_values
 from handeye_ros.results.report import SolvedRecording
 from handeye_ros.results.scene import Agreement, StopSnapshot
 from handeye_ros.results.table import figures_table, sample_summary
+from handeye_ros.sampling.edge_shapes import common_shape, EdgeShape, with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
@@ -99,10 +100,7 @@ def recording_of(calibration: Calibration, folder: Path) -> Path:
 def stop_snapshot(stop: Stop, config: Config) -> StopSnapshot:
     """Return what was seen at a stop."""
     stop, sample, stamp = stop.load(config), stop.sample, stop.result.stamp
-    if sample:
-        T = sample.T_base_flange
-    else:
-        T = se3.of_pose(stop.poses[len(stop.poses) // 2])
+    T = sample.T_base_flange if sample else se3.of_pose(stop.poses[len(stop.poses) // 2])
     points = np.empty((0, 2))
     nearest = min(stop.profiles, key=lambda profile: abs(profile.stamp - stamp), default=None)
     with suppress(UnusableMessageError):
@@ -140,20 +138,23 @@ def agreements(session: Session, answer: Answer, config: Config) -> dict[int, Ag
     if not fold.any():  # a single one
         left_out = residual.copy()
     unused = np.flatnonzero(~is_used)
+    in_answer = {station.stamp for station in answer.samples}
+    shape = common_shape([station for station in session.samples if station.stamp in in_answer])
     residual[unused] = left_out[unused] = _residuals_of_unused(
-        [samples[k] for k in unused], answer.samples[0].clock_values, solution, config)
+        [samples[k] for k in unused], shape, answer.samples[0].clock_values, solution, config)
     return {number: Agreement(float(residual[k]), float(left_out[k]), bool(is_used[k]))
             for k, number in enumerate(sample_of) if not np.isnan(residual[k])}
 
 
-def _residuals_of_unused(samples: Sequence[Sample], clock_values: ClockValues,
+def _residuals_of_unused(samples: Sequence[Sample], shape: EdgeShape, clock_values: ClockValues,
                          solution: Solution, config: Config) -> Array:
     """
     Return the RMS residual (n,) of samples that a solution does not use, NaN without points.
 
-    clock_values: of a moving robot, as the solution has estimated them.
+    shape: of the edges of those used; clock_values: of a moving robot, as the solution has
+    estimated them.
     """
-    stations = list(passes_expanded(samples))
+    stations = with_common_shape(passes_expanded(samples), shape)
     sample_of_station = np.repeat(np.arange(len(samples)),
                                   [len(sample.station_samples) for sample in samples])
     if any(station.moving for station in stations):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import cast
+import warnings
 
 from handeye_ros.data import Array, TimedPose
 import numpy as np
@@ -51,6 +52,17 @@ def log_rotation(R: Array) -> Array:
     """Return the (..., 3) rotation vectors (radians) of (..., 3, 3) rotations."""
     flat = _rotations(R).as_rotvec()
     return cast(Array, flat.reshape(*R.shape[:-2], 3))
+
+
+def euler_angles(rotations: Rotation, axes: str) -> Array:
+    """
+    Return angles (n, 3) of rotations in radians; axes: as scipy, lower case for fixed ones.
+
+    In gimbal lock, of which scipy warns, many triples are the same rotation: this is one of them.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', UserWarning)
+        return np.asarray(rotations.as_euler(axes))
 
 
 def _rotations(R: Array) -> Rotation:

@@ -18,7 +18,6 @@ from functools import partial
 import math
 from pathlib import Path
 import re
-import warnings
 
 from handeye_ros import se3
 from handeye_ros.config import METRES, MICRO, RADIANS
@@ -198,16 +197,10 @@ class Notation:
         return [f'{prefix}_{label}' for label in self.labels]
 
 
-def _euler_numbers(axes: str, rotation: Rotation) -> Array:
-    """Return the angles (n, 3) of rotations in degrees."""
-    with warnings.catch_warnings():  # of gimbal lock, where the angles are not unique
-        warnings.simplefilter('ignore', UserWarning)
-        return np.asarray(rotation.as_euler(axes, degrees=True))
-
-
 def _euler(title: str, labels: tuple[str, ...], axes: str) -> Notation:
     """Return a notation by three angles in degrees; axes: as scipy, lower case for fixed ones."""
-    return Notation(title, labels, 'deg', 'mm', partial(_euler_numbers, axes),
+    return Notation(title, labels, 'deg', 'mm',
+                    lambda rotation: np.degrees(se3.euler_angles(rotation, axes)),
                     partial(Rotation.from_euler, axes, degrees=True))
 
 
@@ -233,7 +226,7 @@ NOTATIONS = {
 QUATERNION = Notation('x y z w', ('qx', 'qy', 'qz', 'qw'), '', 'm', Rotation.as_quat,
                       Rotation.from_quat)
 RPY = Notation('roll, pitch, yaw of URDF', ('roll', 'pitch', 'yaw'), 'rad', 'm',
-               partial(Rotation.as_euler, seq='xyz'), partial(Rotation.from_euler, 'xyz'))
+               partial(se3.euler_angles, axes='xyz'), partial(Rotation.from_euler, 'xyz'))
 
 
 def notation_of(name: str) -> Notation:

@@ -66,15 +66,15 @@ class _Rest:
 
     sample: of these profiles, with the stamp of that of the stop; None without one
     T_base_flange: (4, 4) mean pose of the stop
-    robot: (2,) first and last stamp of the poses of the stop (s)
-    profiles: (2,) first and last stamp of the profiles of this time (s), NaN where they do not
+    pose_span: (2,) first and last stamp of the poses of the stop (s)
+    profile_span: (2,) first and last stamp of the profiles of this time (s), NaN where they do not
         change before or after it in the stop
     """
 
     sample: Sample | None
     T_base_flange: Array
-    robot: Array
-    profiles: Array
+    pose_span: Array
+    profile_span: Array
 
 
 def _delay_hypotheses(rests: Sequence[_Rest], config: Config) -> Iterator[Hypothesis]:
@@ -102,14 +102,14 @@ def _delay_hypotheses(rests: Sequence[_Rest], config: Config) -> Iterator[Hypoth
 
 def _delay(pairs: Sequence[tuple[_Rest, _Rest]]) -> float:
     """
-    Return the delay (s) of the profiles of the first rests to the robot at the second ones.
+    Return how much later (s) the profiles of the first rest are than the poses of the second one.
 
     Where the clocks differ, most stops show it, and profiles come to rest and leave it to the same
     side of the robot; a few stops without rest prove nothing.
     """
-    delays = np.array([seen.profiles - posed.robot for seen, posed in pairs])
+    delays = np.array([seen.profile_span - posed.pose_span for seen, posed in pairs])
     delays = delays[np.isfinite(delays)]
-    between_stops = [seen.robot[0] - posed.robot[0] for seen, posed in pairs]
+    between_stops = [seen.pose_span[0] - posed.pose_span[0] for seen, posed in pairs]
     if len(delays) and np.quantile(delays, 0.25) < 0 < np.quantile(delays, 0.75):
         return 0.0  # profiles that scatter seem to rest for shorter than the robot
     return float(np.median(delays if 2 * len(delays) > len(pairs) else between_stops))

@@ -54,9 +54,10 @@ def convention_hypotheses(samples: Sequence[Sample], problem: Problem, baseline:
 
     for name, undone, advice in CONVENTION_ERRORS:
         for fit in map(fit_with, undone(poses)):
-            beside = fit.in_words_beside(baseline, f'{name} undone'.format(other=other_mounting))
+            comparison = fit.comparison_in_words(
+                baseline, f'{name} undone'.format(other=other_mounting))
             yield Hypothesis(fit, DataError(
-                f'the poses contradict the samples: {beside}; '
+                f'the poses contradict the samples: {comparison}; '
                 f'{advice.format(other=other_mounting)}', reason='convention'))
 
 
@@ -77,8 +78,8 @@ def _wxyz(T: Array) -> list[Array]:
 
 
 def _composed(read_as: str, meant: str, T: Array, factor: float = 1.0) -> list[Array]:
-    """Undo angles about the axes `meant` that were composed as `read_as`, over a factor."""
-    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler(read_as) * factor
+    """Undo angles about the axes `meant` that were composed as `read_as`; factor: on them."""
+    angles = se3.euler_angles(Rotation.from_matrix(T[:, :3, :3]), read_as) * factor
     return [se3.transform(Rotation.from_euler(meant, angles).as_matrix(), T[:, :3, 3])]
 
 
@@ -89,7 +90,7 @@ def _rotation_vectors(T: Array) -> list[Array]:
     Two triples of angles give the same rotation. Of those that may be such a vector, each is the
     one whose rotation is nearest to that of the first pose, for which either is tried.
     """
-    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
+    angles = se3.euler_angles(Rotation.from_matrix(T[:, :3, :3]), 'xyz')
     same_rotation = (angles * [1, -1, 1] + 2 * np.pi) % (2 * np.pi) - np.pi
     vectors = np.stack([angles, same_rotation])
     possible = np.linalg.norm(vectors, axis=2) <= np.pi

@@ -104,7 +104,8 @@ class Fit:
         Edges of another object, such as the floor beside the target, are uncertain: they fit in
         sigmas.
         """
-        return all(solution.residual_rms <= solution.expected_rms for solution in self.solutions)
+        return bool(self.solutions) and all(
+            solution.residual_rms <= solution.expected_rms for solution in self.solutions)
 
     def evidence_over(self, baseline: Fit) -> float:
         """Return twice the log of the odds, by the stops of this fit, for it against another."""
@@ -123,7 +124,7 @@ class Fit:
         return min(stops_deviance(before[:, unit], conditions)
                    - stops_deviance(after[:, unit], conditions) for unit in range(2))
 
-    def in_words_beside(self, baseline: Fit, change: str) -> str:
+    def comparison_in_words(self, baseline: Fit, change: str) -> str:
         """Return in words what fits as configured, and what with a change."""
         return (f'as set, {baseline._in_words(self.stamps)}; '
                 f'with {change}, {self._in_words(self.stamps)}')

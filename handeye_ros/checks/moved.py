@@ -5,10 +5,11 @@ Whether sensor or target moved in the middle of a recording.
 
 If the samples fit no answer, each hypothesis is two parts of the recording, fitted separately. If
 they do, a move after station i is two more blocks of nuisance parameters, linearised at the
-answer, (14) of estimator.md. It must be larger than the smooth error of the robot, and two tests
-must agree. The Bayes factor: noise and scales are estimated again with and without the move, since
-they absorb part of it otherwise. A permutation test: random orders of the stations must seldom
-show as clear a move, since robot errors that are not in the model look like moves in any order.
+answer, (14); the steps are those of "A small move" in section 6 of docs/estimator.md. It must be
+larger than the smooth error of the robot, and two tests must agree. The Bayes factor: noise and
+scales are estimated again with and without the move, since they absorb part of it otherwise. A
+permutation test: random orders of the stations must seldom show as clear a move, since robot
+errors that are not in the model look like moves in any order.
 """
 from __future__ import annotations
 
@@ -26,8 +27,8 @@ from handeye_ros.checks.hypotheses import (
 )
 from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, degrees, mm
-from handeye_ros.estimation.blocks import ParameterBlock
-from handeye_ros.estimation.least_squares import chi2_isf
+from handeye_ros.estimation.blocks import ParameterBlock, with_columns
+from handeye_ros.estimation.least_squares import chi2_isf, eigen
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise, whitening
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import quick_solution, reassigned
@@ -134,7 +135,7 @@ def outliers_at_one_end(solution: Solution) -> str:
     """
     n, used = len(solution.full_problem.poses), solution.used
     dropped = n - len(used)
-    if solution.problem.pose_model is not None or math.comb(n, dropped) < 2 / PARTED_P:
+    if solution.problem.is_sweep or math.comb(n, dropped) < 2 / PARTED_P:
         return ''
     which, side = {0: ('last', 'before'), dropped: ('first', 'after')}.get(int(used[0]), ('', ''))
     if not which or np.ptp(used) >= n - dropped:
@@ -152,24 +153,32 @@ def with_possible_move(solution: Solution) -> tuple[Solution, str]:
     Return a refined solution, and a warning on a move and its time, '' if there is none.
 
     With a warning, the covariance covers the transform with that move as well, but where all
-    dropped stations are at one end. Raises DataError (moved) where the evidence is decisive.
+    dropped stations are at one end. Raises DataError as require_no_sure_move does.
     """
-    if warning := outliers_at_one_end(solution):
-        return solution, warning
-    move = _likeliest_move(solution)
-    if not move or move.evidence < WARNING_EVIDENCE or move.may_be_robot_error:
-        return solution, ''
-    p_value = move.permutation_p_value()
-    if p_value >= WARNING_P:
-        return solution, ''
-    if move.evidence > DECISIVE_EVIDENCE and p_value < REFUSAL_P:
-        raise DataError(move.in_words(), reason='moved')
+    move = require_no_sure_move(solution)
+    if not move:
+        return solution, outliers_at_one_end(solution)
     away = se3.difference(move.moved.estimate.X, move.unmoved.estimate.X)
     with_move = move.moved.covariance[:6, :6] + np.outer(away, away)
     covariance = solution.transform_covariance
     return replace(solution, added_covariances={
         **solution.added_covariances,
         POSSIBLE_MOVE: cover(covariance, with_move) - covariance}), move.in_words()
+
+
+def require_no_sure_move(solution: Solution) -> _Move | None:
+    """
+    Return the move that may have been, None without one or with all dropped stations at one end.
+
+    Raises DataError (moved) where it is sure (step 6 of "A small move" in estimator.md).
+    """
+    move = None if outliers_at_one_end(solution) else _likeliest_move(solution)
+    if not move or move.evidence < WARNING_EVIDENCE or move.may_be_robot_error:
+        return None
+    p_value = move.permutation_p_value()
+    if move.evidence > DECISIVE_EVIDENCE and p_value < REFUSAL_P:
+        raise DataError(move.in_words(), reason='moved')
+    return move if p_value < WARNING_P else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,9 +201,9 @@ class _Move:
 
     @cached_property
     def evidence(self) -> float:
-        """Return twice the log Bayes factor against no move and, of a sweep, wrong times."""
+        """Return 2 log B against no move and, of a sweep, wrong times (step 3)."""
         alternatives = [self.unmoved]
-        if _is_sweep(self.solution):
+        if self.solution.problem.is_sweep:
             near = self.station + _margin(self.solution) * np.arange(-2, 3)
             reported = self.solution.for_report
             alternatives.append(
@@ -204,24 +213,25 @@ class _Move:
     @cached_property
     def step(self) -> Array:
         """Return the translation (m) and rotation vector (rad) of the move, (6,)."""
-        stds = np.repeat([block.std for block in self.moved.blocks[:2]], 3)
-        return np.asarray(self.moved.nuisance[:6] * stds)
+        values = {block.name: self.moved.nuisance[columns] * block.std
+                  for block, columns in with_columns(self.moved.blocks)}
+        return np.concatenate([values['translation'], values['rotation']])
 
     @property
     def may_be_robot_error(self) -> bool:
-        """Return whether the points seen move no more than the robot's smooth error may be."""
+        """Return whether the points move no more than the robot's smooth error may be (step 4)."""
         shifts = self.step[:3] + np.cross(self.step[3:], _levers(self.moved)[self.body])
         # the smaller estimate of that error, as a move can only explain it
         smooth = min(max((block.std * each.prior_scale(block) for block in each.blocks
                           if block.name == 'robot_smooth'), default=0.0)
                      for each in (self.moved, self.unmoved))
         smallest = LEAST_MOVE_SIGMAS * smooth
-        if _is_sweep(self.solution):  # its error is smooth in time, as a move is
+        if self.solution.problem.is_sweep:  # its error is smooth in time, as a move is
             smallest = max(smallest, self.solution.full_problem.config.noise.robot_smooth)
         return rms(np.linalg.norm(shifts, axis=1)) < smallest
 
     def permutation_p_value(self) -> float:
-        """Return the share of random orders of the stations that show as clear a move."""
+        """Return the share of random orders of the stations with as clear a move (step 5)."""
         solution = self.solution
         in_time, *in_random_orders = _bayes_factors(
             solution_at(solution.problem, solution.estimate, self.moved.noise),
@@ -244,13 +254,14 @@ def _likeliest_move(solution: Solution) -> _Move | None:
     """
     Return the likeliest move, None where there is evidence against any or stations are few.
 
-    The move and the noise with it are estimated in turn, until the same move is the likeliest.
+    The screen, step 1, is followed by step 2: the move and the noise with it are estimated in
+    turn, until the same move is the likeliest.
     """
     problem, reported, n = solution.problem, solution.for_report, len(solution.used)
     if n < problem.target.min_samples + 4:  # too few to tell a move from an outlier
         return None
     noises = [reported]
-    if not _is_sweep(solution):
+    if not solution.problem.is_sweep:
         # of a few stations, estimated noise absorbs a move; configured may be too large
         noises.append(solution_at(problem, solution.estimate, Noise()))
     moments = _moments(solution, MOMENTS_TRIED)
@@ -273,13 +284,9 @@ def _likeliest_move(solution: Solution) -> _Move | None:
     return _Move(solution, body, station, moved, with_noise_reestimated(reported))
 
 
-def _is_sweep(solution: Solution) -> bool:
-    return solution.problem.pose_model is not None
-
-
 def _margin(solution: Solution) -> int:
     """Return the fewest stations before and after a move."""
-    return max(2, len(solution.used) // PARTS_EXCHANGED) if _is_sweep(solution) else 2
+    return max(2, len(solution.used) // PARTS_EXCHANGED) if solution.problem.is_sweep else 2
 
 
 def _moments(solution: Solution, count: int) -> NDArray[np.intp]:
@@ -336,7 +343,7 @@ def _bayes_factors(solution: Solution, moments: NDArray[np.intp], random_orders:
                     solution.postfit_residuals)
     D = np.array([whiten(columns) for columns in _wrt_moves(solution)])
     scale = np.sqrt(np.diag(solution.covariance))  # m, rad and sigmas differ by 1e5
-    values, axes = np.linalg.eigh(solution.covariance / scale / scale[:, None])
+    values, axes = eigen(solution.covariance / scale / scale[:, None])
     root = (axes * np.sqrt(np.maximum(values, 0.0)) * scale[:, None]).T  # of C
     parts = np.split(np.arange(len(A)), np.searchsorted(
         solution.problem.observations.station, moments))

@@ -18,7 +18,6 @@ from handeye_ros.errors import count_of, DataError, degrees, mm
 from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.noise import EDGES
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.estimation.target import Target
 from handeye_ros.frames import axes_across, mount_frame, name_direction
 from handeye_ros.se3 import (
     mapped_covariance,
@@ -26,6 +25,7 @@ from handeye_ros.se3 import (
     worst_rotation,
     worst_translation,
 )
+from handeye_ros.targets.profile_target import ProfileTarget
 import numpy as np
 
 LARGEST_DROPPED_SHARE = 0.34  # largest share of the stations that an answer may leave out
@@ -56,7 +56,7 @@ def require_distinct_frame(frame_id: str, config: Config) -> None:
     frame_id: of the profiles. The answer would relate a frame to itself.
     """
     key = {config.base_frame: 'robot_base_frame',
-           config.robot_effector_frame: 'robot_effector_frame'}.get(frame_id)
+           config.robot_effector_frame: 'robot_effector_frame'}.get(frame_id.lstrip('/'))
     if key:
         raise DataError(
             f'the profiles have the frame_id "{frame_id}", and {key} is the same frame, so the '
@@ -64,7 +64,8 @@ def require_distinct_frame(frame_id: str, config: Config) -> None:
             f'driver of the sensor, or set {key}', reason='frame')
 
 
-def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target: Target) -> None:
+def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target: ProfileTarget
+                    ) -> None:
     """
     Raise DataError when there are fewer samples than the target needs.
 
@@ -76,8 +77,19 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
             f' ({count_of(len(rejects), "stop")} gave none, most often: {reasons[0][0]})')
         enough = len(samples) + len(rejects) >= target.min_samples
         raise (UnexplainedError if enough else DataError)(
-            f'{len(samples)} usable samples{why}; target.type {target.name} needs at least '
-            f'{target.min_samples}: take more, with the laser across the target', reason='few')
+            f'{count_of(len(samples), "usable sample")}{why}; target.type {target.name} needs at '
+            f'least {target.min_samples}: take more, with the laser across the target',
+            reason='few')
+
+
+def require_features(samples: Sequence[Sample], target: ProfileTarget) -> None:
+    """Raise DataError for a sample without the features that every one of the target has."""
+    for sample in samples:
+        for missing in Counter(target.least_features) - Counter(map(type, sample.features)):
+            raise DataError(
+                f'the sample with the stamp {sample.stamp} lacks a feature ({missing.noun}) that '
+                f'target.type {target.name} needs in every sample: gather the samples with this '
+                'target.type', reason='features')
 
 
 def require_rotations(poses: Array, frame: str, lost: str) -> None:
@@ -234,7 +246,7 @@ def require_edges(solution: Solution) -> None:
     if not target.essential:
         return
     factor = solution.noise.variance_factors[EDGES]
-    at_rest = solution.problem.pose_model is None  # a robot on its way has errors of its own
+    at_rest = not solution.problem.is_sweep  # a robot on its way has errors of its own
     if at_rest and factor > STRAY_EDGES and solution.residual_rms > solution.expected_rms:
         raise UnexplainedError(
             f'the edges of the target scatter {factor ** 0.5:.1f} times more than the profiles '
@@ -246,8 +258,8 @@ def require_edges(solution: Solution) -> None:
         raise UnexplainedError(
             f'only {used} of the {len(solution.used)} usable samples show an edge of the target, '
             f'and {target.name} needs {target.min_samples}: cross the edges with the laser, '
-            'inside the field of view, or calibrate from the plane alone (target.type plane)',
-            reason='edges')
+            'steeply and inside the field of view, or calibrate from the plane alone (target.type '
+            'plane)', reason='edges')
     shown = int(solution.full_problem.shows_essential.sum())
     if shown - used > LARGEST_DROPPED_SHARE * shown:
         dropped = len(solution.dropped_squares)
@@ -256,8 +268,8 @@ def require_edges(solution: Solution) -> None:
         raise UnexplainedError(
             f'only {used} of the {shown} samples that show an edge agree on the target, and such '
             f'an answer cannot be trusted ({why}): check target.size, that the edges are straight '
-            'and that the laser crosses no other edges, or calibrate from the plane alone '
-            '(target.type plane)', reason='edges')
+            'and that the laser crosses them steeply and no others, or calibrate from the plane '
+            'alone (target.type plane)', reason='edges')
 
 
 def require_left_out(left_out: float, residual: float, limit: float) -> None:

@@ -79,7 +79,7 @@ def settings_refusal(values: Mapping[str, str], baseline: Fit, fit: Fit,
                   for other in other_types)
     if values == {TARGET_TYPE: 'plane'}:
         to += '; or, if the target has edges, cross them inside the field of view'
-    return DataError(f'{fit.in_words_beside(baseline, named)}: set {to}', reason='settings')
+    return DataError(f'{fit.comparison_in_words(baseline, named)}: set {to}', reason='settings')
 
 
 def sign_hypothesis(samples: Sequence[Sample], config: Config, baseline: Fit, clocks: bool
@@ -99,7 +99,7 @@ def sign_hypothesis(samples: Sequence[Sample], config: Config, baseline: Fit, cl
     values = {RANGE_SIGN: str(flipped.profile.range_sign)}
     if fit.within_noise:
         return Hypothesis(fit, settings_refusal(values, baseline, fit))
-    words = fit.in_words_beside(baseline, f'{RANGE_SIGN} {values[RANGE_SIGN]}')
+    words = fit.comparison_in_words(baseline, f'{RANGE_SIGN} {values[RANGE_SIGN]}')
     return Hypothesis(fit, UnexplainedError(
         f'{words}, neither as well as the noise allows: check {RANGE_SIGN}, and that every sample '
         'shows the target itself and no clamp or second plate', reason='misfit'))

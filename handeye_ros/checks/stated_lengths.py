@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from handeye_ros.calibration import block_estimates, BlockEstimate, NOTED_SIGMAS
 from handeye_ros.checks.hypotheses import Fit, fit_of_problem, Hypothesis
-from handeye_ros.checks.moved import with_possible_move
+from handeye_ros.checks.moved import require_no_sure_move
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import scale_twists
 from handeye_ros.estimation.least_squares import covariance_of
@@ -46,8 +46,9 @@ def with_free_shape_if_needed(problem: Problem, solution: Solution, rng: np.rand
     if fits or free_config == config:
         return solution
     free = robust_solution(replace(problem, config=free_config), rng, start=start)
-    stated, _ = target.stated_values(config)[target.parameter_names[-1]]
-    if abs(free.estimate.state[-1] - stated) > 0.5 * stated:
+    shape = target.parameter_names[-1]
+    stated, _ = target.stated_values(config)[shape]
+    if abs(target.measures(free.estimate.state)[shape] - stated) > 0.5 * stated:
         return solution  # another target
     n = len(problem.poses)
     free_fit, stated_fit = (Fit.of_solutions(range(n), each) for each in (free, solution))
@@ -118,7 +119,7 @@ def require_one_scale(solution: Solution) -> None:
     scale = block_estimates(solution.for_report).get('scale')
     if scale and abs(scale.contradiction) > NOTED_SIGMAS and abs(scale.value) > max(
             SMALLEST_SCALE_ERROR, NOTED_SIGMAS * scale.std):
-        with_possible_move(solution)  # raises where something surely moved
+        require_no_sure_move(solution)
         raise _scales_differ(abs(scale.value), scale.std)
 
 

@@ -96,8 +96,7 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
     """
     if not target_for(config).essential:
         return
-    stops = np.array([stop for stop in session.stops
-                      if stop.sample and not session.excludes(stop)])
+    stops = np.array([stop for stop in stops_to_explain(session) if stop.sample])
     at_edge, shown, agreeing = _heights_over_plane(stops, config)
     levels, several = _levels(at_edge), False
     for level, is_at_level in levels:

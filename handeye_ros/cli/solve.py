@@ -72,9 +72,13 @@ def solve(
             if not answer.calibration:  # what a refused answer is uncertain from
                 show(causes)
         calibration = answer.require_calibration()
-        warn(*calibration.provenance.get('warnings', ()))
+        warnings = calibration.provenance.get('warnings', ())
+        warn(*warnings)
+        if opened.recording:  # those were printed when it was read
+            warnings = (*opened.recording.warnings, *warnings)
         calibration = replace(calibration, provenance={
-            **calibration.provenance, 'inputs': opened.inputs})
+            **calibration.provenance, 'inputs': opened.inputs,
+            **({'warnings': list(warnings)} if warnings else {})})
     saved = exports.save_all(calibration, folder, settings.save.formats)
     show(table.table(calibration))
     if causes:

@@ -106,7 +106,7 @@ def stated_measures(linear: Linear) -> Blocks:
     names = target.parameter_names
     for name, (stated, std) in target.stated_values(linear.problem.config).items():
         i = names.index(name)
-        measure = state[[i - len(names)]]  # the measures are the last of its values
+        measure = np.array([target.measures(state).get(name, stated)])
         yield ParameterBlock(name, linear.jacobian[:, 6 + i:7 + i] * std, std, parameter=i,
                              value=measure - stated,
                              largest_variance=1e8)  # a stated measure may be plainly wrong

@@ -188,8 +188,14 @@ class Problem:
     @cached_property
     def free_columns(self) -> NDArray[np.intp]:
         """Return the columns of the Jacobian that belong to unknowns."""
-        free = self.target.is_free(self.config)
+        stated = self.target.stated_values(self.config)
+        free = [name not in stated for name in self.target.parameter_names]
         return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
+
+    @property
+    def is_sweep(self) -> bool:
+        """Return whether the poses depend on clocks: those of a moving robot."""
+        return self.pose_model is not None
 
     @property
     def pose_stds(self) -> Array:
@@ -249,7 +255,7 @@ class Problem:
     def shows_essential(self) -> NDArray[np.bool_]:
         """Return which stations (n,) have an observation of an essential kind."""
         obs, shows = self.observations, np.zeros(len(self.poses), dtype=bool)
-        shows[obs.station[np.isin(obs.kind, self.target.essential_kinds)]] = True
+        shows[obs.station[np.isin(obs.kind, self.target.essential)]] = True
         return shows
 
     def points_in_base(self, X: Array) -> Array:

@@ -42,41 +42,35 @@ class Target(ABC):
 
     kinds: names of the conditions
     parameter_names: names of the parameters
-    essential: kinds of which a station must use one, if it shows any
+    essential: the conditions, by their index in kinds, of which a station must use one if it
+        shows any: those at edges
     min_samples: fewest samples
     free_shape: settings of the target with which its shape (the last parameter) is unknown, where
         it has one
     loose_lengths: settings of the target with which its stated lengths may be wrong, where it has
         some
     one_axis: what rotations about one axis alone leave undetermined, in words
-    face_count: how many straight lines of it one view has, 0 of a round target
+    face_count: how many of its faces, each a piece of the profile, one view has
     """
 
     name: str
     extract: ClassVar[staticmethod[[Array, Config], tuple[Feature, ...]]]
     kinds: tuple[str, ...]
     parameter_names: tuple[str, ...]
-    essential: tuple[str, ...] = ()
+    essential: tuple[int, ...] = ()
     min_samples = 6
     free_shape: ClassVar[Mapping[str, Any]] = {}
     loose_lengths: ClassVar[Mapping[str, Any]] = {}
     one_axis = 'the position along it is free'
-    face_count = 0
-
-    @property
-    def essential_kinds(self) -> list[int]:
-        """Return the essential kinds as indices into kinds."""
-        return [k for k, name in enumerate(self.kinds) if name in self.essential]
+    face_count = 1
 
     def half_turn_misfit(self, linear: Linear) -> tuple[str, float]:
         """
-        Return the place of the view about which half a turn changes least, and how far it is off.
-
-        That is by how much (m RMS) what is seen misses the place; the conditions are off by twice
-        as much after the turn.
+        Return about which place of the view half a turn changes least, and by how much (m RMS).
 
         Half a turn of the sensor plane about a point c makes of a condition r at s, of gradient n,
-        2 n (c - s) + r: where all lines go through c, all are as small as before.
+        2 n (c - s) + r, as small as before where all lines go through c. The place is the c for
+        which n (c - s) + r is least, in words; that is returned, half of the change.
         """
         n, s, r = linear.wrt_point, linear.problem.observations.points, linear.residuals
         c = np.linalg.lstsq(n, (n * s).sum(axis=1) - r, rcond=None)[0]
@@ -112,14 +106,13 @@ class Target(ABC):
     def retract(self, state: Array, delta: Array) -> Array:
         """Return the state (..., s) after a step delta (..., k) in the parameters, m and rad."""
 
-    def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
-        """Return value and 1 sigma of the parameters that are not free, by name."""
-        return {}
+    @abstractmethod
+    def measures(self, state: Array) -> dict[str, float]:
+        """Return the measures of a state (s,), which stated_values may state too, by name."""
 
-    def is_free(self, config: Config) -> NDArray[np.bool_]:
-        """Return which parameters (k,) are unknown."""
-        stated = self.stated_values(config)
-        return np.array([name not in stated for name in self.parameter_names])
+    def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
+        """Return value and 1 sigma of the parameters that are known, by name: no unknowns."""
+        return {}
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:

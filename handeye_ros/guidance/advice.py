@@ -204,7 +204,7 @@ def _directions(T_base_flange: Array, proposal: Proposal, config: Config, what: 
     """Return in words the motion from the last sample to the next pose."""
     T = se3.inverse(T_base_flange) @ proposal.T_base_flange
     shift = 1e3 * (proposal.T_base_flange[:3, 3] - T_base_flange[:3, 3])
-    turns = Rotation.from_matrix(T[:3, :3]).as_euler('XYZ', degrees=True)
+    turns = np.degrees(se3.euler_angles(Rotation.from_matrix(T[:3, :3]), 'XYZ'))
     flange, base = config.robot_effector_frame, config.base_frame
     turned = ', then '.join(f'{angle:+.0f} degrees about {flange} {axis}'
                             for angle, axis in zip(turns, 'xyz', strict=True)

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Sample
-from handeye_ros.estimation.target import Target
+from handeye_ros.data import Arc, Array, Sample
+from handeye_ros.targets.profile_target import ProfileTarget
 import numpy as np
 
 LEVERS_ALONG = 13  # points along each side of the view whose error is told
@@ -142,14 +142,14 @@ class Move:
     beside: float = 0.0
 
 
-def noun(target: Target) -> str:
+def noun(target: ProfileTarget) -> str:
     """Return the feature that the laser line must show, in words."""
     return 'edge' if target.essential else target.name
 
 
-def next_move(taken: int, target: Target, config: Config, view: View) -> Move:
+def next_move(taken: int, target: ProfileTarget, config: Config, view: View) -> Move:
     """Return the move after a number of samples (at least one)."""
-    is_round, two_edges = not target.face_count, len(target.essential) > 1
+    is_round, two_edges = Arc in target.least_features, len(target.essential) > 1
     moves = SPHERE_MOVES if is_round else TWO_EDGES_MOVES if two_edges else ONE_EDGE_MOVES
     turn, *shares, beside = moves[taken % len(moves)]
     tilt = np.round(np.array(shares[:2]) * config.guidance.tilt, 3)
@@ -169,8 +169,8 @@ def next_move(taken: int, target: Target, config: Config, view: View) -> Move:
                 float(beside))
 
 
-def _in_words(target: Target, turn: float, tilt: Array, place: Array, edge: int, beside: float
-              ) -> str:
+def _in_words(target: ProfileTarget, turn: float, tilt: Array, place: Array, edge: int,
+              beside: float) -> str:
     where = ('at the other edge, that meets the first one in the corner, ' if edge else
              'at the same edge, ' if len(target.essential) > 1 else '')
     turns = ', then '.join(f'{np.degrees(angle):+.0f} degrees about {axis}' for angle, axis in (

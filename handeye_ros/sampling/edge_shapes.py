@@ -35,7 +35,7 @@ class EdgeShape:
     is_round: bool = True
 
 
-def with_common_shape(samples: Sequence[Sample]) -> list[Sample]:
+def with_common_shape(samples: Sequence[Sample], shape: EdgeShape | None = None) -> list[Sample]:
     """
     Return the samples with edge points where the planes of face and wall intersect.
 
@@ -43,8 +43,10 @@ def with_common_shape(samples: Sequence[Sample]) -> list[Sample]:
     roughly, or not at all if a bevel returns no light. So the shape that is likeliest for all ends
     together is used. Edges with a visible wall need no correction. The samples of a session are as
     measured, those of an answer moved; what is moved already stays as it is.
+
+    shape: that of other samples, which these are compared with; None: their own.
     """
-    shape = common_shape(samples)
+    shape = shape or common_shape(samples)
     return [replace(sample, features=tuple(_moved(f, shape) for f in sample.features))
             for sample in samples]
 

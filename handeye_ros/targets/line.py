@@ -17,7 +17,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, ENDINGS
+from handeye_ros.data import Array, EdgePoint, ENDINGS
 from handeye_ros.estimation.problem import (
     Estimate,
     Observations,
@@ -101,7 +101,8 @@ class Line(ProfileTarget):
     parameter_names, pose_axes = ('y', 'z', 'rx', 'ry', 'rz'), (1, 2, 3, 4, 5)
     normals = np.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, 1.0]])
     extract = staticmethod(face_features)
-    essential = ('edge',)
+    least_features = (EdgePoint,)
+    essential = (EDGE_Y,)
     min_samples = 7
     edge_kinds = (EDGE_Y, EDGE_Z)
 

@@ -36,8 +36,6 @@ SAME_ANGLE = 0.05  # rad: angles to the plane that differ by less are the same
 
 def problems_with_one_surface(problem: Problem) -> list[Problem]:
     """Return problems with one surface per station: its nearest, its longest, or its farthest."""
-    if not PLANE.ambiguous(problem.observations):
-        return [problem]
     surface = PLANE.pieces(problem.observations)
     x, z, slope = lines_of_pieces(problem.observations, surface)
     # at the middle of the first surface, the longest: a nearer one lies above its extended line

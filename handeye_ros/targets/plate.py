@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, EdgePoint
+from handeye_ros.data import Array, EdgePoint, FaceLine
 from handeye_ros.estimation.problem import (
     Estimate,
     Observations,
@@ -127,7 +127,8 @@ class Plate(ProfileTarget):
     parameter_names = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'size_p', 'size_q', 'edge_angle')
     pose_axes = range(6)
     extract = staticmethod(face_features)
-    essential = kinds[1:]
+    least_features = (FaceLine, EdgePoint)
+    essential = tuple(EDGES)
     free_shape = {'edge_angle_free': True}
     loose_lengths = {'size_std': 3e-3}
     edge_kinds = (P,)  # until an edge is found for it
@@ -190,8 +191,9 @@ class Plate(ProfileTarget):
         distance[steepness < np.sin(config.sampling.min_crossing_angle)] = np.inf
         nearest, far = kinds[np.argmin(distance, axis=0)], np.min(distance, axis=0)
         typical = np.quantile(far, SURE_SHARE, method='lower') if len(far) else 0.0
+        is_near = np.isfinite(far) & (far <= max(SMALLEST_GATE, GATE_RATIO * typical))
         kind = observations.kind.copy()
-        kind[rows] = np.where(far > max(SMALLEST_GATE, GATE_RATIO * typical), UNUSED, nearest)
+        kind[rows] = np.where(is_near, nearest, UNUSED)
         return replace(observations, kind=kind)
 
     def describe(self, state: Array, std: Array) -> dict[str, Any]:

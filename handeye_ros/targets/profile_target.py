@@ -6,7 +6,8 @@ What targets share.
 A new target is a subclass of ProfileTarget in a file of its own, listed in __init__.py; plane.py
 is the smallest. It states
 
-- name, and extract: the features of one profile, or FeatureError (profiles/)
+- name, extract: the features of one profile, or FeatureError (profiles/), and least_features: the
+  types of those that are always among them
 - kinds, and normals or local_conditions: what vanishes for the points of features in its frame
 - parameter_names, pose_axes, stated_values: what of its pose and measures is unknown, or known
 - starts: estimates to search from (starts.py), and reassign where a profile may show other things
@@ -24,7 +25,7 @@ from typing import Any, ClassVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, EdgePoint, ENDINGS, FaceLine, Sample
+from handeye_ros.data import Arc, Array, EdgePoint, ENDINGS, FaceLine, Feature, Sample
 from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.problem import Linear, Observations, UNUSED
@@ -103,6 +104,7 @@ class ProfileTarget(Target):
     pose_axes: which of x y z rx ry rz, along and about its own axes, are parameters; the others
         leave it the same. The measures are parameters after them.
     normals: (kinds, 3) by kind, of the surface through the origin on which its points lie
+    least_features: types of the features that extract gives at least, one for each
     edge_kinds: the kinds of the conditions that one edge point gives, before it is reassigned
     several_in_view: whether a profile may show several surfaces, or pairs of them, of which one is
         the target
@@ -110,8 +112,8 @@ class ProfileTarget(Target):
 
     pose_axes: ClassVar[Sequence[int]]
     normals: ClassVar[Array]
+    least_features: ClassVar[Sequence[type[Feature]]] = (FaceLine,)
     edge_kinds: tuple[int, ...] = ()
-    face_count = 1
     several_in_view = False
 
     def observe(self, samples: Sequence[Sample]) -> Observations:
@@ -125,7 +127,7 @@ class ProfileTarget(Target):
                                  edge_error_factor(feature)[None], number, feature)
                 else:
                     points, across = _normal_points(feature)
-                    rows.add(station, points, number % max(self.face_count, 1),
+                    rows.add(station, points, number % self.face_count,
                              np.stack([across, np.zeros_like(across)], axis=-1), number)
         return rows.observations()
 
@@ -152,6 +154,11 @@ class ProfileTarget(Target):
         normals = self.normals[kind]
         g = (local * normals).sum(axis=-1)
         return g, np.broadcast_to(normals, local.shape), np.empty((*g.shape, 0))
+
+    def measures(self, state: Array) -> dict[str, float]:
+        """Return the measures by their names, where each is a number of the state (16 + j,)."""
+        names = self.parameter_names[len(self.pose_axes):]
+        return dict(zip(names, state[16:].tolist(), strict=True))
 
     def axes(self, R: Array) -> Array:
         """Return the axes (..., 3, 3), in the columns, of the moves of a target turned by R."""

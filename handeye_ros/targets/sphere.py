@@ -73,8 +73,8 @@ class Sphere(ProfileTarget):
     kinds = ('arc',)
     parameter_names, pose_axes = ('x', 'y', 'z', 'radius'), (0, 1, 2)
     free_shape = {'radius': 0.0}
-    face_count = 0
     extract = staticmethod(arc_features)
+    least_features = (Arc,)
 
     def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
         """Return the radius if it is given."""

@@ -16,7 +16,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array
+from handeye_ros.data import Array, FaceLine
 from handeye_ros.estimation.problem import Estimate, Observations, Problem
 from handeye_ros.profiles.faces import corner_features
 from handeye_ros.targets.line import EDGE_Y, EDGE_Z, LINE, line_starts
@@ -98,6 +98,7 @@ class Wedge(ProfileTarget):
     kinds = ('face_1', 'face_2')
     parameter_names, pose_axes = ('y', 'z', 'ry', 'rz', 'turn', 'angle'), (1, 2, 4, 5)
     extract = staticmethod(corner_features)
+    least_features = (FaceLine, FaceLine)
     face_count, several_in_view = 2, True
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:

@@ -133,6 +133,25 @@ def test_too_few_samples_are_refused_with_what_became_of_the_rest(name: str) -> 
         pipeline.solve([], rejects[:1], simulated_cell.config, 'laser')
 
 
+@pytest.mark.parametrize(('name', 'kept'), [
+    ('plate', FaceLine), ('plate', EdgePoint), ('line', FaceLine), ('wedge', EdgePoint),
+    ('sphere', FaceLine), ('plane', EdgePoint)])
+def test_samples_of_another_target_are_refused(name: str, kept: type) -> None:
+    samples = cell(name).samples
+    one_other = replace(samples[3], features=tuple(
+        feature for feature in samples[3].features if isinstance(feature, kept)))
+    with refused('features', f'stamp {one_other.stamp} lacks a feature .*target.type {name}'):
+        cell(name).solve([*samples[:3], one_other, *samples[4:]])
+
+
+@pytest.mark.parametrize(('angle', 'words'), [
+    (1.3, 'only 10 of .* crosses them at less than sampling.min_crossing_angle'),
+    (1.5, 'only 2 of .* cross the edges with the laser, steeply')])
+def test_edges_that_are_crossed_at_too_small_an_angle_are_named(angle: float, words: str) -> None:
+    with refused('edges', words):
+        cell('plate', 1).solve(sampling__min_crossing_angle=angle)
+
+
 # -- words
 
 

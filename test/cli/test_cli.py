@@ -92,6 +92,15 @@ def test_solve_writes_what_the_library_answers(tmp_path):
     assert '\x1b' not in run.stdout
 
 
+def test_an_answer_from_a_damaged_recording_says_so(tmp_path):
+    cut, whole = tmp_path / 'cut.mcap', (ROOT / 'bags/sphere/sphere.mcap').read_bytes()
+    cut.write_bytes(whole[:len(whole) * 9 // 10])
+    run = handeye('solve', cut, '--config', ROOT / 'config/sphere.yaml', '--out', '.',
+                  cwd=tmp_path)
+    provenance = calibration_file.read_calibration(tmp_path / 'calibration.yaml').provenance
+    assert 'cut off' in provenance['warnings'][0] and run.stderr.count('cut off') == 1
+
+
 def test_replay_without_ros_says_what_to_do(tmp_path):
     run = handeye('replay', BAG, cwd=tmp_path, before='sys.modules["rclpy"] = None')
     assert_refused(run, 2, 'replay needs ROS 2', 'rclpy', 'source the setup.bash')

@@ -76,21 +76,22 @@ def test_a_groove_beside_the_edge_is_another_corner() -> None:
     assert sorted(zip(slopes[::2], slopes[1::2], strict=True)) == [(-1.0, 1.0), (1.0, -1.0)]
 
 
+def table_at(face: FaceLine, end: int) -> FaceLine:
+    """Return the table that rises from an end (-1 or 1) of a face, where it has gone on 40 mm."""
+    outwards = face.direction * [1, -1]
+    return FaceLine(face.centre + end * (0.02 * face.direction + 0.015 * outwards), outwards,
+                    0.01, 1e-5)
+
+
 @pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_a_block_on_a_table_is_distinguished_from_the_groove_at_its_foot(seed: int) -> None:
     wedge_cell = cell('wedge', seed)
     rng, samples = np.random.default_rng(seed), []
     for k, sample in enumerate(wedge_cell.samples):
         left, right = sample.features
-        # the table rises from the right face's far end: where its line has gone on for 40 mm
-        foot = right.centre + 0.02 * right.direction
-        outwards = np.array([right.direction[0], -right.direction[1]])
-        table = FaceLine(foot + 0.015 * outwards, outwards, 0.01, 1e-5)
-        block, groove = (left, right), (right, table)
-        if k % 5 == 0:
-            pairs = [groove]
-        else:
-            pairs = [groove, block] if rng.random() < 0.5 else [block, groove]
+        block, groove = (left, right), (right, table_at(right, 1))
+        pairs = [groove] if k % 5 == 0 else (
+            [groove, block] if rng.random() < 0.5 else [block, groove])
         samples.append(replace(sample, features=tuple(line for pair in pairs for line in pair)))
     calibration = wedge_cell.solve(samples)
     assert wedge_cell.error(calibration.T_flange_sensor) < 2e-4
@@ -99,13 +100,8 @@ def test_a_block_on_a_table_is_distinguished_from_the_groove_at_its_foot(seed: i
 def on_a_table(sample: Sample) -> Sample:
     """Return what a sensor sees of a block whose faces both end at a table."""
     left, right = sample.features
-    feet = []
-    for face, end in ((left, -1), (right, 1)):
-        outwards = face.direction * [1, -1]
-        foot = face.centre + end * 0.02 * face.direction
-        table = FaceLine(foot + end * 0.015 * outwards, outwards, 0.01, 1e-5)
-        feet.append((face, table)[::end])
-    return replace(sample, features=(*feet[0], *feet[1], left, right))
+    return replace(sample, features=(
+        table_at(left, -1), left, right, table_at(right, 1), left, right))
 
 
 def test_one_of_the_first_starts_is_the_block_between_two_grooves() -> None:
