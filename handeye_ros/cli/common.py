@@ -62,12 +62,14 @@ class OpenedInput:
     settings: with which it was read
     inputs: path and sha256 of its files, for the provenance of an answer
     session: the samples, None of a table
+    warnings: of a recording, printed when it was read
     table: the measured values, None of a recording and of a session
     """
 
     settings: 'Config'
     inputs: 'Sequence[Any]'
     session: 'Session | None' = None
+    warnings: 'Sequence[str]' = ()
     table: 'TableProblem | None' = None
 
 
@@ -91,7 +93,8 @@ def open_input(path: Path, config: Path | None, assignments: list[str], angles: 
     if stored:
         return OpenedInput(settings, [{'path': str(path.absolute())}], stored.session(settings))
     recording = read_bag(path, settings)
-    return OpenedInput(settings, list(recording.inputs), collect_samples(recording, settings))
+    return OpenedInput(settings, list(recording.inputs), collect_samples(recording, settings),
+                       recording.warnings)
 
 
 def configuration(file: Path | None, assignments: list[str], base: 'Config | None' = None,

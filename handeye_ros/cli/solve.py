@@ -74,11 +74,10 @@ def solve(
         calibration = answer.require_calibration()
         warnings = calibration.provenance.get('warnings', ())
         warn(*warnings)
-        if opened.recording:  # those were printed when it was read
-            warnings = (*opened.recording.warnings, *warnings)
+        all_warnings = [*opened.warnings, *warnings]
         calibration = replace(calibration, provenance={
             **calibration.provenance, 'inputs': opened.inputs,
-            **({'warnings': list(warnings)} if warnings else {})})
+            **({'warnings': all_warnings} if all_warnings else {})})
     saved = exports.save_all(calibration, folder, settings.save.formats)
     show(table.table(calibration))
     if causes:

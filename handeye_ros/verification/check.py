@@ -52,7 +52,6 @@ from handeye_ros.verification.fit import (
     root_of,
 )
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import softmax
 
 FORMAT = 'handeye_ros/check/2'
@@ -189,7 +188,7 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
             f'the sensor from {_shifts_in_words(sensor_move, mount_frame(config))} on')
     else:
         verdict, sentence = _verdict_and_sentence(causes, odds)
-        if 'robot' in verdict and (off := rms(comparison.linear.residuals)) > MOVE_SCALES[-1]:
+        if 'robot' in verdict and (off := rms(prediction.linear.residuals)) > MOVE_SCALES[-1]:
             raise DataError(
                 f'this recording is off by {mm(off)} RMS from what the calibration has, which '
                 'neither a small move nor an error of the robot explains: check that the '
@@ -269,7 +268,7 @@ def _observed(samples: Sequence[Sample], calibrated: _Calibrated, config: Config
     require_stations([len(np.unique(observations.station))], others)
     p = problem.points_in_base(estimate.X)
 
-    def labelled(groups: NDArray[np.intp]) -> Problem:
+    def labelled(groups: Indices) -> Problem:
         """Return the problem with the points of each group assigned to the edges near them."""
         kind = observations.kind.copy()
         for group in np.unique(groups):

@@ -120,9 +120,9 @@ def test_the_edges_of_a_plate_show_a_move_in_each_direction(calibrated):
 
 @pytest.mark.parametrize('moved', [(3e-3, 0, 0), (0.03, 0.01, 0)])
 def test_a_plate_that_slid_along_its_face_has_moved(calibrated, moved):
-    check_result = checked(calibrated, 'plate', moved=moved)
+    check_result = check_cell(calibrated, 'plate', moved=moved)
     assert check_result.verdict == 'target'
-    assert check_result.target_moved == pytest.approx(np.linalg.norm(moved), abs=2e-4)
+    assert check_result.target.moved == pytest.approx(np.linalg.norm(moved), abs=2e-4)
 
 
 def test_stops_of_one_orientation_name_both_target_and_sensor(

@@ -143,9 +143,9 @@ def test_a_ball_of_another_size_does_not_blame_the_calibration():
     assert verification.quantities[0].value == pytest.approx(bench.RADIUS, abs=5e-5)
     assert 'check the nominal values' in ' '.join(verification.reasons)
     assert not re.search('pattern|suggest', ' '.join(verification.reasons))
-    unknown = result('ball_bar', artefact, calibration)
+    unknown = assess('ball_bar', artefact, calibration)
     assert 'nothing is said about' not in ' '.join(unknown.reasons)
-    unknown = result('ball_bar', artefact, calibration, radius=0.0)
+    unknown = assess('ball_bar', artefact, calibration, radius=0.0)
     assert 'nothing is said about radius of ball 1, radius of ball 2' in unknown.reasons[-1]
 
 
