@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 T = TypeVar('T')
+SEED = 0  # of random searches: the same samples give the same answer
 NS = 1_000_000_000  # nanoseconds in a second: stamps are in ns
 # keys of estimated values: two times (s), and the seconds that the clock of the profiles loses in
 # a second

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, wraps
+from threading import Lock
 from typing import Any, Generic, ParamSpec, TypeAlias, TypeVar
 
 from handeye_ros.data import Array
@@ -391,18 +392,25 @@ def _controller() -> Any:
     return ThreadpoolController()
 
 
+_limits_blas = Lock()  # held by the call that does
+
+
 def single_threaded(function: Callable[P, T]) -> Callable[P, T]:
     """
     Return the function, run with one BLAS thread.
 
-    A pool of threads makes products of small matrices several times slower. What the caller set
-    is in force again afterwards.
+    A pool of threads makes products of small matrices several times slower. The limit is one of
+    the process: of calls at once only the first sets it, and when that returns, what was in force
+    before is so again, for the others too.
     """
     @wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> T:
         controller = _controller()
-        if controller is None:
+        if controller is None or not _limits_blas.acquire(blocking=False):
             return function(*args, **kwargs)
-        with controller.limit(limits=1):
-            return function(*args, **kwargs)
+        try:
+            with controller.limit(limits=1):
+                return function(*args, **kwargs)
+        finally:
+            _limits_blas.release()
     return limited

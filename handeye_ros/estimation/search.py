@@ -20,8 +20,7 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import chain, islice
 
-from handeye_ros.data import Array
-from handeye_ros.errors import HandeyeError
+from handeye_ros.data import Array, SEED
 from handeye_ros.estimation.covariance import with_possibly_wrong_station
 from handeye_ros.estimation.least_squares import (
     drop_outliers,
@@ -72,9 +71,9 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
 
 
 def quick_solution(problem: Problem) -> Solution | None:
-    """Return the solution from the first two starts, None if neither fits."""
-    with suppress(HandeyeError, np.linalg.LinAlgError):
-        for start in islice(problem.target.starts(problem, np.random.default_rng(0)), 2):
+    """Return the solution from the first two starts, None if neither fits or can be computed."""
+    with suppress(np.linalg.LinAlgError):  # no start
+        for start in islice(problem.target.starts(problem, np.random.default_rng(SEED)), 2):
             with suppress(np.linalg.LinAlgError):  # from this start
                 robust = refined_robustly(problem, start)
                 if typical_square(station_squares(robust)) < LARGEST_SQUARE:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 
@@ -138,6 +139,7 @@ def test_a_scale_is_what_data_show(value: float, std: float, least: float, most:
 
 # In a process of its own: other tests load libraries with pools of their own, at any time.
 PROGRAM = r"""
+from threading import Event, Thread
 from handeye_ros.estimation.least_squares import single_threaded
 import handeye_ros.pipeline  # loads every library that a solve needs
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -147,12 +149,20 @@ def threads():
 
 with threadpool_limits(3):
     print(threads(), single_threaded(threads)(), threads(), sep='\n')
+
+began, both_run, before = Event(), Event(), threads()
+first = Thread(target=single_threaded(lambda: [began.set(), both_run.wait()]))
+first.start()
+began.wait()
+single_threaded(lambda: [both_run.set(), first.join()])()
+print(before, threads(), sep='\n')
 """
 
 
-def test_a_solve_uses_one_blas_thread_and_then_as_many_as_before() -> None:
+def test_solves_use_one_blas_thread_and_then_as_many_as_before() -> None:
     pytest.importorskip('threadpoolctl', reason='needs threadpoolctl')
     output = subprocess.run([sys.executable, '-c', PROGRAM], capture_output=True, text=True,
-                            check=True).stdout
-    before, inside, after = map(json.loads, output.splitlines())
+                            check=True, env={**os.environ, 'OPENBLAS_NUM_THREADS': '2'}).stdout
+    before, inside, after, before_two, after_two = map(json.loads, output.splitlines())
     assert set(before) == {3} and set(inside) == {1} and after == before
+    assert before_two == after_two, 'of two at once the first returns first'
