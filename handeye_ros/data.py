@@ -331,7 +331,7 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class Term:
+class BudgetTerm:
     """
     A part of the reported covariance by its 1 sigma; the squares of all parts add up.
 

@@ -205,7 +205,8 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         require_no_half_turn_twin(solution)
         solution, move_warning = with_possible_move(solution)
         require_certain(solution.transform_covariance, config,
-                        move_warning or missing_motion(solution, config), solution.linear.lever)
+                        move_warning or missing_motion(solution, config),
+                        solution.posterior.linear.lever)
         require_edges(solution)
         # 9. Cross-validation: predict each sample from the others.
         candidate = calibration_of(

@@ -44,7 +44,7 @@ MAP_PRIOR = _log_half_t(1.0, 0.01)
 
 # Places of the variance factors: of the own errors of faces and arcs, and of edges; of distortion
 # that differs between stations; of the poses; of the white errors of pose values, such as time.
-FACES, EDGES, LOCAL_DISTORTION, POSES, POSE_VALUES = range(5)
+FACE_FACTOR, EDGE_FACTOR, LOCAL_DISTORTION_FACTOR, POSE_FACTOR, POSE_VALUE_FACTOR = range(5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class Noise:
     """
     Factors on the configured variances in (3), and the scales of blocks.
 
-    variance_factors: (5,), see FACES
+    variance_factors: (5,), see FACE_FACTOR
     block_variances: tau^2 of each block by name
     blocks_as_noise: whether blocks count as errors of each station
     """

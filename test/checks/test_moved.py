@@ -128,7 +128,7 @@ def test_a_move_is_told_while_few_samples_lie_beyond_it(name: str, first: bool) 
 
 
 def test_outliers_at_one_end_are_told_of_however_many_samples() -> None:
-    problem = SimpleNamespace(pose_model=None, poses=range(3000))
+    problem = SimpleNamespace(is_sweep=False, poses=range(3000))
     assert outliers_at_one_end(SimpleNamespace(
         problem=problem, full_problem=problem, used=np.arange(2800))).startswith(
         'the last 200 of 3000 samples contradict the 2800 before them')

@@ -12,6 +12,7 @@ from cells import (
     cell,
     every_method,
     exact_cell,
+    map_solution,
     noisy,
     ONE_IN_20,
     settings_of,
@@ -33,8 +34,9 @@ from handeye_ros.estimation.covariance import (
     with_possibly_wrong_station,
 )
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, covariance_parts, Noise
+from handeye_ros.estimation.posterior import posterior_at
 from handeye_ros.estimation.search import least_squares_fit
-from handeye_ros.estimation.solve import cover, map_solution, solution_at
+from handeye_ros.estimation.solve import cover
 from handeye_ros.simulate import FAULTS, SCENARIOS, simulate_samples
 import numpy as np
 import pytest
@@ -43,9 +45,9 @@ from streams import in_order
 
 @every_method
 def test_the_solution_is_the_minimum(name: str) -> None:
-    solution = solution_of(name)
-    gradient = solution.jacobian.T @ solution.postfit_residuals
-    scale = np.sqrt(np.diag(solution.covariance))
+    posterior = solution_of(name).posterior
+    gradient = posterior.jacobian.T @ posterior.postfit_residuals
+    scale = np.sqrt(np.diag(posterior.covariance))
     assert np.abs(gradient * scale).max() < 1e-4, 'in sigmas'
 
 
@@ -55,7 +57,7 @@ def test_the_noise_of_a_station_is_positive(factors: tuple[float, float, float, 
     solution = solution_of('plate')
     problem = replace(solution.problem, config=with_values(
         solution.problem.config, {'noise.distortion': 2e-5}, 'a test'))
-    linear = replace(solution.linear, problem=problem)
+    linear = replace(solution.posterior.linear, problem=problem)
     for stations in problem.observations.station_groups:
         noise = np.tensordot(factors, covariance_parts(linear, stations), 1)
         assert np.array_equal(noise, np.swapaxes(noise, 1, 2))
@@ -99,7 +101,7 @@ def test_the_left_out_rms_is_that_of_real_refits(name: str) -> None:
     for station in range(len(ordered)):
         others = np.setdiff1d(np.arange(len(ordered)), [station])
         refit = least_squares_fit(solution.problem.subset(others), solution.estimate,
-                                  solution.noise).estimate
+                                  solution.posterior.noise).estimate
         at_station = measured.station == station
         squares.append(measured.residuals(solution.problem, refit)[at_station] ** 2)
         in_fit.append(measured.residuals(solution.problem, solution.estimate)[at_station] ** 2)
@@ -117,18 +119,18 @@ def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
     sigma = plate_cell.config.noise.robot_translation
     normal = solution.estimate.state[:16].reshape(4, 4)[:3, 2]
     moved[3] = se3.perturb(moved[3], np.append(sigma * normal, np.zeros(3)))
-    moved_solution = solution_at(
+    posterior = posterior_at(
         replace(solution.problem, poses=moved), solution.estimate, BLOCKS_AS_NOISE)
-    at_station = moved_solution.problem.observations.station == 3
-    assert (moved_solution.postfit_residuals[at_station] ** 2).sum() == pytest.approx(1, abs=0.15)
-    assert np.allclose(moved_solution.postfit_residuals[~at_station], 0, atol=1e-3)
+    at_station = posterior.problem.observations.station == 3
+    assert (posterior.postfit_residuals[at_station] ** 2).sum() == pytest.approx(1, abs=0.15)
+    assert np.allclose(posterior.postfit_residuals[~at_station], 0, atol=1e-3)
 
 
 @pytest.mark.parametrize('target', ['plate', 'wedge'])
 def test_a_station_that_may_be_wrong_adds_what_freeing_its_pose_changes(target: str) -> None:
     start = solved(cell(replace(SCENARIOS[target], stations=(10, 10)), 0).problem)
-    solution = with_possibly_wrong_station(map_solution(start.problem, start.estimate), dropped=0)
-    as_set = solution_at(solution.problem, solution.estimate, Noise())
+    solution = with_possibly_wrong_station(map_solution(start.problem, start.estimate))
+    as_set = posterior_at(solution.problem, solution.estimate, Noise())
     A, r, station = as_set.jacobian, as_set.prefit_residuals, as_set.problem.observations.station
     wrt_pose = as_set.whitening(as_set.linear.wrt_pose * POSE_ERROR)
 

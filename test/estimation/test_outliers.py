@@ -11,8 +11,8 @@ from handeye_ros import pipeline, se3
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE
+from handeye_ros.estimation.posterior import posterior_at
 from handeye_ros.estimation.search import with_systematic_errors
-from handeye_ros.estimation.solve import solution_at
 from handeye_ros.results.truth import errors_against
 from handeye_ros.simulate import FAULTS, SCENARIOS, simulate, simulate_samples
 import numpy as np
@@ -129,16 +129,16 @@ def test_fewer_conditions_than_unknowns_leave_a_direction_free() -> None:
     plane_cell = cell('plane', 0)
     solution = solved(plane_cell.problem)
     few_stations = plane_cell.problem.subset(np.arange(4))
-    covariance = solution_at(few_stations, solution.estimate, BLOCKS_AS_NOISE).covariance
+    covariance = posterior_at(few_stations, solution.estimate, BLOCKS_AS_NOISE).covariance
     assert np.linalg.eigvalsh(covariance)[-1] > 1.0, 'm^2: 8 conditions, 9 unknowns'
 
 
 @pytest.mark.parametrize(('name', 'rank'), RANKS.items())
 def test_a_station_says_as_much_as_its_target_shows(name: str, rank: int) -> None:
     simulated_cell = cell(name, 0)
-    solution = solved(simulated_cell.problem)
-    assert (solution.ranks == rank).all()
-    assert solution.redundancy == rank * len(simulated_cell.samples) - solution.jacobian.shape[1]
+    posterior = solved(simulated_cell.problem).posterior
+    assert (posterior.ranks == rank).all()
+    assert posterior.redundancy == rank * len(simulated_cell.samples) - posterior.unknowns
 
 
 def wrong(sample: Sample, rng: np.random.Generator) -> Sample:
