@@ -114,7 +114,7 @@ class Posterior:
         return bounded_inverse(self.information)
 
     @cached_property
-    def _step_to_minimum(self) -> Array:
+    def step(self) -> Array:
         """Return the change (u + q,) of unknowns and nuisance parameters to the minimum, (5)."""
         if self.noise.blocks_as_noise:  # the search ends where no step is left
             return np.zeros(self.unknowns)
@@ -123,23 +123,21 @@ class Posterior:
     @property
     def nuisance(self) -> Array:
         """Return the estimates (q,) of the nuisance parameters."""
-        return self._step_to_minimum[self.unknowns:]
+        return self.step[self.unknowns:]
 
     @cached_property
     def postfit_residuals(self) -> Array:
         """Return the whitened residuals (m,) after the last step, without what blocks explain."""
-        return np.asarray(self.prefit_residuals + self.jacobian @ self._step_to_minimum)
+        return np.asarray(self.prefit_residuals + self.jacobian @ self.step)
 
     @cached_property
     def estimate(self) -> Estimate:
         """Return the estimate after the last step, the stated measures of the target too."""
-        moved = self.problem.retracted(
-            self.linear.estimate, self._step_to_minimum[:self.unknowns])
+        moved = self.problem.retracted(self.linear.estimate, self.step[:self.unknowns])
         delta = np.zeros(len(self.problem.target.parameter_names))
         for block, columns in with_columns(self.blocks):
             if block.parameter is not None and block.value is not None:
-                after = self.nuisance[columns] * block.std
-                delta[block.parameter] = (after - block.value)[0]
+                delta[block.parameter] = (self.nuisance[columns] * block.std - block.value)[0]
         return Estimate(moved.X, self.problem.target.retract(moved.state, delta))
 
     def relinearise(self) -> Linear:
@@ -226,8 +224,8 @@ class Posterior:
     @property
     def sum_of_squares(self) -> float:
         """Return the sum of squares of residuals and nuisance parameters."""
-        r, step = self.postfit_residuals, self._step_to_minimum
-        return float(r @ r + step ** 2 @ self.prior_information)
+        r = self.postfit_residuals
+        return float(r @ r + self.step ** 2 @ self.prior_information)
 
     @property
     def variance_factor(self) -> float:

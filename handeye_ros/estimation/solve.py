@@ -216,9 +216,8 @@ def _iterated(start: Posterior) -> tuple[Posterior, bool]:
     current = nearest = start
     shortest = np.inf
     for number in range(MOST_STEPS):
-        step = current._step_to_minimum[:current.unknowns]
-        sigmas = np.sqrt(np.diag(current.covariance)[:current.unknowns])
-        length = float(np.abs(step / sigmas).max())
+        sigmas = np.sqrt(np.diag(current.covariance))
+        length = float(np.abs(current.step / sigmas)[:current.unknowns].max())
         if length < shortest:
             nearest, shortest = current, length
         factors = current.estimated_factors()

@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
-import re
 
 from cells import (
     calibration_of,
@@ -20,7 +18,6 @@ from cells import (
     solved,
     squared_error,
 )
-from command import handeye, ROOT, succeeds
 from handeye_ros import pipeline, se3
 from handeye_ros.calibration import measured_points
 from handeye_ros.config import with_values
@@ -170,23 +167,6 @@ def test_the_parts_add_up_to_what_is_reported(target: str) -> None:
         assert squares == pytest.approx(getattr(total, size) ** 2, rel=1e-6)
     std = np.sqrt(np.diag(solution.reported_covariance)[:3])
     assert total.translation == pytest.approx(np.sqrt((std ** 2).mean()))
-
-
-def test_the_command_line_shows_the_budget_of_an_answer(tmp_path: Path) -> None:
-    run = succeeds('solve', ROOT / 'bags/plate', '--config', ROOT / 'config/plate.yaml',
-                   '--budget', '--out', tmp_path, cwd=tmp_path)
-    table = run.stdout[run.stdout.index('1 sigma by cause'):]
-    shares = [float(share) for share in re.findall(r'([\d.]+) %', table)]
-    assert shares[-1] == 100.0 and sum(shares[:-1]) == pytest.approx(100.0, abs=1.0)
-    assert '18 samples' in table
-    uncertain = handeye('solve', ROOT / 'bags/plate', '--config', ROOT / 'config/plate.yaml',
-                        '--set', 'limits.translation=1e-6', '--budget', '--out', tmp_path / 'none',
-                        cwd=tmp_path)
-    assert uncertain.returncode == 3 and 'limits.translation' in uncertain.stderr
-    assert '1 sigma by cause' in uncertain.stdout and not (tmp_path / 'none').exists()
-    refused = handeye('solve', ROOT / 'bags/tracker', '--config', ROOT / 'config/tracker.yaml',
-                      '--budget', '--out', tmp_path, cwd=tmp_path)
-    assert refused.returncode == 2 and '--budget' in refused.stderr
 
 
 def test_a_covariance_that_covers_two_has_neither_less() -> None:
