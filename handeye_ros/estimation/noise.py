@@ -3,10 +3,10 @@
 """
 Covariances of the residuals, (3), whitening, and the scales of priors, (6).
 
-Blocks are unknowns of the solution, common to all stations (see posterior.py). During the search they
-count as independent errors of each station. The scale of a block is the standard deviation of its
-parameters over the configured one; it has a half-t prior (Gelman 2006, Bayesian Analysis 1:515).
-Its most likely value is 0 if few parameters happen to be small, so it is averaged over.
+Blocks are unknowns of the solution, common to all stations (see posterior.py). During the search
+they count as independent errors of each station. The scale of a block is the standard deviation of
+its parameters over the configured one; it has a half-t prior (Gelman 2006, Bayesian Analysis
+1:515). Its most likely value is 0 if few parameters happen to be small, so it is averaged over.
 """
 from __future__ import annotations
 

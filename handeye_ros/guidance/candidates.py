@@ -298,7 +298,8 @@ def std_with_one_more(solution: Solution, levers: Array, added: Problem) -> floa
                                                     for obs in observations])
                                     for item in fields(Observations))))
     before, after = (
-        se3.mapped_std(levers, posterior_at(each, solution.estimate, reported.noise
-                                           ).covariance[:6, :6]) for each in (problem, with_added))
+        se3.mapped_std(levers, posterior_at(
+            each, solution.estimate, reported.noise).covariance[:6, :6])
+        for each in (problem, with_added))
     now = se3.mapped_std(levers, solution.transform_covariance)
     return float(now) * min(float(after / before), 1.0)
