@@ -200,14 +200,13 @@ def test_a_sweep_is_solved_reported_and_checked(tmp_path):
 
 
 def test_budget_shows_what_each_cause_adds_to_an_answer(tmp_path):
-    run = succeeds('solve', ROOT / 'bags/plate', '--config', ROOT / 'config/plate.yaml',
-                   '--budget', '--out', tmp_path, cwd=tmp_path)
+    solve = 'solve', ROOT / 'bags/plate', '--config', PLATE, '--budget', '--out'
+    run = succeeds(*solve, tmp_path, cwd=tmp_path)
     table = run.stdout[run.stdout.index('1 sigma by cause'):]
     shares = [float(share) for share in re.findall(r'([\d.]+) %', table)]
     assert shares[-1] == 100.0 and sum(shares[:-1]) == pytest.approx(100.0, abs=1.0)
     assert '18 samples' in table
-    uncertain = handeye('solve', ROOT / 'bags/plate', '--config', ROOT / 'config/plate.yaml',
-                        '--set', 'limits.translation=1e-6', '--budget', '--out', tmp_path / 'none',
+    uncertain = handeye(*solve, tmp_path / 'none', '--set', 'limits.translation=1e-6',
                         cwd=tmp_path)
     assert uncertain.returncode == 3 and 'limits.translation' in uncertain.stderr
     assert '1 sigma by cause' in uncertain.stdout and not (tmp_path / 'none').exists()

@@ -61,16 +61,12 @@ def test_the_noise_of_a_station_is_positive(factors: tuple[float, float, float, 
         assert np.linalg.eigvalsh(noise).min() > 0
 
 
-def trials(name: str) -> int:
-    """Return as many seeds as take a few seconds: spheres are slower."""
-    return {'plate': 60, 'sphere': 20}.get(name, 30)
-
-
 @pytest.mark.thorough
 @every_method
 def test_the_stated_covariance_is_that_of_the_errors(name: str) -> None:
     squares, lost = [], []
-    for seed in range(trials(name)):
+    count = {'plate': 60, 'sphere': 20}.get(name, 30)  # spheres are slower
+    for seed in range(count):
         simulated_cell = cell(name, seed)
         try:
             calibration = simulated_cell.solve()
@@ -79,7 +75,7 @@ def test_the_stated_covariance_is_that_of_the_errors(name: str) -> None:
             continue
         lost.append(calibration.quality.samples_rejected)
         squares.append(squared_error(calibration, simulated_cell.truth) / 6)
-    assert len(squares) > 0.9 * trials(name)
+    assert len(squares) > 0.9 * count
     sigma = np.sqrt(2 / 6 / len(squares))  # of the mean of chi-squared over 6
     assert abs(np.mean(squares) - 1) < 3.5 * sigma
     assert np.max(squares) < 6, 'no trial is far outside'

@@ -26,7 +26,6 @@ from handeye_ros.estimation.basis import bent_line, distortion_fields
 from handeye_ros.estimation.blocks import line_bend, points_on_target, sensor_scale
 from handeye_ros.estimation.noise import EDGE_FACTOR, FACE_FACTOR, POSE_FACTOR
 from handeye_ros.estimation.problem import linearise, PoseModel, Problem
-from handeye_ros.estimation.solve import Solution
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, sensor, simulate, simulate_samples
 from handeye_ros.simulate.scenario import SensorModel
 import numpy as np
@@ -43,11 +42,6 @@ def misjudged(cell: Cell, factor: float) -> Cell:
     return replace(cell, config=set_to(
         cell.config, noise__robot_translation=factor * noise.robot_translation,
         noise__robot_rotation=factor * noise.robot_rotation))
-
-
-def final(cell: Cell) -> Solution:
-    solution = solved(cell.problem)
-    return map_solution(solution.problem, solution.estimate)
 
 
 def squared(cell: Cell) -> float:
@@ -67,8 +61,9 @@ def test_the_covariance_is_true_though_the_noise_was_stated_wrongly(factor: floa
 
 @pytest.mark.thorough
 def test_noise_that_was_stated_rightly_is_kept() -> None:
-    factors = [final(cell('plate', seed)).posterior.noise.variance_factors[
-        [FACE_FACTOR, EDGE_FACTOR, POSE_FACTOR]] for seed in range(10)]
+    agreed = [solved(cell('plate', seed).problem) for seed in range(10)]
+    factors = [map_solution(each.problem, each.estimate).posterior.noise.variance_factors[
+        [FACE_FACTOR, EDGE_FACTOR, POSE_FACTOR]] for each in agreed]
     sensor, edge, robot = np.abs(np.log(factors)).max(axis=0)
     assert max(sensor, robot) < math.log(2.5)
     # the own noise of 18 edge points is a fifth of their residuals' variance: they say little
