@@ -185,16 +185,16 @@ class Problem:
         elif not len(self.pose_twists):
             object.__setattr__(self, 'pose_twists', self.pose_model.at(self.pose_values)[1])
 
-    @property
-    def is_sweep(self) -> bool:
-        """Return whether the poses depend on clocks: those of a moving robot."""
-        return self.pose_model is not None
-
     @cached_property
     def free_columns(self) -> NDArray[np.intp]:
         """Return the columns of the Jacobian that belong to unknowns."""
         free = self.target.is_free(self.config)
         return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
+
+    @property
+    def is_sweep(self) -> bool:
+        """Return whether the poses depend on clocks: those of a moving robot."""
+        return self.pose_model is not None
 
     @property
     def pose_stds(self) -> Array:
