@@ -48,6 +48,7 @@ from handeye_ros.data import (
     Reject,
     require_each,
     Sample,
+    SEED,
     TimedPose,
 )
 from handeye_ros.errors import DataError, require_type
@@ -59,8 +60,6 @@ from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import with_estimated_clocks
 import numpy as np
-
-SEED = 0  # of the random searches: the same samples give the same answer
 
 
 @dataclass(frozen=True, eq=False)

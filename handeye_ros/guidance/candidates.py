@@ -18,7 +18,7 @@ import math
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Sample
+from handeye_ros.data import Array, Sample, SEED
 from handeye_ros.estimation.posterior import posterior_at
 from handeye_ros.estimation.problem import Linear, linearise, Observations, Problem
 from handeye_ros.estimation.solve import Solution
@@ -37,7 +37,6 @@ ON_TARGET = 1e-4  # m: largest residual of a point on the target
 SMALLEST_SHARE = 0.5  # smallest share of a feature's length in the view
 SMALLEST_COSINE = 0.5  # smallest cosine of the incidence on a face, if the template has it
 SMALLEST_CORNER = 0.6  # rad between two faces in a profile; the finder needs 0.26
-SEED = 0  # the same samples give the same advice
 
 
 @dataclass(frozen=True, eq=False)
