@@ -44,12 +44,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import EdgePoint, Feature, Profile, Sample
 from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.search import (
-    refined_robustly,
-    robust_solution,
-    with_systematic_errors,
-    without_outliers,
-)
+from handeye_ros.estimation.search import robust_solution, with_systematic_errors
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_poses_of
 from handeye_ros.guidance.advice import advise
@@ -390,8 +385,8 @@ def solved(cell: World) -> Solution | None:
     problem = Problem(target, mount_poses_of(samples, cell.config), target.observe(samples),
                       cell.config)
     try:
-        agreed = (without_outliers(refined_robustly(problem, cell.last.estimate)) if cell.last else
-                  robust_solution(problem, np.random.default_rng(0), True))
+        agreed = robust_solution(problem, np.random.default_rng(0), True,
+                                 cell.last.estimate if cell.last else None)
         found = with_systematic_errors(agreed)
     except (DataError, np.linalg.LinAlgError):
         return None

@@ -23,7 +23,7 @@ from handeye_ros.config import read_yaml
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError, nearest, unusable_file
 from handeye_ros.estimation.covariance import CORRECTED_ARM
-from handeye_ros.estimation.noise import TURN_LENGTH, whitening
+from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.results.file_values import require_format, transform_from
 import numpy as np
@@ -209,10 +209,10 @@ def with_arm_errors(solution: Solution, kinematics: Path) -> Solution:
     G C G^T with G the change of X by the errors, is that of X and the arm together, whether
     or not the arm was found from the same samples. Raises InputError.
     """
-    arm = read_arm(kinematics)
+    arm, posterior = read_arm(kinematics), solution.posterior
     twists = arm.twists(arm.joints_near(solution.problem.robot_poses))[:, :, arm.free]
-    wrt_arm = whitening(solution.linear, solution.noise)(solution.linear.wrt_twists(twists))
-    G = solution.covariance[:6] @ solution.jacobian.T @ wrt_arm
+    wrt_arm = posterior.whitening(posterior.linear.wrt_twists(twists))
+    G = posterior.covariance[:6] @ posterior.jacobian.T @ wrt_arm
     return replace(solution, added_covariances={
         **solution.added_covariances, CORRECTED_ARM: G @ arm.covariance @ G.T})
 

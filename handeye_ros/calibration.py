@@ -29,6 +29,7 @@ from handeye_ros.data import (
     TIME_OFFSET,
 )
 from handeye_ros.estimation.blocks import LINE_BEND, with_columns
+from handeye_ros.estimation.posterior import Posterior
 from handeye_ros.estimation.problem import Estimate, mapped, Problem
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, name_direction, T_sensor_plane
@@ -117,12 +118,13 @@ def _joint(solution: Solution) -> dict[str, Any]:
     The covariance (6 + k, 6 + k) is of the errors of the transform and of the target's parameters
     as the data show them, so that errors in common cancel.
     """
-    problem = solution.problem
+    problem, posterior = solution.problem, solution.posterior
     size, free = 6 + len(problem.target.parameter_names), problem.free_columns
     covariance = np.zeros((size, size))
-    covariance[np.ix_(free, free)] = solution.covariance[:solution.unknowns, :solution.unknowns]
+    u = posterior.unknowns
+    covariance[np.ix_(free, free)] = posterior.covariance[:u, :u]
     return {'state': solution.estimate.state.tolist(), 'covariance': covariance.ravel().tolist(),
-            'variance_factor': solution.variance_factor}
+            'variance_factor': posterior.variance_factor}
 
 
 def edges_used(problem: Problem) -> list[str]:
@@ -146,7 +148,7 @@ def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
     measured = measured_points(used, problem)
     if fold is None:
         fold = np.arange(n) % min(n, MOST_FOLDS)
-    estimates, poses = solution.predictions(fold)
+    estimates, poses = solution.posterior.predictions(fold)
     T = poses @ np.array([estimate.X for estimate in estimates])[fold]
     p = mapped(measured.points, T[measured.station])
     fold_of_point, left_out = fold[measured.station], np.empty(len(p))
@@ -155,7 +157,7 @@ def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
         left_out[in_fold] = problem.target.conditions(
             p[in_fold], measured.kind[in_fold], estimate.state, problem.config).g
     return measured, measured.residuals(
-        problem, solution.estimate, solution.corrected_poses()), left_out
+        problem, solution.estimate, solution.posterior.corrected_poses()), left_out
 
 
 def rms_by(number: NDArray[np.intp], residuals: Array, n: int) -> Array:
@@ -222,14 +224,14 @@ class BlockEstimate:
     significance: float
 
 
-def block_estimates(solution: Solution) -> dict[str, BlockEstimate]:
-    """Return the first parameter of each block of a solution, by the name of the block."""
+def block_estimates(posterior: Posterior) -> dict[str, BlockEstimate]:
+    """Return the first parameter of each block, by the name of the block."""
     estimates = dict[str, BlockEstimate]()
-    variances = np.diag(solution.covariance)[solution.unknowns:]
-    for block, columns in with_columns(solution.blocks):
-        value, variance = float(solution.nuisance[columns][0]), float(variances[columns][0])
+    variances = np.diag(posterior.covariance)[posterior.unknowns:]
+    for block, columns in with_columns(posterior.blocks):
+        value, variance = float(posterior.nuisance[columns][0]), float(variances[columns][0])
         # share of the information that is not the prior's
-        data_share = max(1 - variance / solution.prior_scale(block) ** 2, 1e-9)
+        data_share = max(1 - variance / posterior.prior_scale(block) ** 2, 1e-9)
         data_value, data_variance = value / data_share, variance / data_share
         estimates[block.name] = BlockEstimate(value * block.std, variance ** 0.5 * block.std,
                                               data_value / math.sqrt(1 + data_variance),
@@ -254,7 +256,7 @@ def reported_parameters(solution: Solution) -> dict[str, Any]:
 
 def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
     """Return value and 1 sigma of a parameter of the clocks, None without it."""
-    estimate = block_estimates(solution).get(name)
+    estimate = block_estimates(solution.posterior).get(name)
     if estimate is None:
         return None
     reported = block_estimates(solution.for_report)[name]
@@ -308,7 +310,7 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the notes on measures of the target that contradict the configuration."""
     target = solution.problem.target
     measures, stated_to_solver = map(target.stated_values, (config, solution.problem.config))
-    estimates, reported = block_estimates(solution), block_estimates(solution.for_report)
+    estimates, reported = map(block_estimates, (solution.posterior, solution.for_report))
     values = target.measures(solution.estimate.state)
     stds = dict(zip(target.parameter_names, solution.target_std.tolist(), strict=True))
     freed = [name for name, (_, tolerance) in measures.items()

@@ -288,7 +288,7 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
         # the others know no motion
         used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used)
         stations = ComparedStations(used, config, solution.problem, solution.estimate,
-                                    solution.noise)
+                                    solution.posterior.noise)
         return OwnAnswer(stations, solution.estimate.X, answer.refusal)
     return _comparison(config.target.type, solve_own, len(samples) + len(rejects), T_true, folds,
                        progress)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.intp]
 T = TypeVar('T')
+SEED = 0  # of random searches: the same samples give the same answer
 NS = 1_000_000_000  # nanoseconds in a second: stamps are in ns
 # keys of estimated values: two times (s), and the seconds that the clock of the profiles loses in
 # a second
@@ -333,7 +334,7 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class Term:
+class BudgetTerm:
     """
     A part of the reported covariance by its 1 sigma; the squares of all parts add up.
 

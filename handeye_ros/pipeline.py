@@ -49,6 +49,7 @@ from handeye_ros.data import (
     Reject,
     require_each,
     Sample,
+    SEED,
     TimedPose,
 )
 from handeye_ros.errors import DataError, require_type
@@ -60,8 +61,6 @@ from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import with_estimated_clocks
 import numpy as np
-
-SEED = 0  # of the random searches: the same samples give the same answer
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +206,8 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         require_no_half_turn_twin(solution)
         solution, move_warning = with_possible_move(solution)
         require_certain(solution.transform_covariance, config,
-                        move_warning or missing_motion(solution, config), solution.linear.lever)
+                        move_warning or missing_motion(solution, config),
+                        solution.posterior.linear.lever)
         require_edges(solution)
         # 9. Cross-validation: refuse samples that the others do not predict. The figures of the
         # answer hold these residuals.

@@ -52,7 +52,7 @@ def require_agreement(samples: Sequence[Sample], solution: Solution, baseline: F
     """
     problem, refusal = solution.full_problem, contradiction(solution)
     config, poses = problem.config, problem.poses
-    doubt = math.inf if refusal else solution.variance_factor
+    doubt = math.inf if refusal else solution.posterior.variance_factor
     # the opposite sign of the range, and known errors in the conventions of the poses
     hypotheses = list[Hypothesis]()
     if doubt > SIGN_TRIED or solution.fully_used < len(poses):
@@ -63,10 +63,11 @@ def require_agreement(samples: Sequence[Sample], solution: Solution, baseline: F
     refuse_by_best(baseline, hypotheses, tried)
     # orientations or a lack of rotation that would look like a move
     if refusal and orientations_scatter(poses):
-        raise DataError(f'samples and poses contradict each other by {mm(solution.residual_rms)} '
-                        'RMS, and the orientations of the poses are scattered in all directions, '
-                        'as when angles in degrees are read as radians: convert the angles of the '
-                        'poses', reason='convention')
+        rms = mm(solution.posterior.residual_rms)
+        raise DataError(f'samples and poses contradict each other by {rms} RMS, and the '
+                        'orientations of the poses are scattered in all directions, as when '
+                        'angles in degrees are read as radians: convert the angles of the poses',
+                        reason='convention')
     if refusal and rms_turns_and_axes(poses)[0][1] < FEW_TURNS:
         require_certain(solution.transform_covariance, config, missing_motion(solution, config))
     # the scale of the robot, and a sensor or target that moved

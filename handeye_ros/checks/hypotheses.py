@@ -76,13 +76,13 @@ class Fit:
     @property
     def variance_factor(self) -> float:
         """Return the squared whitened residual of all solutions per degree of freedom."""
-        freedom = sum(solution.degrees_of_freedom for solution in self.solutions)
-        return sum(solution.sum_of_squares for solution in self.solutions) / max(freedom, 1)
+        freedom = sum(solution.posterior.degrees_of_freedom for solution in self.solutions)
+        return sum(each.posterior.sum_of_squares for each in self.solutions) / max(freedom, 1)
 
     @property
     def redundancy(self) -> int:
         """Return the number of independent conditions in excess of the unknowns."""
-        return sum(solution.redundancy for solution in self.solutions)
+        return sum(solution.posterior.redundancy for solution in self.solutions)
 
     @property
     def agrees(self) -> bool:
@@ -105,7 +105,8 @@ class Fit:
         sigmas.
         """
         return bool(self.solutions) and all(
-            solution.residual_rms <= solution.expected_rms for solution in self.solutions)
+            solution.posterior.residual_rms <= solution.posterior.expected_rms
+            for solution in self.solutions)
 
     def evidence_over(self, baseline: Fit) -> float:
         """Return twice the log of the odds, by the stops of this fit, for it against another."""
@@ -114,9 +115,9 @@ class Fit:
                                   < SMALLEST_EXPLAINED_SHARE * explained_before):
             return -math.inf
         fitted = [fit for fit in (self, baseline) if fit.solutions]
-        conditions = min(int(np.median(np.concatenate([each.ranks for each in fit.solutions])))
-                         for fit in fitted)
-        noise = min(fit.solutions[0].expected_rms for fit in fitted)  # m
+        conditions = min(int(np.median(np.concatenate(
+            [solution.posterior.ranks for solution in fit.solutions]))) for fit in fitted)
+        noise = min(fit.solutions[0].posterior.expected_rms for fit in fitted)  # m
         unexplained = np.full(2, np.inf)
         before, after = (
             np.array([fit.left_out_squares.get(stamp, unexplained) for stamp in self.stamps])
@@ -132,7 +133,7 @@ class Fit:
     def _in_words(self, stamps: Sequence[int]) -> str:
         if not self.solutions:
             return 'no stop fits'
-        rms = math.sqrt(np.mean([solution.residual_rms ** 2 for solution in self.solutions]))
+        rms = math.sqrt(np.mean([each.posterior.residual_rms ** 2 for each in self.solutions]))
         moving = self.solutions[0].full_problem.config.sampling.moving
         explained = len(self.left_out_squares.keys() & stamps)
         return (f'{explained} of {len(stamps)} {"profiles" if moving else "stops"} fit '
@@ -141,11 +142,12 @@ class Fit:
 
 def _left_out_squares(solution: Solution) -> Array:
     """Return q of (13), (n, 2), of all stations of a solution, inf where it explains none."""
-    station, n = solution.problem.observations.station, len(solution.used)
+    posterior, n = solution.posterior, len(solution.used)
+    station = posterior.problem.observations.station
     whitened, metres = (np.bincount(station, residuals ** 2, minlength=n) for residuals in (
-        solution.postfit_residuals, solution.linear.residuals))
+        posterior.postfit_residuals, posterior.linear.residuals))
     q = np.full((len(solution.full_problem.poses), 2), np.inf)
-    q[solution.used] = solution.left_out_squares()[0][:, None] * np.column_stack(
+    q[solution.used] = posterior.left_out_mean_squares()[0][:, None] * np.column_stack(
         [np.ones(n), metres / np.maximum(whitened, 1e-300)])
     q[solution.stations_without_edges] = q[solution.indispensable_stations] = np.inf
     return q

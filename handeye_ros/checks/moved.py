@@ -29,13 +29,13 @@ from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.blocks import ParameterBlock, with_columns
 from handeye_ros.estimation.least_squares import chi2_isf, eigen
-from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise, whitening
-from handeye_ros.estimation.problem import Estimate, Problem
+from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise
+from handeye_ros.estimation.posterior import Posterior, posterior_at
+from handeye_ros.estimation.problem import Estimate, Linear, Problem
 from handeye_ros.estimation.search import quick_solution, reassigned
 from handeye_ros.estimation.solve import (
     cover,
     Solution,
-    solution_at,
     with_noise_reestimated,
 )
 from handeye_ros.frames import mount_frame, target_frame
@@ -96,7 +96,7 @@ def _moved_between(first: Solution, second: Solution) -> DataError:
 
 def _same_transform(first: Solution, second: Solution) -> bool:
     """Return whether two parts may have the same transform: then the target moved between them."""
-    covariance = sum(part.transform_covariance * max(part.variance_factor, 1.0)
+    covariance = sum(part.transform_covariance * max(part.posterior.variance_factor, 1.0)
                      for part in (first, second))
     delta = se3.difference(second.estimate.X, first.estimate.X)
     return bool(delta @ np.linalg.solve(covariance, delta) < chi2_isf(FALSE_CAUSE_PROBABILITY, 6))
@@ -109,19 +109,20 @@ def _same_target(first: Solution, second: Solution) -> bool:
     Parts of a few samples, some of them wrong, fit by chance, each with a target of its own. A
     part that leaves its target free, as one edge of a plate does, may see any.
     """
-    if not (first.is_determined and second.is_determined):
+    posteriors = first.posterior, second.posterior
+    if not all(posterior.is_determined for posterior in posteriors):
         return True
     estimate = Estimate(second.estimate.X, first.estimate.state)
-    second_at = solution_at(reassigned(second.problem, estimate), estimate, BLOCKS_AS_NOISE)
+    second_at = posterior_at(reassigned(second.problem, estimate), estimate, BLOCKS_AS_NOISE)
     # both parts in one fit: two transforms (6 columns each), and the target in common
-    J = np.vstack([np.insert(first.jacobian, [6] * 6, 0.0, axis=1),
+    J = np.vstack([np.insert(posteriors[0].jacobian, [6] * 6, 0.0, axis=1),
                    np.insert(second_at.jacobian, [0] * 6, 0.0, axis=1)])
     J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-    r = np.concatenate([first.prefit_residuals, second_at.prefit_residuals])
+    r = np.concatenate([posteriors[0].prefit_residuals, second_at.prefit_residuals])
     joint = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
-    increase = joint @ joint - first.sum_of_squares - second.sum_of_squares
-    factor = max(first.variance_factor, second.variance_factor, 1.0)
-    return bool(increase < factor * chi2_isf(FALSE_CAUSE_PROBABILITY, first.unknowns - 6))
+    increase = joint @ joint - posteriors[0].sum_of_squares - posteriors[1].sum_of_squares
+    factor = max(*(posterior.variance_factor for posterior in posteriors), 1.0)
+    return bool(increase < factor * chi2_isf(FALSE_CAUSE_PROBABILITY, posteriors[0].unknowns - 6))
 
 
 # -- outliers at one end, though one answer fits the others
@@ -189,15 +190,15 @@ class _Move:
     solution: that is tested
     body: SENSOR, in the mount, or TARGET, in the base
     station: the first one after the move, of those used
-    moved: the solution with the move as two more blocks, noise and scales estimated again
+    moved: its posterior with the move as two more blocks, noise and scales estimated again
     unmoved: the same without the move
     """
 
     solution: Solution
     body: int
     station: int
-    moved: Solution
-    unmoved: Solution
+    moved: Posterior
+    unmoved: Posterior
 
     @cached_property
     def evidence(self) -> float:
@@ -220,7 +221,7 @@ class _Move:
     @property
     def may_be_robot_error(self) -> bool:
         """Return whether the points move no more than the robot's smooth error may be (step 4)."""
-        shifts = self.step[:3] + np.cross(self.step[3:], _levers(self.moved)[self.body])
+        shifts = self.step[:3] + np.cross(self.step[3:], _levers(self.moved.linear)[self.body])
         # the smaller estimate of that error, as a move can only explain it
         smooth = min(max((block.std * each.prior_scale(block) for block in each.blocks
                           if block.name == 'robot_smooth'), default=0.0)
@@ -234,7 +235,7 @@ class _Move:
         """Return the share of random orders of the stations with as clear a move (step 5)."""
         solution = self.solution
         in_time, *in_random_orders = _bayes_factors(
-            solution_at(solution.problem, solution.estimate, self.moved.noise),
+            posterior_at(solution.problem, solution.estimate, self.moved.noise),
             _moments(solution, PARTS_EXCHANGED), RANDOM_ORDERS).max(axis=(1, 2))
         return float(np.mean(in_random_orders >= in_time))
 
@@ -261,9 +262,9 @@ def _likeliest_move(solution: Solution) -> _Move | None:
     if n < problem.target.min_samples + 4:  # too few to tell a move from an outlier
         return None
     noises = [reported]
-    if not solution.problem.is_sweep:
+    if not problem.is_sweep:
         # of a few stations, estimated noise absorbs a move; configured may be too large
-        noises.append(solution_at(problem, solution.estimate, Noise()))
+        noises.append(posterior_at(problem, solution.estimate, Noise()))
     moments = _moments(solution, MOMENTS_TRIED)
     factors = np.max([_bayes_factors(each, moments)[0] for each in noises], axis=0)
     if factors.max() < -WARNING_EVIDENCE:
@@ -271,14 +272,14 @@ def _likeliest_move(solution: Solution) -> _Move | None:
     first_tried = moments[np.argsort(-factors, axis=0)[:max(STATIONS_TRIED // n, 1)]]
     # a moment a few profiles off leaves an error that only a much worse robot would explain
     all_moments = _moments(solution, n)
-    tried = dict[tuple[int, int], Solution]()
+    tried = dict[tuple[int, int], Posterior]()
     for (_, body), first in np.ndenumerate(first_tried):
         station = int(first)
         while (body, station) not in tried:
             moved = with_noise_reestimated(reported, _blocks_of_move(reported, body, station))
             tried[body, station] = moved
             # noise and scales estimated with the move do not absorb it: its time is clearer
-            again = solution_at(problem, solution.estimate, moved.noise)
+            again = posterior_at(problem, solution.estimate, moved.noise)
             station = int(all_moments[np.argmax(_bayes_factors(again, all_moments)[0, :, body])])
     (body, station), moved = min(tried.items(), key=lambda item: item[1].deviance)
     return _Move(solution, body, station, moved, with_noise_reestimated(reported))
@@ -295,58 +296,56 @@ def _moments(solution: Solution, count: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(margin, len(solution.used) - margin, count).round().astype(int))
 
 
-def _blocks_of_move(solution: Solution, body: int, station: int) -> tuple[ParameterBlock, ...]:
+def _blocks_of_move(posterior: Posterior, body: int, station: int) -> tuple[ParameterBlock, ...]:
     """Return two blocks of nuisance parameters: translation (m) and rotation vector of a move."""
-    columns = _wrt_moves(solution)[body]
-    columns[solution.problem.observations.station < station] = 0.0
+    columns = _wrt_moves(posterior.linear)[body]
+    columns[posterior.problem.observations.station < station] = 0.0
     return tuple(ParameterBlock(name, columns[:, axes], float(MOVE_STD[axes][0]),
                                 largest_variance=1.0)
                  for name, axes in (('translation', slice(0, 3)), ('rotation', slice(3, 6))))
 
 
-def _wrong_times(solution: Solution, stations: NDArray[np.intp]) -> ParameterBlock:
+def _wrong_times(posterior: Posterior, stations: NDArray[np.intp]) -> ParameterBlock:
     """
     Return the errors of the times of a sweep that may look like a move.
 
     A clock that jumps before one or more of some stations, near which a move is likeliest, and
     profiles whose points are taken one after the other.
     """
-    problem, observations = solution.problem, solution.problem.observations
-    wrt_time = solution.linear.wrt_twists(problem.pose_twists[:, :, :1])
+    problem, observations = posterior.problem, posterior.problem.observations
+    wrt_time = posterior.linear.wrt_twists(problem.pose_twists[:, :, :1])
     after, along = observations.station[:, None] >= stations, observations.points[:, :1]
     columns = np.hstack([wrt_time * after, wrt_time * along / rms(along)])
     return ParameterBlock('times', columns * TIME_STD, TIME_STD, largest_variance=1.0)
 
 
-def _wrt_moves(solution: Solution) -> Array:
+def _wrt_moves(linear: Linear) -> Array:
     """Return the derivatives (2, m, 6) by moves of sensor and target, in prior sigmas."""
-    linear = solution.linear
-    wrt_turn = np.cross(_levers(solution)[TARGET], linear.wrt_base)
+    wrt_turn = np.cross(_levers(linear)[TARGET], linear.wrt_base)
     wrt_move = np.stack([linear.jacobian[:, :6], np.hstack([linear.wrt_base, wrt_turn])])
     return np.asarray(wrt_move * MOVE_STD)
 
 
-def _levers(solution: Solution) -> tuple[Array, Array]:
+def _levers(linear: Linear) -> tuple[Array, Array]:
     """Return the points (m, 3) from what a sensor, and a target, turns about when it moves."""
-    p = solution.problem.points_in_base(solution.linear.estimate.X)
-    return solution.linear.lever, p - p.mean(axis=0)
+    p = linear.problem.points_in_base(linear.estimate.X)
+    return linear.lever, p - p.mean(axis=0)
 
 
-def _bayes_factors(solution: Solution, moments: NDArray[np.intp], random_orders: int = 0
+def _bayes_factors(posterior: Posterior, moments: NDArray[np.intp], random_orders: int = 0
                    ) -> Array:
     """
     Return 2 log Bayes factors (1 + orders, k, 2) of moves of sensor and target, (14).
 
     Before each of the k moments: in the order of time, and in random orders of the parts between.
     """
-    whiten, A, e = (whitening(solution.linear, solution.noise), solution.jacobian,
-                    solution.postfit_residuals)
-    D = np.array([whiten(columns) for columns in _wrt_moves(solution)])
-    scale = np.sqrt(np.diag(solution.covariance))  # m, rad and sigmas differ by 1e5
-    values, axes = eigen(solution.covariance / scale / scale[:, None])
+    A, e = posterior.jacobian, posterior.postfit_residuals
+    D = np.array([posterior.whitening(columns) for columns in _wrt_moves(posterior.linear)])
+    scale = np.sqrt(np.diag(posterior.covariance))  # m, rad and sigmas differ by 1e5
+    values, axes = eigen(posterior.covariance / scale / scale[:, None])
     root = (axes * np.sqrt(np.maximum(values, 0.0)) * scale[:, None]).T  # of C
     parts = np.split(np.arange(len(A)), np.searchsorted(
-        solution.problem.observations.station, moments))
+        posterior.problem.observations.station, moments))
     # sums over each part: D'D, C^(1/2) A'D, D'e
     sums = (np.array([np.swapaxes(D[:, rows], 1, 2) @ D[:, rows] for rows in parts]),
             np.array([root @ (A[rows].T @ D[:, rows]) for rows in parts]),

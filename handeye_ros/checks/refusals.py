@@ -16,7 +16,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import count_of, DataError, degrees, mm
 from handeye_ros.estimation.covariance import CORRECTED_ARM
-from handeye_ros.estimation.noise import EDGES
+from handeye_ros.estimation.noise import EDGE_FACTOR
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import axes_across, mount_frame, name_direction
 from handeye_ros.se3 import (
@@ -123,7 +123,7 @@ def rms_turns_and_axes(poses: Array) -> tuple[Array, Array]:
 
 def contradiction(solution: Solution) -> UnexplainedError | None:
     """Return the refusal of a solution that its samples contradict, None where they agree."""
-    limits, rms = solution.full_problem.config.limits, solution.residual_rms
+    limits, rms = solution.full_problem.config.limits, solution.posterior.residual_rms
     dropped = solution.dropped_squares
     if rms > limits.residual:
         return UnexplainedError(
@@ -138,9 +138,9 @@ def contradiction(solution: Solution) -> UnexplainedError | None:
             f'{len(dropped)} of {total} samples contradict the others, so no answer can be '
             'trusted: check that target and sensor are fixed and that the laser crosses only the '
             'target', reason='misfit')
-    times = rms / solution.expected_rms
+    times = rms / solution.posterior.expected_rms
     if times > limits.scatter or (
-            solution.variance_factor > MISFIT_FACTOR and times > MISFIT_TIMES):
+            solution.posterior.variance_factor > MISFIT_FACTOR and times > MISFIT_TIMES):
         beyond = f' (limits.scatter is {limits.scatter:g})' if times > limits.scatter else ''
         return UnexplainedError(
             f'the residuals of {mm(rms)} RMS are {times:.1f} times what the configured noise '
@@ -158,7 +158,7 @@ def require_tested(solution: Solution) -> None:
     may be wrong too.
     """
     used, dropped = len(solution.used), len(solution.dropped_squares)
-    redundancy = solution.redundancy
+    redundancy = solution.posterior.redundancy
 
     def needed(outliers: int) -> int:
         return FEWEST_REDUNDANT * (1 + outliers) + (outliers > 0)
@@ -169,7 +169,7 @@ def require_tested(solution: Solution) -> None:
             f'{used + dropped} usable samples{why} give only {redundancy} redundant equations; at '
             f'least {needed(dropped)} are needed: take more samples at new poses', reason='few')
     # if one more sample were dropped
-    per_sample = int(solution.ranks.max())
+    per_sample = int(solution.posterior.ranks.max())
     missing = needed(dropped + 1) - (redundancy - per_sample)
     others_wrong_too = (solution.probability_wrong > SURELY_WRONG_P and dropped > 1
                         and solution.full_problem.ambiguous)
@@ -184,9 +184,9 @@ def require_tested(solution: Solution) -> None:
 
 def require_no_half_turn_twin(solution: Solution) -> None:
     """Raise DataError for views so much alike that a sensor turned by half would see the same."""
-    place, misfit = solution.problem.target.half_turn_misfit(solution.linear)
+    place, misfit = solution.problem.target.half_turn_misfit(solution.posterior.linear)
     # a larger residual has other causes
-    residual = min(solution.residual_rms, solution.full_problem.config.limits.residual)
+    residual = min(solution.posterior.residual_rms, solution.full_problem.config.limits.residual)
     if 2 * misfit < TWIN_RATIO * residual:
         raise DataError(
             f'all samples show the target {place} of the view (within {mm(misfit)}), and a sensor '
@@ -245,9 +245,10 @@ def require_edges(solution: Solution) -> None:
     target = solution.full_problem.target
     if not target.essential:
         return
-    factor = solution.noise.variance_factors[EDGES]
-    at_rest = not solution.problem.is_sweep  # a robot on its way has errors of its own
-    if at_rest and factor > STRAY_EDGES and solution.residual_rms > solution.expected_rms:
+    posterior, at_rest = solution.posterior, not solution.problem.is_sweep
+    factor = posterior.noise.variance_factors[EDGE_FACTOR]
+    # a robot on its way has errors of its own
+    if at_rest and factor > STRAY_EDGES and posterior.residual_rms > posterior.expected_rms:
         raise UnexplainedError(
             f'the edges of the target scatter {factor ** 0.5:.1f} times more than the profiles '
             'allow: check that the laser crosses the target alone, and no clamp, bar or second '

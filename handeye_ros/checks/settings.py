@@ -52,7 +52,7 @@ def setting_hypotheses(session: Session, config: Config, baseline: Fit) -> Itera
             fit = replace(fit, left_out_squares={
                 stamp: q for stamp, q in fit.left_out_squares.items() if stamp not in show_edge})
         if fit.believable and fit.within_noise and all(
-                solution.is_determined and not len(solution.indispensable_stations)
+                solution.posterior.is_determined and not len(solution.indispensable_stations)
                 for solution in fit.solutions):
             fits[values] = fit
     for values, fit in fits.items():

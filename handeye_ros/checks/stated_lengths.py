@@ -42,7 +42,7 @@ def with_free_shape_if_needed(problem: Problem, solution: Solution, rng: np.rand
     target, config = problem.target, problem.config
     free_config = replace(config, target=replace(config.target, **target.free_shape))
     fits = not (solution.dropped_squares or len(solution.stations_without_edges)
-                or solution.variance_factor > CONVINCING_SQUARE)
+                or solution.posterior.variance_factor > CONVINCING_SQUARE)
     if fits or free_config == config:
         return solution
     free = robust_solution(replace(problem, config=free_config), rng, start=start)
@@ -65,16 +65,13 @@ def with_free_size_if_needed(solution: Solution) -> Solution:
     Otherwise the scale of the robot, which is stated less exactly, stands for a wrong length: they
     are estimated too where such a scale is seen with the stated lengths alone.
     """
-    problem, config = solution.problem, solution.full_problem.config
-    free_config = replace(config, target=replace(config.target, **problem.target.loose_lengths))
-    stated, loose = map(problem.target.stated_values, (config, free_config))
+    target, config = solution.problem.target, solution.full_problem.config
+    free_config = replace(config, target=replace(config.target, **target.loose_lengths))
+    stated, loose = map(target.stated_values, (config, free_config))
     lengths = [name for name, (_, std) in loose.items() if std > stated[name][1]]
     if not lengths:
         return solution
-    # solved anew from the observations and the estimate; what is linearised here is not used
-    free = with_systematic_errors(replace(
-        solution, full_problem=replace(solution.full_problem, config=free_config),
-        linear=replace(solution.linear, problem=replace(problem, config=free_config))))
+    free = with_systematic_errors(solution, free_config)
     with_stated, with_free = (block_estimates(each.for_report) for each in (solution, free))
     wrong = any(abs(with_free[name].value)
                 > max(FREED_FROM_SIGMAS * with_free[name].std, 2 * stated[name][1])
@@ -96,12 +93,12 @@ def scale_hypothesis(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypo
     The scale is solved for to first order, together with the stated measures of the target, so
     that a wrong measure is not taken for a scale. stamps: of the stations.
     """
-    problem, linear = solution.full_problem, solution.linear
-    wrt_measures = linear.jacobian[:, 6:][:, problem.tolerances > 0]
-    wrt_scale = -linear.wrt_twists(scale_twists(solution.problem))
-    J = np.hstack([solution.whitening(np.hstack([wrt_scale, wrt_measures])), solution.jacobian])
+    problem, posterior = solution.full_problem, solution.posterior
+    wrt_measures = posterior.linear.jacobian[:, 6:][:, problem.stated_stds > 0]
+    wrt_scale = -posterior.linear.wrt_twists(scale_twists(posterior.problem))
+    J = np.hstack([posterior.whitening(np.hstack([wrt_scale, wrt_measures])), posterior.jacobian])
     covariance = covariance_of(J)
-    scale = float(covariance[0] @ (J.T @ solution.postfit_residuals))
+    scale = float(covariance[0] @ (J.T @ posterior.postfit_residuals))
     if SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
         T = problem.robot_poses.copy()
         T[:, :3, 3] /= 1 + scale

@@ -147,7 +147,7 @@ def bent_surface(p: Array, on_surface: NDArray[np.bool_], degrees: Sequence[int]
     return _by_degree(terms, degrees)
 
 
-def pose_features(poses: Array) -> Array:
+def scaled_pose_vectors(poses: Array) -> Array:
     """Return positions and rotation vectors (n, 6) of poses (n, 4, 4), over length scales."""
     return np.concatenate([poses[:, :3, 3] / POSITION_LENGTH,
                            se3.turns_from_mean(poses) / ROTATION_LENGTH], axis=1)
@@ -159,8 +159,8 @@ def smooth_basis(poses: Array, long_errors: bool = False) -> Array:
 
     Of many poses, 24 distant ones span it (Nystroem method).
     """
-    features = pose_features(poses)
-    return _kernel_root(features, farthest_points(features, 24), long_errors)
+    vectors = scaled_pose_vectors(poses)
+    return _kernel_root(vectors, farthest_points(vectors, 24), long_errors)
 
 
 def smooth_basis_in_time(times: Array, long_errors: bool) -> Array:
@@ -171,33 +171,33 @@ def smooth_basis_in_time(times: Array, long_errors: bool) -> Array:
     return _kernel_root(times[:, None] / TIME_LENGTH, np.unique(nearest).tolist(), long_errors)
 
 
-def _kernel_root(features: Array, chosen: list[int], long_errors: bool = False) -> Array:
+def _kernel_root(vectors: Array, chosen: list[int], long_errors: bool = False) -> Array:
     """
-    Return the root (n, k) of a kernel at features (n, j), spanned by the chosen rows.
+    Return the root (n, k) of a kernel at vectors (n, j), spanned by the chosen rows.
 
     The kernel is rational quadratic, of errors of all wavelengths (for the estimate), or of long
     ones (for the report). Errors of joints and links have long wavelengths: if short ones were
     assumed with them, the absence of short ones would prove the long ones small, which the samples
     show least.
     """
-    squared = ((features[:, None] - features[chosen]) ** 2).sum(axis=2)
+    squared = ((vectors[:, None] - vectors[chosen]) ** 2).sum(axis=2)
     correlations = np.exp2(-squared) if long_errors else 1.0 / (1.0 + squared)
     values, vectors = eigen(correlations[chosen])
     keep = values > 1e-6 * values[-1]
     return np.asarray(correlations @ (vectors[:, keep] / np.sqrt(values[keep])))
 
 
-def farthest_points(features: Array, most: int) -> list[int]:
+def farthest_points(vectors: Array, most: int) -> list[int]:
     """
-    Return the indices of at most `most` features (n, 6), by farthest-point sampling.
+    Return the indices of at most `most` vectors (n, 6), by farthest-point sampling.
 
-    Features nearer than 0.006 (6 mm, 0.5 degrees) count as a repeated pose.
+    Vectors nearer than 0.006 (6 mm, 0.5 degrees) count as a repeated pose.
     """
     chosen = [0]
-    nearest = ((features - features[0]) ** 2).sum(axis=1)
+    nearest = ((vectors - vectors[0]) ** 2).sum(axis=1)
     while len(chosen) < most and nearest.max() > 0.006 ** 2:
         chosen.append(int(np.argmax(nearest)))
-        nearest = np.minimum(nearest, ((features - features[chosen[-1]]) ** 2).sum(axis=1))
+        nearest = np.minimum(nearest, ((vectors - vectors[chosen[-1]]) ** 2).sum(axis=1))
     return chosen
 
 

@@ -16,7 +16,8 @@ PoseModel:
 
     offset = PoseModel(poses_and_twists, names=('time_offset',), stds=(0.05,),
                        stations=np.arange(len(stamps)))
-    solution = map_solution(Problem(target, poses, observations, config, offset), start)
+    problem = Problem(target, poses, observations, config, offset)
+    solution = with_systematic_errors(robust_solution(problem, rng, start=start))
     solution.problem.pose_values, solution.problem.poses  # as estimated
 
 With eye_on_base, a PoseModel also gives T_base_flange, not the inverted poses.

@@ -13,12 +13,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros import se3
-from handeye_ros.data import Array, Term
+from handeye_ros.data import Array, BudgetTerm
 from handeye_ros.estimation.basis import grid_over
 from handeye_ros.estimation.blocks import with_columns
 from handeye_ros.estimation.least_squares import chi2_sf
-from handeye_ros.estimation.noise import covariance_parts, Noise, POSES
-from handeye_ros.estimation.solve import Solution, solution_at
+from handeye_ros.estimation.noise import covariance_parts, Noise, POSE_FACTOR
+from handeye_ros.estimation.posterior import Posterior, posterior_at
+from handeye_ros.estimation.solve import Solution
 import numpy as np
 
 POSE_ERROR = np.repeat([1e-3, 3e-3], 3)  # 1 sigma of a wrong station's pose error (m, rad)
@@ -28,18 +29,18 @@ SURE_ODDS = 100.0  # posterior odds of one station being wrong, above which it i
 SMALLEST_P = 0.2  # p-value of the other squares; below it more than one is wrong
 
 
-def with_possibly_wrong_station(solution: Solution, dropped: int) -> Solution:
+def with_possibly_wrong_station(solution: Solution) -> Solution:
     """
     Return a solution with its contamination, (10), and the station that is almost surely wrong.
 
-    Between problem.enough stations and twice as many the probabilities fade to 0. dropped: number
-    of stations dropped as wrong, which make another wrong one likelier.
+    Between problem.stations_for_noise stations and twice as many the probabilities fade to 0.
+    Stations dropped as wrong make another wrong one likelier.
     """
-    problem, n = solution.problem, len(solution.problem.poses)
+    problem, n, dropped = solution.problem, len(solution.used), len(solution.dropped_squares)
     if problem.is_large:
         return solution
-    faded = min(1.0, 2 - n / problem.enough)
-    configured = solution_at(problem, solution.estimate, Noise())
+    faded = min(1.0, 2 - n / problem.stations_for_noise)
+    configured = posterior_at(problem, solution.estimate, Noise())
     explained, log_likelihood_ratio, added = _each_station_wrong(configured)
     # posterior probability that each is the only wrong one, against that none is (odds 1); all
     # odds are divided by the largest, as their exponentials may be no numbers
@@ -57,7 +58,7 @@ def with_possibly_wrong_station(solution: Solution, dropped: int) -> Solution:
                    surely_wrong=(worst,) if sure else ())
 
 
-def _each_station_wrong(configured: Solution) -> tuple[Array, Array, Array]:
+def _each_station_wrong(configured: Posterior) -> tuple[Array, Array, Array]:
     """
     Return what a wrong pose would mean, for each station.
 
@@ -92,7 +93,7 @@ def _each_station_wrong(configured: Solution) -> tuple[Array, Array, Array]:
     return explained, log_ratio, added
 
 
-def budget(solution: Solution) -> list[Term]:
+def budget(solution: Solution) -> list[BudgetTerm]:
     """
     Return what each cause contributes to the reported covariance of the transform, and the total.
 
@@ -116,7 +117,7 @@ def budget(solution: Solution) -> list[Term]:
             _term(solution, 'all', solution.transform_covariance)]
 
 
-def _parts_of_noise(reported: Solution) -> dict[str, Array]:
+def _parts_of_noise(reported: Posterior) -> dict[str, Array]:
     """Return the parts (6, 6) of C that come from the white errors of sensor and poses, (3)."""
     parts = {'sensor, white': np.zeros((6, 6)), 'poses, white': np.zeros((6, 6))}
     groups = reported.problem.observations.station_groups
@@ -125,15 +126,15 @@ def _parts_of_noise(reported: Solution) -> dict[str, Array]:
         V = V * reported.noise.variance_factors[:len(V), None, None, None]
         A = reported.jacobian[group.rows]
         gain = (A @ reported.covariance[:, :6]).swapaxes(1, 2) @ root  # of residuals in m
-        for name, V_parts in zip(parts, np.split(V, [POSES]), strict=True):
+        for name, V_parts in zip(parts, np.split(V, [POSE_FACTOR]), strict=True):
             parts[name] += (gain @ V_parts.sum(axis=0) @ gain.swapaxes(1, 2)).sum(axis=0)
     return parts
 
 
-def _term(solution: Solution, name: str, part: Array) -> Term:
+def _term(solution: Solution, name: str, part: Array) -> BudgetTerm:
     """Return the sigmas of a part (6, 6) of the covariance."""
     points = grid_over(solution.problem.observations.points, (-1, 0, 1))
     levers = points @ solution.estimate.X[:3, [0, 2]].T
     mapped = np.trace(se3.mapped_covariance(levers, part))
     squares = (np.trace(part[:3, :3]) / 3, np.trace(part[3:, 3:]) / 3, mapped)
-    return Term(name, *(float(max(square, 0.0) ** 0.5) for square in squares))
+    return BudgetTerm(name, *(float(max(square, 0.0) ** 0.5) for square in squares))

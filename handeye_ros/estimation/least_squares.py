@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, wraps
+from threading import Lock
 from typing import Any, Generic, ParamSpec, TypeAlias, TypeVar
 
 from handeye_ros.data import Array
@@ -243,33 +244,31 @@ def shared_variance_factor(mean_squares: Array, freedom: NDArray[np.intp] | int)
 
 
 def drop_outliers(used: NDArray[np.intp], total: int, fewest: int,
-                  fitted: Callable[[F | None, NDArray[np.intp]], F],
+                  fitted: Callable[[F | None, NDArray[np.intp], dict[int, float]], F],
                   left_out_squares: Callable[[F], tuple[Array, NDArray[np.intp] | int]],
-                  surely_wrong: Callable[[F], Sequence[int]] = lambda fit: ()
-                  ) -> tuple[F, NDArray[np.intp], dict[int, float]]:
+                  surely_wrong: Callable[[F], Sequence[int]] = lambda fit: ()) -> F:
     """
-    Return the fit of the items that agree, these items, and the squares of those dropped, by item.
+    Return the fit of the items that agree.
 
     Each round fits the items used, and drops those that the others do not predict, (12).
 
     used: numbers of the items to begin with, of `total`; fewest: number that at least remain
-    fitted(the fit of the round before or None, used): the fit of the items used
+    fitted(the fit of the round before or None, used, dropped): the fit of the items used; dropped:
+        the squares of those dropped so far, by item
     left_out_squares(fit): (len(used),) mean squared left-out residuals of the items used, and
         their degrees of freedom
     surely_wrong(fit): places in `used` of items that are wrong though no square is too large
     """
-    fit, dropped = fitted(None, used), dict[int, float]()
+    fit, dropped = fitted(None, used, {}), dict[int, float]()
     while True:
         squares, freedom = left_out_squares(fit)
-        spare = len(used) - fewest
-        wrong = [*outliers(squares, freedom, total, spare)]
-        if not wrong and spare > 0:
-            wrong = [*surely_wrong(fit)]
+        spare = max(len(used) - fewest, 0)
+        wrong = [*outliers(squares, freedom, total, spare)] or [*surely_wrong(fit)][:spare]
         if not wrong:
-            return fit, used, dropped
+            return fit
         dropped |= {int(used[place]): float(squares[place]) for place in wrong}
         used = np.delete(used, wrong)
-        fit = fitted(fit, used)
+        fit = fitted(fit, used, dropped)
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,7 +302,7 @@ def adjust(system: System[S], start: S, fewest: int) -> Adjusted[S]:
         rows = system.rows(state)
         return np.asarray((rows.whitener()(rows.residuals) ** 2).reshape(n, -1).mean(axis=1))
 
-    def fitted(before: Adjusted[S] | None, used: NDArray[np.intp]) -> Adjusted[S]:
+    def fitted(before: Adjusted[S] | None, used: NDArray[np.intp], _: object) -> Adjusted[S]:
         is_used = np.isin(np.arange(n), used)
         state = system.least_squares(before.state if before else robust, is_used.astype(float))
         rows, of_used = system.rows(state), is_used[system.item]
@@ -324,7 +323,7 @@ def adjust(system: System[S], start: S, fewest: int) -> Adjusted[S]:
     robust = graduated(start, squares, system.few_weighted_steps)
     q = squares(robust)
     limit = max(GROSS_SQUARE * max(1.0, typical_square(q)), np.sort(q)[:fewest][-1])
-    return drop_outliers(np.flatnonzero(q <= limit), n, fewest, fitted, left_out_squares)[0]
+    return drop_outliers(np.flatnonzero(q <= limit), n, fewest, fitted, left_out_squares)
 
 
 def covariance_of(J: Array) -> Array:
@@ -391,18 +390,25 @@ def _controller() -> Any:
     return ThreadpoolController()
 
 
+_limits_blas = Lock()  # held by the call that does
+
+
 def single_threaded(function: Callable[P, T]) -> Callable[P, T]:
     """
     Return the function, run with one BLAS thread.
 
-    A pool of threads makes products of small matrices several times slower. What the caller set
-    is in force again afterwards.
+    A pool of threads makes products of small matrices several times slower. The limit is one of
+    the process: of calls at once only the first sets it, and when that returns, what was in force
+    before is so again, for the others too.
     """
     @wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> T:
         controller = _controller()
-        if controller is None:
+        if controller is None or not _limits_blas.acquire(blocking=False):
             return function(*args, **kwargs)
-        with controller.limit(limits=1):
-            return function(*args, **kwargs)
+        try:
+            with controller.limit(limits=1):
+                return function(*args, **kwargs)
+        finally:
+            _limits_blas.release()
     return limited

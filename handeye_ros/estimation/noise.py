@@ -3,10 +3,10 @@
 """
 Covariances of the residuals, (3), whitening, and the scales of priors, (6).
 
-Blocks are unknowns of the solution, common to all stations (see solve.py). During the search they
-count as independent errors of each station. The scale of a block is the standard deviation of its
-parameters over the configured one; it has a half-t prior (Gelman 2006, Bayesian Analysis 1:515).
-Its most likely value is 0 if few parameters happen to be small, so it is averaged over.
+Blocks are unknowns of the solution, common to all stations (see posterior.py). During the search
+they count as independent errors of each station. The scale of a block is the standard deviation of
+its parameters over the configured one; it has a half-t prior (Gelman 2006, Bayesian Analysis
+1:515). Its most likely value is 0 if few parameters happen to be small, so it is averaged over.
 """
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ MAP_PRIOR = _log_half_t(1.0, 0.01)
 
 # Places of the variance factors: of the own errors of faces and arcs, and of edges; of distortion
 # that differs between stations; of the poses; of the white errors of pose values, such as time.
-FACES, EDGES, LOCAL_DISTORTION, POSES, POSE_VALUES = range(5)
+FACE_FACTOR, EDGE_FACTOR, LOCAL_DISTORTION_FACTOR, POSE_FACTOR, POSE_VALUE_FACTOR = range(5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class Noise:
     """
     Factors on the configured variances in (3), and the scales of blocks.
 
-    variance_factors: (5,), see FACES
+    variance_factors: (5,), see FACE_FACTOR
     block_variances: tau^2 of each block by name
     blocks_as_noise: whether blocks count as errors of each station
     """

@@ -236,17 +236,17 @@ class Problem:
         return smooth_basis(self.robot_poses, self.long_errors)
 
     @property
-    def enough(self) -> int:
+    def stations_for_noise(self) -> int:
         """Return the number of stations that tell noise and scales."""
-        return ENOUGH_STATIONS if self.pose_model is None else ENOUGH_PROFILES
+        return ENOUGH_PROFILES if self.is_sweep else ENOUGH_STATIONS
 
     @property
     def is_large(self) -> bool:
         """Return whether a part of the stations suffices to tell noise and scales."""
-        return len(self.poses) >= 2 * self.enough
+        return len(self.poses) >= 2 * self.stations_for_noise
 
     @property
-    def tolerances(self) -> Array:
+    def stated_stds(self) -> Array:
         """Return 1 sigma (k,) of the target's stated parameters, 0 for others."""
         stated = self.target.stated_values(self.config)
         return np.array([stated.get(name, (0.0, 0.0))[1] for name in self.target.parameter_names])
@@ -339,6 +339,11 @@ class Linear:
         """Return the derivatives (m, k) by parameters that move the poses by twists (n, 6, k)."""
         station = self.problem.observations.station
         return np.asarray((self.wrt_pose[:, None] @ twists[station])[:, 0])
+
+
+def without_edges(problem: Problem, assigned: Problem) -> NDArray[np.bool_]:
+    """Return which stations (n,) show essential observations, but of which none is assigned."""
+    return problem.shows_essential & ~assigned.shows_essential
 
 
 def mapped(points: Array, T: Array) -> Array:

@@ -11,17 +11,19 @@ explained. Then stations are dropped one by one, worst first, (12): with the err
 share as noise of each (`without_outliers`), and again with all nuisance parameters
 (`with_systematic_errors`).
 
-A *robust* solution is that of `refined_robustly`: all stations, the outliers among them.
+A *robust* fit is that of `refined_robustly`: all stations, the outliers among them, linearised
+there with the labels that their observations then have.
 """
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from itertools import chain, islice
 
-from handeye_ros.data import Array
-from handeye_ros.errors import HandeyeError
+from handeye_ros.config import Config
+from handeye_ros.data import Array, SEED
 from handeye_ros.estimation.covariance import with_possibly_wrong_station
 from handeye_ros.estimation.least_squares import (
     drop_outliers,
@@ -35,21 +37,24 @@ from handeye_ros.estimation.least_squares import (
     typical_square,
 )
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise, whitening
-from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem, UNUSED
-from handeye_ros.estimation.solve import (
-    map_solution,
-    minimum_near,
-    Solution,
-    solution_at_minimum,
+from handeye_ros.estimation.posterior import Posterior
+from handeye_ros.estimation.problem import (
+    Estimate,
+    Linear,
+    linearise,
+    Problem,
+    UNUSED,
+    without_edges,
 )
+from handeye_ros.estimation.solve import converged_fit, posteriors_at, Solution
 import numpy as np
 from numpy.typing import NDArray
 
 SUBSET_COUNT = 40  # of six stations: if a third are wrong, one subset has no wrong one with p 0.97
 # Limits of squared whitened residuals: of a good estimate, with blocks as noise (4: 2 sigma); of
 # one that no other can beat; of a station far from it, over the typical one (16: 4 sigma).
-# SMALL_SQUARE is added in the loss: as the robot is seldom as inaccurate as configured, fits to a
-# fifth of a sigma are distinguished from fits to a half.
+# SMALL_SQUARE is added in mean_log_square: as the robot is seldom as inaccurate as configured,
+# fits to a fifth of a sigma are distinguished from fits to a half.
 CONVINCING_SQUARE, UNRIVALLED_SQUARE, LARGEST_SQUARE, SMALL_SQUARE = 4.0, 0.1, 16.0, 0.03
 
 
@@ -58,87 +63,89 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
     """
     Return the solution of the stations that agree, from several starts.
 
-    subsets: also start from random subsets of the stations if all together do not fit. start: the
-    only start to use, if given.
+    subsets: also start from random subsets of the stations if all together do not fit: slow, and
+    left out where a poor fit answers the question too. start: the only start to use, if given.
     """
-    if start is not None:
-        return without_outliers(refined_robustly(problem, start))
-    starts = chain(problem.target.starts(problem, rng),
-                   subset_starts(problem, SUBSET_COUNT if subsets else 0, rng))
+    starts = iter([start]) if start is not None else chain(
+        problem.target.starts(problem, rng),
+        subset_starts(problem, SUBSET_COUNT if subsets else 0, rng))
     best = refined_robustly(problem, next(starts))
-    while not is_convincing(best) and (following := next(starts, None)):
-        best = min(best, refined_robustly(problem, following), key=loss)
-    return without_outliers(best)
+    while not is_convincing(problem, best) and (following := next(starts, None)):
+        best = min(best, refined_robustly(problem, following),
+                   key=partial(mean_log_square, problem))
+    return without_outliers(problem, best)
 
 
 def quick_solution(problem: Problem) -> Solution | None:
-    """Return the solution from the first two starts, None if neither fits."""
-    with suppress(HandeyeError, np.linalg.LinAlgError):
-        for start in islice(problem.target.starts(problem, np.random.default_rng(0)), 2):
+    """Return the solution from the first two starts, None if neither fits or can be computed."""
+    with suppress(np.linalg.LinAlgError):  # no start
+        for start in islice(problem.target.starts(problem, np.random.default_rng(SEED)), 2):
             with suppress(np.linalg.LinAlgError):  # from this start
                 robust = refined_robustly(problem, start)
-                if typical_square(station_squares(robust)) < LARGEST_SQUARE:
-                    return without_outliers(robust)
+                if typical_square(station_squares(problem, robust)) < LARGEST_SQUARE:
+                    return without_outliers(problem, robust)
     return None
 
 
-def without_outliers(robust: Solution) -> Solution:
+def without_outliers(problem: Problem, robust: Linear) -> Solution:
     """
-    Return the least squares of the stations that agree with a robust solution, and each other.
+    Return the least squares of the stations that agree with a robust fit, and with each other.
 
-    First all far from the robust solution are dropped at once, then, one by one, those that the
-    others do not predict.
+    First all far from the robust fit are dropped at once, then, one by one, those that the others
+    do not predict.
     """
-    problem, fewest = robust.full_problem, robust.problem.target.min_samples
     # least squares could move to a fit between the target and another surface
     limit = LARGEST_SQUARE if problem.ambiguous else GROSS_SQUARE
-    squares = station_squares(robust)
+    squares, fewest = station_squares(problem, robust), problem.target.min_samples
     is_near = squares <= limit * max(1.0, typical_square(squares))
     is_near[np.argsort(squares, kind='stable')[:fewest]] = True
     far = {int(station): float(squares[station]) for station in np.flatnonzero(~is_near)}
+    full_problem = problem.with_pose_values(robust.problem.pose_values)
 
-    def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
-        start = (before or robust).estimate
-        return Solution.of_linear(least_squares_fit(robust.problem.subset(used), start),
-                                  BLOCKS_AS_NOISE, ())
+    def fitted(before: Solution | None, used: NDArray[np.intp], dropped: dict[int, float]
+               ) -> Solution:
+        linear = least_squares_fit(robust.problem.subset(used), (before or robust).estimate)
+        posterior = Posterior.of_linear(linear, BLOCKS_AS_NOISE, ())
+        return Solution(posterior, posterior, full_problem, used, far | dropped)
 
     def left_out_squares(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
-        squares, freedom = solution.left_out_squares()
+        squares, freedom = solution.posterior.left_out_mean_squares()
         return squares / shared_variance_factor(squares, freedom), freedom
 
-    solution, used, dropped = drop_outliers(np.flatnonzero(is_near), len(problem.poses), fewest,
-                                            fitted, left_out_squares)
-    return replace(solution, full_problem=problem, used=used, dropped_squares=far | dropped)
+    return drop_outliers(np.flatnonzero(is_near), len(problem.poses), fewest, fitted,
+                         left_out_squares)
 
 
-def with_systematic_errors(agreed: Solution) -> Solution:
+def with_systematic_errors(agreed: Solution, config: Config | None = None) -> Solution:
     """
     Return the solution with all nuisance blocks, from one without; further outliers dropped.
 
-    agreed: whose problems, stations and estimate are used, and nothing that is linearised there.
+    agreed: whose stations are used, with the labels of their observations and from its estimate;
+    config: other settings than those of its problem.
     With few stations, each may be wrong without being detected; the reported covariance includes
     this. With many, a part of them tells linearisation, noise and scales.
     """
-    problem, n = agreed.full_problem, len(agreed.full_problem.poses)
-    part = minimum_near(agreed.problem, agreed.estimate) if agreed.problem.is_large else None
+    full_problem, problem = (replace(each, config=config or each.config)
+                             for each in (agreed.full_problem, agreed.problem))
+    part = converged_fit(problem, agreed.estimate) if problem.is_large else None
 
-    def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
-        fitted_problem = agreed.problem.subset(np.flatnonzero(np.isin(agreed.used, used)))
-        if part:
-            return solution_at_minimum(fitted_problem, part, before)
-        return with_possibly_wrong_station(
-            map_solution(fitted_problem, agreed.estimate), n - len(used))
+    def fitted(before: Solution | None, used: NDArray[np.intp], dropped: dict[int, float]
+               ) -> Solution:
+        of_used = problem.subset(np.flatnonzero(np.isin(agreed.used, used)))
+        posteriors = posteriors_at(of_used, part or converged_fit(of_used, agreed.estimate),
+                                   before.for_report if part and before else None)
+        solution = Solution(*posteriors, full_problem, used, {**agreed.dropped_squares, **dropped})
+        return solution if part else with_possibly_wrong_station(solution)
 
-    solution, used, dropped = drop_outliers(
-        agreed.used, n, problem.target.min_samples, fitted,
-        lambda fit: fit.for_report.left_out_squares(), lambda fit: fit.surely_wrong)
-    return replace(solution, full_problem=problem, used=used,
-                   dropped_squares={**agreed.dropped_squares, **dropped})
+    return drop_outliers(
+        agreed.used, len(full_problem.poses), problem.target.min_samples, fitted,
+        lambda solution: solution.for_report.left_out_mean_squares(),
+        lambda solution: solution.surely_wrong)
 
 
-def refined_robustly(problem: Problem, start: Estimate) -> Solution:
+def refined_robustly(problem: Problem, start: Estimate) -> Linear:
     """
-    Return the solution that graduated non-convexity reaches from a start, (11).
+    Return the fit that graduated non-convexity reaches from a start, (11).
 
     After each round the observations are assigned again to the parts of the target (`reassigned`),
     and the next weights come from these. The values that the poses depend on are unknowns, too.
@@ -149,39 +156,36 @@ def refined_robustly(problem: Problem, start: Estimate) -> Solution:
         complete = replace(moved.problem, observations=problem.observations)
         assigned = reassigned(complete, moved.estimate, moved.problem)
         return moved if assigned is moved.problem else linearise(assigned, moved.estimate)
-    fit = graduated(linearise(reassigned(problem, start), start), mean_squares, refit)
-    return replace(Solution.of_linear(fit, BLOCKS_AS_NOISE, ()),
-                   full_problem=problem.with_pose_values(fit.problem.pose_values))
+    return graduated(linearise(reassigned(problem, start), start), mean_squares, refit)
 
 
-def station_squares(robust: Solution) -> Array:
+def station_squares(problem: Problem, robust: Linear) -> Array:
     """Return the mean squares (n,) of stations; large where no essential observation is used."""
-    squares, without = mean_squares(robust.linear), robust.stations_without_edges
-    squares[without] = np.maximum(squares[without], LARGEST_SQUARE)
-    return squares
+    least = np.where(without_edges(problem, robust.problem), LARGEST_SQUARE, 0.0)
+    return np.maximum(mean_squares(robust), least)
 
 
-def loss(robust: Solution) -> float:
+def mean_log_square(problem: Problem, robust: Linear) -> float:
     """
     Return the mean over all stations of ln(SMALL_SQUARE + q), the least for the best estimate.
 
     By the logarithm, the order of estimates does not depend on the noise level above SMALL_SQUARE.
     """
-    return float(np.log(SMALL_SQUARE + station_squares(robust)).mean())
+    return float(np.log(SMALL_SQUARE + station_squares(problem, robust)).mean())
 
 
-def is_convincing(robust: Solution) -> bool:
+def is_convincing(problem: Problem, robust: Linear) -> bool:
     """
     Return whether nearly all stations fit, within the errors of an inaccurate robot.
 
     If stations show several surfaces, a better fit is required: a plane partly on one and partly
     on another near surface also fits within such errors.
     """
-    squares = station_squares(robust)
+    squares = station_squares(problem, robust)
     typical = typical_square(squares)
     misfits = squares > LARGEST_SQUARE * max(1.0, typical)
-    misfits[robust.stations_without_edges] = True
-    largest = UNRIVALLED_SQUARE if robust.full_problem.ambiguous else CONVINCING_SQUARE
+    misfits |= without_edges(problem, robust.problem)
+    largest = UNRIVALLED_SQUARE if problem.ambiguous else CONVINCING_SQUARE
     return typical <= largest and bool(misfits.mean() <= 0.1)
 
 

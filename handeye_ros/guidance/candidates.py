@@ -18,9 +18,10 @@ import math
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Sample
+from handeye_ros.data import Array, Sample, SEED
+from handeye_ros.estimation.posterior import posterior_at
 from handeye_ros.estimation.problem import Linear, linearise, Observations, Problem
-from handeye_ros.estimation.solve import Solution, solution_at
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.view import BORDER_NORMALS, View
 from handeye_ros.sampling.stops import evenly
@@ -36,7 +37,6 @@ ON_TARGET = 1e-4  # m: largest residual of a point on the target
 SMALLEST_SHARE = 0.5  # smallest share of a feature's length in the view
 SMALLEST_COSINE = 0.5  # smallest cosine of the incidence on a face, if the template has it
 SMALLEST_CORNER = 0.6  # rad between two faces in a profile; the finder needs 0.26
-SEED = 0  # the same samples give the same advice
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,8 +269,9 @@ def covariances_with_one_more(solution: Solution, candidates: Problem) -> Array:
 
     candidates: with equally many observations at each. The blocks count as errors of the station.
     """
-    C, noise = solution.reported_covariance, replace(solution.noise, blocks_as_noise=True)
-    A = solution_at(candidates, solution.estimate, noise).jacobian
+    C = solution.reported_covariance
+    noise = replace(solution.posterior.noise, blocks_as_noise=True)
+    A = posterior_at(candidates, solution.estimate, noise).jacobian
     A = A.reshape(len(candidates.poses), -1, len(C))
     # (N + A'A)^-1 = C - C A' (1 + A C A')^-1 A C inverts only a small matrix
     AC = A @ C
@@ -296,7 +297,8 @@ def std_with_one_more(solution: Solution, levers: Array, added: Problem) -> floa
                                                     for obs in observations])
                                     for item in fields(Observations))))
     before, after = (
-        se3.mapped_std(levers, solution_at(each, solution.estimate, reported.noise
-                                           ).covariance[:6, :6]) for each in (problem, with_added))
+        se3.mapped_std(levers, posterior_at(
+            each, solution.estimate, reported.noise).covariance[:6, :6])
+        for each in (problem, with_added))
     now = se3.mapped_std(levers, solution.transform_covariance)
     return float(now) * min(float(after / before), 1.0)

@@ -13,11 +13,11 @@ from handeye_ros import se3
 from handeye_ros.config import RECORD_PREFIX
 from handeye_ros.data import (
     Array,
+    BudgetTerm,
     Calibration,
     Quality,
     Reject,
     Sample,
-    Term,
 )
 from handeye_ros.errors import count_of, without_numbers
 from handeye_ros.results.truth import Errors
@@ -80,7 +80,7 @@ def figures_table(*heads: str, rows: Iterable[Iterable[str]] = (), right: Contai
     return table
 
 
-def budget_table(terms: Sequence[Term], samples: int) -> RenderableType:
+def budget_table(terms: Sequence[BudgetTerm], samples: int) -> RenderableType:
     """Return the table of what the uncertainty comes from; the last of the terms is their sum."""
     rows = ((term.name, f'{100 * (term.mapped / terms[-1].mapped) ** 2:.1f} %',
              f'{1e3 * term.mapped:.4f} mm', f'{1e3 * term.translation:.4f} mm',

@@ -306,7 +306,7 @@ def without_bad_stops(fit: ArmFit) -> ArmFit:
     """Return a fit without the stops that the others do not predict."""
     stops = np.arange(len(fit.q))
 
-    def fitted_to(previous: ArmFit | None, used: Indices) -> ArmFit:
+    def fitted_to(previous: ArmFit | None, used: Indices, _: object) -> ArmFit:
         return with_estimated_weights(replace(previous or fit, used=np.isin(stops, used)))
 
     def left_out_squares(fit: ArmFit) -> tuple[Array, Indices]:
@@ -314,7 +314,7 @@ def without_bad_stops(fit: ArmFit) -> ArmFit:
         (r, J), freedom = fit.linear, np.bincount(item)
         left_out = leave_one_out(r, J, fit.covariance, item)
         return np.bincount(item, r * left_out) / freedom, freedom
-    return drop_outliers(stops[fit.used], len(stops), MINIMUM, fitted_to, left_out_squares)[0]
+    return drop_outliers(stops[fit.used], len(stops), MINIMUM, fitted_to, left_out_squares)
 
 
 def with_arm(fit: ArmFit, arm: Arm) -> ArmFit:

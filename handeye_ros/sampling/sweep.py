@@ -20,8 +20,22 @@ twist of the flange: one more column each. They need no start value: some of the
 from several offsets until one is good, then all. However long a sweep is, MOST_SAMPLES of its
 profiles make the answer.
 
-Where else a sweep differs from stops is found by searching for `moving` (of the settings, or of a
-sample), `pose_model` (of the problem) and `station_samples` (of a stop or pass).
+A sweep differs from stops in these places, found by Sample.moving, sampling.moving and the
+PoseModel of the problem:
+
+- profiles: fewer points of a line or arc are kept (lines.py, arcs.py)
+- stops.py cuts it by time, into passes; features.py combines no profiles; passes_expanded (here)
+  takes a pass apart, with one trajectory for all
+- estimation: problem_with_clocks (here) adds the three unknowns; fewer profiles than stops are
+  enough (Problem.stations_for_noise)
+- session.py: a pass is never a duplicate, nor taken early; guidance advises to sweep on
+- checks: other settings and clocks, and a scale of an answer that fits, are not tried (causes.py);
+  with the other sign of the range or other poses the clocks are searched anew (hypotheses.py,
+  conventions.py); a move must be larger than the smooth error of the robot (moved.py); edges may
+  scatter (refusals.py, require_edges); profiles dropped at one end tell of no move (moved.py);
+  a pass agrees if most of its profiles do (review.py)
+- verification: a gauge is measured in passes (stations.py); a sweep also checks a calibration
+  (check.py)
 """
 from __future__ import annotations
 
@@ -49,11 +63,10 @@ from handeye_ros.estimation.problem import Estimate, Linear, PoseModel, Problem
 from handeye_ros.estimation.search import (
     CONVINCING_SQUARE,
     is_convincing,
-    loss,
+    mean_log_square,
     refined_robustly,
     station_squares,
 )
-from handeye_ros.estimation.solve import Solution
 from handeye_ros.sampling.stops import evenly, evenly_chosen
 from handeye_ros.sampling.trajectory import Instants, joined, Trajectory
 from handeye_ros.targets import problem_of_known_poses
@@ -207,17 +220,17 @@ def _flange_at(clock_values: Iterable[float], clocked: ClockedPoses, problem: Pr
     return instants
 
 
-def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Solution:
+def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Linear:
     """Return the best fit over several offsets, or the first convincing one."""
-    fits = list[Solution]()
+    fits, loss = list[Linear](), partial(mean_log_square, problem)
     for offset in sorted(np.arange(-10, 11, 2), key=abs):  # prior sigmas
         clock_values = np.zeros(len(problem.pose_values))
         clock_values[0] = offset * problem.config.time_offset_std
         shifted = problem.with_pose_values(clock_values)
         for start in islice(shifted.target.starts(shifted, rng), 3):
             fits.append(refined_robustly(shifted, start))
-            if is_convincing(fits[-1]):
+            if is_convincing(problem, fits[-1]):
                 return fits[-1]
-        if typical_square(station_squares(min(fits, key=loss))) < CONVINCING_SQUARE:
+        if typical_square(station_squares(problem, min(fits, key=loss))) < CONVINCING_SQUARE:
             break
     return min(fits, key=loss)

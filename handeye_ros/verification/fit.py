@@ -37,7 +37,12 @@ from handeye_ros.estimation.least_squares import (
     System,
     Whitener,
 )
-from handeye_ros.estimation.noise import Noise, total_covariance, Whitening
+from handeye_ros.estimation.noise import (
+    LOCAL_DISTORTION_FACTOR,
+    Noise,
+    total_covariance,
+    Whitening,
+)
 from handeye_ros.estimation.problem import (
     Estimate,
     Linear,
@@ -63,7 +68,8 @@ LEAST_STATIONS = 4  # of a recording
 FREE_STD = 1e6  # 1 sigma of an unknown that may have any value, beside that by which it shows
 # share of the others in what a group nearly determines alone: extrapolated
 LEFT_BY_OTHERS_SHARE = 1e-3
-NOISE = Noise(np.array([1.0, 1.0, 0.0, 1.0, 1.0]))  # without what differs of the distortion
+# without what differs of the distortion
+NOISE = Noise(np.where(np.arange(5) == LOCAL_DISTORTION_FACTOR, 0.0, 1.0))
 MOST_OUTLIERS = 0.2  # of the groups: more are no outliers, but a disagreement
 
 Result = TypeVar('Result')
@@ -522,19 +528,20 @@ def fit_without_outliers(groups: Indices, fitted: Callable[[Indices], GroupFit[R
     """
     p_values, most = dict[int, float](), int(MOST_OUTLIERS * len(groups))
 
-    def of_groups(_: object, used: Indices) -> tuple[Result, Array, Indices]:
+    def of_groups(_: object, used: Indices, dropped: dict[int, float]
+                  ) -> tuple[Result, Array, Indices, list[int]]:
         fit = fitted(used)
         squares, freedom = _left_out_squares(fit, used)
         of_used = chi2_sf(squares * freedom, freedom)
         p_values.update(zip(used.tolist(), of_used.tolist(), strict=True))
-        return fit.result, squares, freedom
+        return fit.result, squares, freedom, [*dropped]
 
     with suppress(DataError):
-        (result, *_), _, dropped = drop_outliers(
-            groups, len(groups), len(groups) - most - 1, of_groups, lambda fit: fit[1:])
+        result, _, _, dropped = drop_outliers(
+            groups, len(groups), len(groups) - most - 1, of_groups, lambda fit: fit[1:3])
         if len(dropped) <= most:
-            return result, p_values, list(dropped)
-    return of_groups(None, groups)[0], p_values, []
+            return result, p_values, dropped
+    return of_groups(None, groups, {})[0], p_values, []
 
 
 def _left_out_squares(fit: GroupFit[Result], groups: Indices) -> tuple[Array, Indices]:

@@ -206,3 +206,19 @@ def test_a_sweep_is_solved_reported_and_checked(tmp_path):
     assert run.returncode == 1, run.stderr
     changed = re.search('CLOCK: .* time offset has changed by (-[0-9.]+) ms', run.stdout)
     assert changed and float(changed[1]) == pytest.approx(-5, abs=0.2)
+
+
+def test_budget_shows_what_each_cause_adds_to_an_answer(tmp_path):
+    solve = 'solve', ROOT / 'bags/plate', '--config', PLATE, '--budget', '--out'
+    run = succeeds(*solve, tmp_path, cwd=tmp_path)
+    table = run.stdout[run.stdout.index('1 sigma by cause'):]
+    shares = [float(share) for share in re.findall(r'([\d.]+) %', table)]
+    assert shares[-1] == 100.0 and sum(shares[:-1]) == pytest.approx(100.0, abs=1.0)
+    assert '18 samples' in table
+    uncertain = handeye(*solve, tmp_path / 'none', '--set', 'limits.translation=1e-6',
+                        cwd=tmp_path)
+    assert uncertain.returncode == 3 and 'limits.translation' in uncertain.stderr
+    assert '1 sigma by cause' in uncertain.stdout and not (tmp_path / 'none').exists()
+    refused = handeye('solve', ROOT / 'bags/tracker', '--config', ROOT / 'config/tracker.yaml',
+                      '--budget', '--out', tmp_path, cwd=tmp_path)
+    assert refused.returncode == 2 and '--budget' in refused.stderr

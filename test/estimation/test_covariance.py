@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
-import re
 
 from cells import (
     calibration_of,
     cell,
     every_method,
     exact_cell,
+    map_solution,
     noisy,
     ONE_IN_20,
     settings_of,
@@ -19,7 +18,6 @@ from cells import (
     solved,
     squared_error,
 )
-from command import handeye, ROOT, succeeds
 from handeye_ros import pipeline, se3
 from handeye_ros.calibration import measured_points
 from handeye_ros.config import with_values
@@ -33,8 +31,9 @@ from handeye_ros.estimation.covariance import (
     with_possibly_wrong_station,
 )
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, covariance_parts, Noise
+from handeye_ros.estimation.posterior import posterior_at
 from handeye_ros.estimation.search import least_squares_fit
-from handeye_ros.estimation.solve import cover, map_solution, solution_at
+from handeye_ros.estimation.solve import cover
 from handeye_ros.simulate import FAULTS, SCENARIOS, simulate_samples
 import numpy as np
 import pytest
@@ -43,9 +42,9 @@ from streams import in_order
 
 @every_method
 def test_the_solution_is_the_minimum(name: str) -> None:
-    solution = solution_of(name)
-    gradient = solution.jacobian.T @ solution.postfit_residuals
-    scale = np.sqrt(np.diag(solution.covariance))
+    posterior = solution_of(name).posterior
+    gradient = posterior.jacobian.T @ posterior.postfit_residuals
+    scale = np.sqrt(np.diag(posterior.covariance))
     assert np.abs(gradient * scale).max() < 1e-4, 'in sigmas'
 
 
@@ -55,23 +54,19 @@ def test_the_noise_of_a_station_is_positive(factors: tuple[float, float, float, 
     solution = solution_of('plate')
     problem = replace(solution.problem, config=with_values(
         solution.problem.config, {'noise.distortion': 2e-5}, 'a test'))
-    linear = replace(solution.linear, problem=problem)
+    linear = replace(solution.posterior.linear, problem=problem)
     for stations in problem.observations.station_groups:
         noise = np.tensordot(factors, covariance_parts(linear, stations), 1)
         assert np.array_equal(noise, np.swapaxes(noise, 1, 2))
         assert np.linalg.eigvalsh(noise).min() > 0
 
 
-def trials(name: str) -> int:
-    """Return as many seeds as take a few seconds: spheres are slower."""
-    return {'plate': 60, 'sphere': 20}.get(name, 30)
-
-
 @pytest.mark.thorough
 @every_method
 def test_the_stated_covariance_is_that_of_the_errors(name: str) -> None:
     squares, lost = [], []
-    for seed in range(trials(name)):
+    count = {'plate': 60, 'sphere': 20}.get(name, 30)  # spheres are slower
+    for seed in range(count):
         simulated_cell = cell(name, seed)
         try:
             calibration = simulated_cell.solve()
@@ -80,7 +75,7 @@ def test_the_stated_covariance_is_that_of_the_errors(name: str) -> None:
             continue
         lost.append(calibration.quality.samples_rejected)
         squares.append(squared_error(calibration, simulated_cell.truth) / 6)
-    assert len(squares) > 0.9 * trials(name)
+    assert len(squares) > 0.9 * count
     sigma = np.sqrt(2 / 6 / len(squares))  # of the mean of chi-squared over 6
     assert abs(np.mean(squares) - 1) < 3.5 * sigma
     assert np.max(squares) < 6, 'no trial is far outside'
@@ -99,7 +94,7 @@ def test_the_left_out_rms_is_that_of_real_refits(name: str) -> None:
     for station in range(len(ordered)):
         others = np.setdiff1d(np.arange(len(ordered)), [station])
         refit = least_squares_fit(solution.problem.subset(others), solution.estimate,
-                                  solution.noise).estimate
+                                  solution.posterior.noise).estimate
         at_station = measured.station == station
         squares.append(measured.residuals(solution.problem, refit)[at_station] ** 2)
         in_fit.append(measured.residuals(solution.problem, solution.estimate)[at_station] ** 2)
@@ -117,18 +112,18 @@ def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
     sigma = plate_cell.config.noise.robot_translation
     normal = solution.estimate.state[:16].reshape(4, 4)[:3, 2]
     moved[3] = se3.perturb(moved[3], np.append(sigma * normal, np.zeros(3)))
-    moved_solution = solution_at(
+    posterior = posterior_at(
         replace(solution.problem, poses=moved), solution.estimate, BLOCKS_AS_NOISE)
-    at_station = moved_solution.problem.observations.station == 3
-    assert (moved_solution.postfit_residuals[at_station] ** 2).sum() == pytest.approx(1, abs=0.15)
-    assert np.allclose(moved_solution.postfit_residuals[~at_station], 0, atol=1e-3)
+    at_station = posterior.problem.observations.station == 3
+    assert (posterior.postfit_residuals[at_station] ** 2).sum() == pytest.approx(1, abs=0.15)
+    assert np.allclose(posterior.postfit_residuals[~at_station], 0, atol=1e-3)
 
 
 @pytest.mark.parametrize('target', ['plate', 'wedge'])
 def test_a_station_that_may_be_wrong_adds_what_freeing_its_pose_changes(target: str) -> None:
     start = solved(cell(replace(SCENARIOS[target], stations=(10, 10)), 0).problem)
-    solution = with_possibly_wrong_station(map_solution(start.problem, start.estimate), dropped=0)
-    as_set = solution_at(solution.problem, solution.estimate, Noise())
+    solution = with_possibly_wrong_station(map_solution(start.problem, start.estimate))
+    as_set = posterior_at(solution.problem, solution.estimate, Noise())
     A, r, station = as_set.jacobian, as_set.prefit_residuals, as_set.problem.observations.station
     wrt_pose = as_set.whitening(as_set.linear.wrt_pose * POSE_ERROR)
 
@@ -168,23 +163,6 @@ def test_the_parts_add_up_to_what_is_reported(target: str) -> None:
         assert squares == pytest.approx(getattr(total, size) ** 2, rel=1e-6)
     std = np.sqrt(np.diag(solution.reported_covariance)[:3])
     assert total.translation == pytest.approx(np.sqrt((std ** 2).mean()))
-
-
-def test_the_command_line_shows_the_budget_of_an_answer(tmp_path: Path) -> None:
-    run = succeeds('solve', ROOT / 'bags/plate', '--config', ROOT / 'config/plate.yaml',
-                   '--budget', '--out', tmp_path, cwd=tmp_path)
-    table = run.stdout[run.stdout.index('1 sigma by cause'):]
-    shares = [float(share) for share in re.findall(r'([\d.]+) %', table)]
-    assert shares[-1] == 100.0 and sum(shares[:-1]) == pytest.approx(100.0, abs=1.0)
-    assert '18 samples' in table
-    uncertain = handeye('solve', ROOT / 'bags/plate', '--config', ROOT / 'config/plate.yaml',
-                        '--set', 'limits.translation=1e-6', '--budget', '--out', tmp_path / 'none',
-                        cwd=tmp_path)
-    assert uncertain.returncode == 3 and 'limits.translation' in uncertain.stderr
-    assert '1 sigma by cause' in uncertain.stdout and not (tmp_path / 'none').exists()
-    refused = handeye('solve', ROOT / 'bags/tracker', '--config', ROOT / 'config/tracker.yaml',
-                      '--budget', '--out', tmp_path, cwd=tmp_path)
-    assert refused.returncode == 2 and '--budget' in refused.stderr
 
 
 def test_a_covariance_that_covers_two_has_neither_less() -> None:

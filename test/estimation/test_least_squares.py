@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 
@@ -102,7 +103,6 @@ def test_chi_squared_is_that_of_scipy(probability: float, freedom: int) -> None:
     value = chi2_isf(probability, freedom)
     assert value == pytest.approx(stats.chi2.isf(probability, freedom), rel=1e-9)
     assert chi2_sf(value, freedom) == pytest.approx(stats.chi2.sf(value, freedom), rel=1e-9)
-    assert chi2_isf(0.5, freedom) == pytest.approx(stats.chi2.median(freedom), rel=1e-9)
 
 
 def test_chi_squared_takes_arrays_and_is_nan_without_a_degree_of_freedom() -> None:
@@ -138,21 +138,27 @@ def test_a_scale_is_what_data_show(value: float, std: float, least: float, most:
 
 # In a process of its own: other tests load libraries with pools of their own, at any time.
 PROGRAM = r"""
+from threading import Event, Thread
 from handeye_ros.estimation.least_squares import single_threaded
 import handeye_ros.pipeline  # loads every library that a solve needs
-from threadpoolctl import threadpool_info, threadpool_limits
+from threadpoolctl import threadpool_info
 
 def threads():
     return [pool['num_threads'] for pool in threadpool_info() if pool['user_api'] == 'blas']
 
-with threadpool_limits(3):
-    print(threads(), single_threaded(threads)(), threads(), sep='\n')
+began, both_run, before = Event(), Event(), threads()
+first = Thread(target=single_threaded(lambda: [began.set(), both_run.wait()]))
+first.start()
+began.wait()
+inside = threads()
+single_threaded(lambda: [both_run.set(), first.join()])()
+print(before, inside, threads(), sep='\n')
 """
 
 
-def test_a_solve_uses_one_blas_thread_and_then_as_many_as_before() -> None:
+def test_solves_use_one_blas_thread_and_after_the_last_as_many_as_before() -> None:
     pytest.importorskip('threadpoolctl', reason='needs threadpoolctl')
     output = subprocess.run([sys.executable, '-c', PROGRAM], capture_output=True, text=True,
-                            check=True).stdout
+                            check=True, env={**os.environ, 'OPENBLAS_NUM_THREADS': '2'}).stdout
     before, inside, after = map(json.loads, output.splitlines())
-    assert set(before) == {3} and set(inside) == {1} and after == before
+    assert set(inside) == {1} and after == before

@@ -10,6 +10,7 @@ import re
 from cells import (
     Cell,
     cell,
+    map_solution,
     NO_DOUBTS,
     ONE_IN_20,
     ONE_IN_1000,
@@ -23,9 +24,8 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.estimation.basis import bent_line, distortion_fields
 from handeye_ros.estimation.blocks import line_bend, points_on_target, sensor_scale
-from handeye_ros.estimation.noise import EDGES, FACES, POSES
+from handeye_ros.estimation.noise import EDGE_FACTOR, FACE_FACTOR, POSE_FACTOR
 from handeye_ros.estimation.problem import linearise, PoseModel, Problem
-from handeye_ros.estimation.solve import map_solution, Solution
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, sensor, simulate, simulate_samples
 from handeye_ros.simulate.scenario import SensorModel
 import numpy as np
@@ -42,11 +42,6 @@ def misjudged(cell: Cell, factor: float) -> Cell:
     return replace(cell, config=set_to(
         cell.config, noise__robot_translation=factor * noise.robot_translation,
         noise__robot_rotation=factor * noise.robot_rotation))
-
-
-def final(cell: Cell) -> Solution:
-    solution = solved(cell.problem)
-    return map_solution(solution.problem, solution.estimate)
 
 
 def squared(cell: Cell) -> float:
@@ -66,8 +61,9 @@ def test_the_covariance_is_true_though_the_noise_was_stated_wrongly(factor: floa
 
 @pytest.mark.thorough
 def test_noise_that_was_stated_rightly_is_kept() -> None:
-    noises = [final(cell('plate', seed)).noise for seed in range(10)]
-    factors = [[noise.variance_factors[i] for i in (FACES, EDGES, POSES)] for noise in noises]
+    agreed = [solved(cell('plate', seed).problem) for seed in range(10)]
+    factors = [map_solution(each.problem, each.estimate).posterior.noise.variance_factors[
+        [FACE_FACTOR, EDGE_FACTOR, POSE_FACTOR]] for each in agreed]
     sensor, edge, robot = np.abs(np.log(factors)).max(axis=0)
     assert max(sensor, robot) < math.log(2.5)
     # the own noise of 18 edge points is a fifth of their residuals' variance: they say little
@@ -142,7 +138,7 @@ def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
     assert following == pytest.approx(report.variances, rel=0.1), 'they have converged'
     error = se3.difference(solution.estimate.X, truth.T_flange_sensor)
     assert np.abs(error).max() < 1e-4
-    lengths = [b.std * solution.prior_scale(b) for b in solution.blocks
+    lengths = [b.std * solution.posterior.prior_scale(b) for b in solution.posterior.blocks
                if b.name in ('scale', 'radius')]
     assert lengths and max(lengths) < 1e-4, 'nothing is wrong with them'
 
@@ -191,12 +187,12 @@ def test_what_poses_depend_on_is_found_and_the_poses_are_moved(scenario: str) ->
                       true.observations, true.config, model)
     solution = map_solution(problem, start)
     errors = solution.problem.pose_values - TRUE
-    assert [b.name for b in solution.blocks[-2:]] == ['first', 'second']
-    std = 1e-3 * np.sqrt(np.diag(solution.covariance)[-2:])
+    assert [b.name for b in solution.posterior.blocks[-2:]] == ['first', 'second']
+    std = 1e-3 * np.sqrt(np.diag(solution.posterior.covariance)[-2:])
     assert (np.abs(errors) < 4 * std).all() and std.max() < 2e-4
     moved_poses, _ = model.at(solution.problem.pose_values)
     assert np.allclose(solution.problem.robot_poses, moved_poses)
-    assert np.allclose(solution.corrected_poses(), solution.problem.poses)
+    assert np.allclose(solution.posterior.corrected_poses(), solution.problem.poses)
     X, X_known = solution.estimate.X, map_solution(true, start).estimate.X
     assert simulated_cell.error(X) < simulated_cell.error(X_known) + 1e-5
     half_problem = problem.with_pose_values(TRUE).subset(np.arange(0, len(wrong), 2))

@@ -12,6 +12,7 @@ from cells import (
     calibration_of,
     cell,
     every_method,
+    map_solution,
     noisy,
     ONE_IN_1000,
     solution_of,
@@ -21,7 +22,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Estimate, linearise, Problem
 from handeye_ros.estimation.search import quick_solution
-from handeye_ros.estimation.solve import map_solution, Solution
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import problem_of_known_poses
 import numpy as np
@@ -39,7 +40,7 @@ def test_in_other_frames_the_answer_is_the_same(name: str, base: Array, flange: 
     in_other_frames = solved(problem_of_known_poses(samples, noisy(name).config))
     assert apart(se3.inverse(flange) @ solution.estimate.X, in_other_frames.estimate.X) < 1e-9
     Q = np.kron(np.eye(2), flange[:3, :3].T)
-    C, D = solution.covariance[:6, :6], in_other_frames.covariance[:6, :6]
+    C, D = (each.posterior.covariance[:6, :6] for each in (solution, in_other_frames))
     assert np.abs(Q @ C @ Q.T - D).max() < 1e-6 * np.abs(C).max()
 
 

@@ -12,7 +12,8 @@ from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.solve import Solution, solution_at
+from handeye_ros.estimation.posterior import posterior_at
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.guidance.advice import (
     Advice,
     advise,
@@ -81,9 +82,10 @@ def test_what_a_sample_brings_is_what_the_solver_then_says(fitted: tuple[Cell, S
     observations, last = solution.problem.observations, len(solution.problem.poses) - 1
     fewer = replace(solution.problem,
                     observations=observations.select(observations.station != last))
-    before = solution_at(fewer, solution.linear.estimate, solution.noise)
+    posterior = posterior_at(fewer, solution.estimate, solution.posterior.noise)
+    before = replace(solution, posterior=posterior, for_report=posterior)
     after = covariances_with_one_more(before, solution.problem.subset(np.array([last])))[0]
-    np.testing.assert_allclose(after, solution.covariance[:6, :6], rtol=1e-5, atol=1e-15)
+    np.testing.assert_allclose(after, solution.transform_covariance, rtol=1e-5, atol=1e-15)
 
 
 def test_the_limits_are_kept(fitted: tuple[Cell, Solution]) -> None:
@@ -198,7 +200,7 @@ def test_before_the_first_sample_it_tells_how_to_take_it() -> None:
 
 def test_a_sensor_that_is_not_roughly_known_is_not_aimed(fitted: tuple[Cell, Solution]) -> None:
     simulated_cell, solution = fitted
-    vague = replace(solution, conservative=solution,
+    vague = replace(solution, for_report=replace(solution.posterior),
                     added_covariances={'a test': ROUGHLY_KNOWN ** 2 * 2 * np.eye(6)})
     advice = advice_for((simulated_cell, vague))
     assert advice.next is None and advice.move is not None

@@ -21,9 +21,9 @@ from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Calibration, Profile, Sample, TimedPose
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import robust_solution
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solve import converged_fit, posteriors_at, Solution
 from handeye_ros.results.truth import errors_against
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
 from handeye_ros.simulate.sensor import FRAMES
@@ -111,6 +111,12 @@ def exact_cell(scenario: str | Scenario = 'plate', seed: int = 0, **values: obje
 def solved(problem: Problem, seed: int = 0) -> Solution:
     """Return the solution from nothing."""
     return robust_solution(problem, np.random.default_rng(seed))
+
+
+def map_solution(problem: Problem, start: Estimate) -> Solution:
+    """Return the solution of all stations near a start, with all blocks."""
+    return Solution(*posteriors_at(problem, converged_fit(problem, start)), problem,
+                    np.arange(len(problem.poses)), {})
 
 
 def field_error(T: Array, truth: Truth, scenario: Scenario) -> float:
