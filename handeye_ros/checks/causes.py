@@ -32,7 +32,7 @@ from handeye_ros.checks.refusals import (
 )
 from handeye_ros.checks.settings import setting_hypotheses, sign_hypothesis
 from handeye_ros.checks.stated_lengths import scale_hypothesis
-from handeye_ros.checks.surfaces import require_no_blind_columns, require_one_surface
+from handeye_ros.checks.surfaces import require_one_surface
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
 from handeye_ros.errors import DataError, mm
@@ -91,15 +91,11 @@ def with_known_cause(refusal: DataError, baseline: Fit, session: Session, config
     if config.sampling.moving:
         return refusal
     unexplained = isinstance(refusal, UnexplainedError)
-    moved, uncertain = refusal.reason == 'moved', refusal.reason == 'uncertain'
     try:
-        if unexplained or moved:
+        if unexplained or refusal.reason == 'moved':
             refuse_by_best(baseline, setting_hypotheses(session, config, baseline))
-        if unexplained or moved or uncertain:
-            require_no_blind_columns(session, config)
-        if unexplained or moved:
             require_one_surface(session, config, refusal)
-        if unexplained or uncertain:
+        if unexplained or refusal.reason == 'uncertain':
             require_same_clock(session, config)
     except DataError as named:
         return named

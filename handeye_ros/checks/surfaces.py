@@ -1,13 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Whether some stops show something else than an edge of the target: their number and what they show.
+Whether some stops show another surface than the target: their number, and what they show.
 
-Two questions. Where the stops are known, both raise NotOfTargetError, by which the pipeline leaves
-them out where the others carry an answer (pipeline.py); else a plain DataError.
-
-Where the sensor is blind, as behind dirt on its window, faces seem to end: at columns that return
-nothing at any stop.
+Where the stops are known, NotOfTargetError is raised, by which the pipeline leaves them out where
+the others carry an answer (pipeline.py); else a plain DataError.
 
 A clamp, a second plate or the table have edges too, which agree among themselves, so that no
 consensus of edges stands out. But read for straight pieces only, the stops agree on one plane,
@@ -19,16 +16,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from handeye_ros.checks.hypotheses import fit_of_samples, stops_to_explain
-from handeye_ros.checks.settings import MOST_PROFILES, with_few_profiles, with_settings
+from handeye_ros.checks.settings import with_few_profiles, with_settings
 from handeye_ros.config import Config
-from handeye_ros.data import Array, EdgePoint, FaceLine, Reject, Sample
+from handeye_ros.data import Array, FaceLine, Reject, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.frames import mount_poses
-from handeye_ros.profiles.edges import GAP_COLUMNS
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import decoded, Stop
+from handeye_ros.sampling.stops import Stop
 from handeye_ros.se3 import inverse
 from handeye_ros.targets import target_for
 import numpy as np
@@ -43,48 +39,18 @@ ADVICE = ('take samples where the laser crosses the target alone; if it does, ch
 
 class NotOfTargetError(DataError):
     """
-    Some stops show the edge of another surface, or only the end of what the sensor sees.
+    Some stops show the edge of another surface.
 
     stamps: of their samples; why: what they show, in words; warning: where they are left out.
     """
 
-    def __init__(self, stops: Iterable[Stop], why: str, advice: str = ADVICE) -> None:
-        """Build the sentence from stops, what they show and what to do, in words."""
+    def __init__(self, stops: Iterable[Stop], why: str) -> None:
+        """Build the sentence from stops, and what they show in words."""
         stops = list(stops)
         self.stamps, self.why = {stop.result.stamp for stop in stops}, why
         they_show = f'the {_numbers(stops)} show {why}'
         self.warning = f'{they_show}: they are left out'
-        super().__init__(f'{they_show}: {advice}', reason='surface')
-
-
-def require_no_blind_columns(session: Session, config: Config) -> None:
-    """Raise NotOfTargetError where faces end at columns that return nothing at any stop."""
-    stops = stops_to_explain(session)
-    profiles_of = [decoded(with_few_profiles(stop, config).profiles, config) for stop in stops]
-    points = [profile.points for profiles in profiles_of for profile in profiles]
-    if (sum(map(bool, profiles_of)) < target_for(config).min_samples  # too few to tell
-            or len(set(map(len, points))) != 1):
-        return
-    returned = np.asarray(np.isfinite(points).all(axis=2))  # (profiles, columns)
-    seeing = np.flatnonzero(returned.any(axis=0))
-    gaps = np.flatnonzero(np.diff(seeing) > GAP_COLUMNS)
-    beside_gap = seeing[[gaps, gaps + 1]]
-    # some stops see across it: else nothing was there, as between plates in the air
-    is_blind = returned[:, beside_gap].all(axis=1).sum(axis=0) >= FEWEST_STOPS * MOST_PROFILES
-    beside_blind = beside_gap[:, is_blind]
-
-    def is_beside_blind(edge: EdgePoint, x: Array) -> bool:
-        column = np.nan_to_num(np.abs(x - edge.point[0]), nan=np.inf).argmin()
-        return bool(np.any(np.abs(beside_blind - column) <= GAP_COLUMNS))
-
-    ending = [stop for stop, profiles in zip(stops, profiles_of, strict=True)
-              if stop.sample and profiles
-              and any(is_beside_blind(feature, profiles[0].points[:, 0])
-                      for feature in stop.sample.features if isinstance(feature, EdgePoint))]
-    if ending:
-        raise NotOfTargetError(
-            ending, 'the end of a face where the sensor returns nothing at any stop, as through '
-            'a dirty window', 'clean it, or cross the edges elsewhere in the view')
+        super().__init__(f'{they_show}: {ADVICE}', reason='surface')
 
 
 def require_one_surface(session: Session, config: Config, refusal: DataError) -> None:

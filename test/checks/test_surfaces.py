@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Stops that show another surface, or a blind sensor, are named and left out."""
+"""Stops that show another surface are named and left out."""
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -99,26 +99,6 @@ def test_the_stops_that_show_another_surface_are_named_and_left_out(
             ] == pytest.approx([min(heights) * 1e3, max(heights) * 1e3], abs=0.2), sentence
     match = re.search(r'the stops ([\d, ]+) show', sentence)
     assert [int(number) for number in match[1].split(', ')] == [stop.number for stop in elsewhere]
-
-
-@pytest.mark.thorough
-def test_faces_that_end_where_the_sensor_is_blind_are_named_and_left_out() -> None:
-    recording = simulate(SCENARIOS['line'], np.random.default_rng(5))
-    blind = np.zeros((len(recording.profiles[0].points), 1), dtype=bool)
-    blind[793:844] = True
-    profiles = [replace(p, points=np.where(blind, np.nan, p.points)) for p in recording.profiles]
-    calibration = pipeline.calibrate(profiles, recording.poses, settings_of(recording.scenario))
-    [warning] = calibration.provenance['warnings']
-    assert re.fullmatch('the stops [0-9, ]+ show the end of a face where the sensor .*', warning)
-    assert squared_error(calibration, recording.truth) < ONE_IN_100
-
-
-def test_columns_between_plates_in_the_air_are_not_blind() -> None:
-    scenario = SCENARIOS['plate_in_air']
-    recording = simulate(scenario, np.random.default_rng(101))
-    with refused('uncertain'):
-        pipeline.calibrate(recording.profiles, recording.poses,
-                           settings_of(scenario, limits__translation=5e-5))
 
 
 @pytest.mark.thorough
