@@ -75,11 +75,13 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
         reasons = Counter(reject.reason for reject in rejects).most_common(1)
         why = '' if not reasons else (
             f' ({count_of(len(rejects), "stop")} gave none, most often: {reasons[0][0]})')
-        enough = len(samples) + len(rejects) >= target.min_samples
-        raise (UnexplainedError if enough else DataError)(
+        refusal, advice = DataError, 'take more, with the laser across the target'
+        if len(samples) + len(rejects) >= target.min_samples:
+            refusal, advice = UnexplainedError, (
+                'check target.type, and that the laser crosses the target')
+        raise refusal(
             f'{count_of(len(samples), "usable sample")}{why}; target.type {target.name} needs at '
-            f'least {target.min_samples}: take more, with the laser across the target',
-            reason='few')
+            f'least {target.min_samples}: {advice}', reason='few')
 
 
 def require_features(samples: Sequence[Sample], target: ProfileTarget) -> None:

@@ -286,6 +286,10 @@ class Session(Copyable):
         """Return one sentence for each kind of message that was dropped."""
         expired = [f'gave up {count_of(self._expired_stops, "stop")}, the oldest that waited for '
                    'profiles'] if self._expired_stops else []
+        numbers = [stop.number for stop in self._stops.values()]
+        missing = [number for number in self.config.samples.exclude if number not in numbers]
+        if missing and numbers:
+            expired.append(f'samples.exclude names no stop of these: {missing}')
         out_of_plane = max((abs(float(across)) for across, *_ in self._centroids), default=0.0)
         return (*self._pose_stream.warnings, *self._profile_stream.warnings,
                 *self._profiles.warnings, *expired,

@@ -82,6 +82,12 @@ def test_profiles_near_the_ends_of_a_stop_are_left_out() -> None:
     assert reject.reason.startswith('sampling.settle_time leaves out 0.6 s at either end of')
 
 
+def test_a_number_to_exclude_that_no_stop_has_is_told() -> None:
+    config = with_values(CONFIG, {'samples.exclude': [1, 7]}, 'test')
+    warning, = played(stops((0, 1)), profiles(0, 1), config).warnings
+    assert warning == 'samples.exclude names no stop of these: [7]'
+
+
 def test_a_gap_in_the_poses_ends_a_stop() -> None:
     poses = [p for p in stops((0, 3)) if not 1.0 < (p.stamp - START) / NS < 1.7]
     session = played(poses, profiles(0, 3))
