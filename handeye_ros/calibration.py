@@ -60,7 +60,7 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
     measured, residuals, left_out = residuals_and_left_out(used, solution)
     rms_of_samples = rms_by(measured.station, residuals, len(used)).tolist()
     reports = [SampleReport(sample.stamp, True, edges, rms_of_sample,
-                            ONLY_FACE if problem.target.essential and not edges else '')
+                            ONLY_FACE if problem.target.required_edges and not edges else '')
                for sample, edges, rms_of_sample in zip(
                    used, edges_used(problem), rms_of_samples, strict=True)]
     reports += [SampleReport(samples[i].stamp, False, reason='contradicts the other samples: its '
@@ -131,7 +131,7 @@ def edges_used(problem: Problem) -> list[str]:
     """Return for each station the edges of the target that it shows, in words."""
     obs, target = problem.observations, problem.target
     return [', '.join(dict.fromkeys(  # each once, in the order of the points
-        target.kinds[k] for k in obs.kind[obs.station == station] if k in target.essential))
+        target.kinds[k] for k in obs.kind[obs.station == station] if k in target.required_edges))
         for station in range(len(problem.poses))]
 
 
@@ -278,13 +278,13 @@ def notes_of(solution: Solution, config: Config) -> Iterator[str]:
     problem, target = solution.problem, solution.problem.target
     # the far edge of a plate, as p_far, shows its direction as the near one does
     seen = {target.kinds[k].partition('_')[0] for k in set(problem.observations.kind)}
-    for edge in sorted({target.kinds[k].partition('_')[0] for k in target.essential} - seen):
+    for edge in sorted({target.kinds[k].partition('_')[0] for k in target.required_edges} - seen):
         yield (f'no sample shows edge {edge} of the target: cross it too, or set target.type to '
                'line if the target has one edge only')
     n = len(solution.used)
     shown, used = (np.bincount(each.observations.station, minlength=n)
                    for each in (solution.full_problem.subset(solution.used), problem))
-    if not target.essential and (shown > used).any():
+    if not target.required_edges and (shown > used).any():
         yield (f'{np.count_nonzero(shown > used)} of {n} samples show '
                f'other surfaces too than the {target.name} that was used in all of them')
 
@@ -342,7 +342,7 @@ def lost_edges(solution: Solution) -> str:
     stations, estimate = solution.stations_without_edges, solution.estimate
     if not len(stations):
         return ''
-    shown = int(solution.full_problem.subset(solution.used).shows_essential.sum())
+    shown = int(solution.full_problem.subset(solution.used).shows_edge.sum())
     unused = solution.full_problem.subset(stations)
     where = unused.target.describe_strays(unused.observations, unused.points_in_base(estimate.X),
                                           estimate.state, unused.config)

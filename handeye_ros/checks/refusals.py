@@ -245,7 +245,7 @@ def require_edges(solution: Solution) -> None:
     larger than the noise (m): of worn edges only the first is true.
     """
     target = solution.full_problem.target
-    if not target.essential:
+    if not target.required_edges:
         return
     posterior, at_rest = solution.posterior, not solution.problem.is_sweep
     factor = posterior.noise.variance_factors[EDGE_FACTOR]
@@ -256,14 +256,14 @@ def require_edges(solution: Solution) -> None:
             'allow: check that the laser crosses the target alone, and no clamp, bar or second '
             'plate beside it, profile.range_sign, and that the edges are straight and sharp',
             reason='edges')
-    used = int(solution.problem.shows_essential.sum())
+    used = int(solution.problem.shows_edge.sum())
     if used < target.min_samples:
         raise UnexplainedError(
             f'only {used} of the {len(solution.used)} usable samples show an edge of the target, '
             f'and {target.name} needs {target.min_samples}: cross the edges with the laser, '
             'steeply and inside the field of view, or calibrate from the plane alone (target.type '
             'plane)', reason='edges')
-    shown = int(solution.full_problem.shows_essential.sum())
+    shown = int(solution.full_problem.shows_edge.sum())
     if shown - used > LARGEST_DROPPED_SHARE * shown:
         dropped = len(solution.dropped_squares)
         why = '; '.join(filter(None, (f'{dropped} contradict the others' if dropped else '',

@@ -252,10 +252,10 @@ class Problem:
         return np.array([stated.get(name, (0.0, 0.0))[1] for name in self.target.parameter_names])
 
     @property
-    def shows_essential(self) -> NDArray[np.bool_]:
-        """Return which stations (n,) have an observation of an essential kind."""
+    def shows_edge(self) -> NDArray[np.bool_]:
+        """Return which stations (n,) have an observation at an edge."""
         obs, shows = self.observations, np.zeros(len(self.poses), dtype=bool)
-        shows[obs.station[np.isin(obs.kind, self.target.essential)]] = True
+        shows[obs.station[np.isin(obs.kind, self.target.required_edges)]] = True
         return shows
 
     def points_in_base(self, X: Array) -> Array:
@@ -342,8 +342,8 @@ class Linear:
 
 
 def without_edges(problem: Problem, assigned: Problem) -> NDArray[np.bool_]:
-    """Return which stations (n,) show essential observations, but of which none is assigned."""
-    return problem.shows_essential & ~assigned.shows_essential
+    """Return which stations (n,) show an edge, but of which none is assigned."""
+    return problem.shows_edge & ~assigned.shows_edge
 
 
 def mapped(points: Array, T: Array) -> Array:

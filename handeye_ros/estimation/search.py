@@ -160,7 +160,7 @@ def refined_robustly(problem: Problem, start: Estimate) -> Linear:
 
 
 def station_squares(problem: Problem, robust: Linear) -> Array:
-    """Return the mean squares (n,) of stations; large where no essential observation is used."""
+    """Return the mean squares (n,) of stations; large for those without edges."""
     least = np.where(without_edges(problem, robust.problem), LARGEST_SQUARE, 0.0)
     return np.maximum(mean_squares(robust), least)
 

@@ -121,12 +121,12 @@ class Solution:
 
     @property
     def stations_without_edges(self) -> NDArray[np.intp]:
-        """Return the used stations that show essential observations, but of which none is used."""
+        """Return the used stations that show an edge, but of which none is used."""
         return self.used[without_edges(self.full_problem.subset(self.used), self.problem)]
 
     @property
     def fully_used(self) -> int:
-        """Return the number of used stations with their essential observations used."""
+        """Return the number of used stations but those without edges."""
         return len(self.used) - len(self.stations_without_edges)
 
     @property

@@ -42,8 +42,8 @@ class Target(ABC):
 
     kinds: names of the conditions
     parameter_names: names of the parameters
-    essential: the conditions, by their index in kinds, of which a station must use one if it
-        shows any: those at edges
+    required_edges: the conditions at edges, by their index in kinds; a station that shows edges
+        must use one
     min_samples: fewest samples
     free_shape: settings of the target with which its shape (the last parameter) is unknown, where
         it has one
@@ -57,7 +57,7 @@ class Target(ABC):
     extract: ClassVar[staticmethod[[Array, Config], tuple[Feature, ...]]]
     kinds: tuple[str, ...]
     parameter_names: tuple[str, ...]
-    essential: tuple[int, ...] = ()
+    required_edges: tuple[int, ...] = ()
     min_samples = 6
     free_shape: ClassVar[Mapping[str, Any]] = {}
     loose_lengths: ClassVar[Mapping[str, Any]] = {}

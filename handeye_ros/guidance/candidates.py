@@ -103,7 +103,7 @@ def anchor_of(problem: Problem, station: int) -> Array:
 
 def _anchored(problem: Problem, obs: Observations) -> NDArray[np.bool_]:
     """Return which observations (m,) of a station the anchor is the mean of."""
-    at_edge = np.isin(obs.kind, problem.target.essential)
+    at_edge = np.isin(obs.kind, problem.target.required_edges)
     return at_edge if at_edge.any() else ~at_edge
 
 
@@ -202,7 +202,7 @@ def _crossed_steeply(A: Array, same_point: Array, template: Linear) -> NDArray[n
     """
     problem = template.problem
     crossing = problem.config.sampling.min_crossing_angle + STOP_POSE_ERROR[1]
-    at_edge = np.isin(problem.observations.kind, problem.target.essential) @ same_point > 0
+    at_edge = np.isin(problem.observations.kind, problem.target.required_edges) @ same_point > 0
     steep = np.where(at_edge, A[..., 0] ** 2, (A ** 2).sum(axis=2)) @ same_point
     return np.asarray((steep > np.sin(crossing) ** 2).all(axis=1))
 

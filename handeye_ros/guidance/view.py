@@ -144,12 +144,12 @@ class Move:
 
 def noun(target: ProfileTarget) -> str:
     """Return the feature that the laser line must show, in words."""
-    return 'edge' if target.essential else target.name
+    return 'edge' if target.required_edges else target.name
 
 
 def next_move(taken: int, target: ProfileTarget, config: Config, view: View) -> Move:
     """Return the move after a number of samples (at least one)."""
-    is_round, two_edges = Arc in target.least_features, len(target.essential) > 1
+    is_round, two_edges = Arc in target.least_features, len(target.required_edges) > 1
     moves = SPHERE_MOVES if is_round else TWO_EDGES_MOVES if two_edges else ONE_EDGE_MOVES
     turn, *shares, beside = moves[taken % len(moves)]
     tilt = np.round(np.array(shares[:2]) * config.guidance.tilt, 3)
@@ -172,7 +172,7 @@ def next_move(taken: int, target: ProfileTarget, config: Config, view: View) -> 
 def _in_words(target: ProfileTarget, turn: float, tilt: Array, place: Array, edge: int,
               beside: float) -> str:
     where = ('at the other edge, that meets the first one in the corner, ' if edge else
-             'at the same edge, ' if len(target.essential) > 1 else '')
+             'at the same edge, ' if len(target.required_edges) > 1 else '')
     turns = ', then '.join(f'{np.degrees(angle):+.0f} degrees about {axis}' for angle, axis in (
         (turn, 'its viewing direction'), (tilt[0], 'the laser line'),
         (tilt[1], 'the normal of the light plane')) if angle)

@@ -102,7 +102,7 @@ class Line(ProfileTarget):
     normals = np.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, 1.0]])
     extract = staticmethod(face_features)
     least_features = (EdgePoint,)
-    essential = (EDGE_Y,)
+    required_edges = (EDGE_Y,)
     min_samples = 7
     edge_kinds = (EDGE_Y, EDGE_Z)
 

@@ -128,7 +128,7 @@ class Plate(ProfileTarget):
     pose_axes = range(6)
     extract = staticmethod(face_features)
     least_features = (FaceLine, EdgePoint)
-    essential = tuple(EDGES)
+    required_edges = tuple(EDGES)
     free_shape = {'edge_angle_free': True}
     loose_lengths = {'size_std': 3e-3}
     edge_kinds = (P,)  # until an edge is found for it

@@ -281,7 +281,7 @@ def _observed(samples: Sequence[Sample], calibrated: _Calibrated, config: Config
     # alone, the edge of a station is near whatever its distance: the target may have slid along
     # its face
     alone = labelled(observations.station)
-    lost = alone.shows_essential & ~together.shows_essential
+    lost = alone.shows_edge & ~together.shows_edge
     return alone if lost.mean() > LARGEST_LOST_SHARE else together
 
 
