@@ -86,7 +86,7 @@ def swept(target: str, offset: float = 0.02, knot: float = 1.6, rate: float = 25
 
 def sweeps() -> Iterator[tuple[str, Scenario]]:
     """Yield the rows of robots that move."""
-    for target in ('plate', 'wedge', 'sphere', 'line', 'plane'):
+    for target in ('plate', 'sphere', 'line', 'plane', 'wedge'):
         for ms in (0, 20, -35, 150):
             yield f'{target}, {ms} ms', swept(target, ms * 1e-3)
         yield f'{target}, fast', swept(target, knot=0.9)
