@@ -551,7 +551,7 @@ class LiveSession:
 
 def _outcome_text(stop: Stop, had_sample: bool) -> str:
     """Return what a stop gave, in words; had_sample: an earlier part of it gave one."""
-    again = ' again, as the robot has not moved since' if had_sample else ''
+    again = ' again, of the same stop' if had_sample else ''
     outcome = (f'sample {stop.number} taken{again}' if stop.sample else
                f'stop {stop.number} gave no sample')
     return f'{outcome}: {sample_summary(stop.result)}'
