@@ -22,12 +22,7 @@ from handeye_ros.node.state import State, state_of, troubles_of, with_troubles
 from handeye_ros.node.streams import Streams
 from handeye_ros.output import folder_name, write_errors_for
 from handeye_ros.sampling.session import Session
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -135,7 +130,11 @@ class HandeyeNode(Node):
                                  callback_group=quick)
 
     def call_service(self, name: str) -> tuple[bool, str]:
-        """Return whether a service succeeds, and its message with the troubles of now."""
+        """
+        Return whether a service succeeds, and its message, without the troubles of now.
+
+        The page shows these beside the message, which stays when they are over.
+        """
         try:
             reply = self.live.call_on_worker(self._trigger_functions[name])
             message, success = reply.result() if isinstance(reply, Future) else reply, True
@@ -146,11 +145,12 @@ class HandeyeNode(Node):
         if name != 'take_sample':  # which is in the log as an attempt
             log = self.get_logger()
             log.info(message) if success else log.warning(f'{name}: {message}')
-        return success, with_troubles(self.state, message, success, name)
+        return success, message
 
     def _on_trigger(self, name: str, _: Trigger.Request, response: Trigger.Response
                     ) -> Trigger.Response:
-        response.success, response.message = self.call_service(name)
+        response.success, message = self.call_service(name)
+        response.message = with_troubles(self.state, message, response.success, name)
         return response
 
     def _on_auto_sample(self, request: SetBool.Request, response: SetBool.Response
@@ -164,10 +164,7 @@ class HandeyeNode(Node):
     def open_session(self, name: str) -> str:
         """Continue a previous session with the current settings; raises HandeyeError."""
         live = self.live
-        path = live.folders.folder(live.config) / Path(name).name
-        if path == live.files.path:
-            return f'{path} is the current session'
-        stored = read_session(path)
+        stored = read_session(live.folders.folder(live.config) / Path(name).name)
         config = replace(live.config, samples=stored.config.samples)
         return live.call_on_worker(partial(live.open_session, stored, config))
 
@@ -254,30 +251,22 @@ def declare_settings(node: Node, folders: OutputFolders) -> tuple[Config, Stored
 
 def _values_by_key(parameters: Iterable[RosParameter]) -> dict[str, Any]:
     """Return values by key, without those that every node has."""
-    values = {}
-    for parameter in parameters:
-        if not parameter.name.startswith(ROS_OWN_PARAMETERS):
-            # ROS gives an empty list no type, and other lists as arrays
-            is_empty = parameter.type_ == RosParameter.Type.NOT_SET
-            value = [] if is_empty else parameter.value
-            values[parameter.name] = value if isinstance(value, str | int | float) else list(value)
-    return values
+    values = {parameter.name: parameter.value for parameter in parameters
+              if not parameter.name.startswith(ROS_OWN_PARAMETERS)}
+    # ROS gives an empty list as None, and other lists as arrays
+    return {key: value if isinstance(value, str | int | float) else list(value or ())
+            for key, value in values.items()}
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     """Return the descriptor shown by `ros2 param describe`."""
-    constraints = [f'{text} {" or ".join(map(str, values))}' for text, values in (
-        ('number of values:', parameter.length), ('one of', parameter.choices)) if values]
-    descriptor = ParameterDescriptor(
+    limits = () if parameter.minimum is None else (parameter.minimum, parameter.maximum)
+    constraints = [f'{text} {separator.join(map(str, values))}' for text, separator, values in (
+        ('number of values:', ' or ', parameter.length), ('one of', ' or ', parameter.choices),
+        ('from', ' to ', limits)) if values]
+    return ParameterDescriptor(
         description=parameter.description, dynamic_typing=True,
         read_only=parameter.key in READ_ONLY_KEYS, additional_constraints='; '.join(constraints))
-    low, high = parameter.minimum, parameter.maximum
-    if low is not None and high is not None:  # rqt_reconfigure makes sliders of them
-        if isinstance(parameter.default, int):
-            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
-        else:
-            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
-    return descriptor
 
 
 def _require_usable_names(config: Config) -> None:

@@ -190,8 +190,7 @@ class LiveSolver:
         message = live.run_job(
             COMPUTING if is_requested else '',
             partial(self._accept, inputs, session, is_requested),
-            review_of, session, config, self.view, is_requested or self.calibration is not None,
-            is_requested=is_requested)
+            review_of, session, config, self.view, is_requested or self.calibration is not None)
         if is_requested:
             self._request = Request(inputs, message)
         return message
