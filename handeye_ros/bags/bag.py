@@ -181,14 +181,14 @@ class _Topic:
         self._key, self._message_type, self._items_of = key, message_type, items_of
         self._items: list[Any] = []
         self._usable = self._unstamped = 0
-        self._unused: list[UnusableMessageError] = []
+        self._refusals: list[UnusableMessageError] = []  # of messages that cannot be used
 
     def add(self, raw: Raw) -> None:
         """Add what a message holds; its time of recording is the stamp of what has none."""
         try:
             items = self._items_of(raw)
         except UnusableMessageError as error:
-            self._unused.append(error)
+            self._refusals.append(error)
             return
         time = min(raw.log_time, LAST_STAMP)
         self._items += [item if item.stamp else replace(item, stamp=time) for item in items]
@@ -217,7 +217,7 @@ class _Topic:
         if reader.types.get(self.name) != self._message_type:
             raise self._missing(reader)
         # messages of other devices are no fault, where there are those of the arm
-        malformed = [str(error) for error in self._unused
+        malformed = [str(error) for error in self._refusals
                      if not (self._usable and isinstance(error, OtherJointsError))]
         total = self._usable + len(malformed)
         if not total:
