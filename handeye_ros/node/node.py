@@ -22,7 +22,12 @@ from handeye_ros.node.state import State, state_of, troubles_of, with_troubles
 from handeye_ros.node.streams import Streams
 from handeye_ros.output import folder_name, write_errors_for
 from handeye_ros.sampling.session import Session
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -260,13 +265,18 @@ def _values_by_key(parameters: Iterable[RosParameter]) -> dict[str, Any]:
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     """Return the descriptor shown by `ros2 param describe`."""
-    limits = () if parameter.minimum is None else (parameter.minimum, parameter.maximum)
-    constraints = [f'{text} {separator.join(map(str, values))}' for text, separator, values in (
-        ('number of values:', ' or ', parameter.length), ('one of', ' or ', parameter.choices),
-        ('from', ' to ', limits)) if values]
-    return ParameterDescriptor(
+    constraints = [f'{text} {" or ".join(map(str, values))}' for text, values in (
+        ('number of values:', parameter.length), ('one of', parameter.choices)) if values]
+    descriptor = ParameterDescriptor(
         description=parameter.description, dynamic_typing=True,
         read_only=parameter.key in READ_ONLY_KEYS, additional_constraints='; '.join(constraints))
+    low, high = parameter.minimum, parameter.maximum
+    if low is not None and high is not None:  # rqt_reconfigure makes sliders of them
+        if isinstance(parameter.default, int):
+            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+        else:
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    return descriptor
 
 
 def _require_usable_names(config: Config) -> None:
