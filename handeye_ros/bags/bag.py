@@ -115,7 +115,7 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     profile_reader = ProfileReader(config.profile)
     tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
     sources = {full_name(source.name): source for source in pose_topics(config, tracker, arm)}
-    required, = (source for source in sources.values() if source.required)
+    *_, required = sources.values()
     cloud_topic = _Topic(config.profile_topic, 'profile_topic', CLOUD_TYPE,
                          lambda raw: [profile_reader.take(raw.data, raw.fetch)])
     pose_topic = _Topic(required.name, required.key or 'pose_source', required.message_type,
@@ -181,16 +181,14 @@ class _Topic:
         self._key, self._message_type, self._items_of = key, message_type, items_of
         self._items: list[Any] = []
         self._usable = self._unstamped = 0
-        # why messages cannot be used, one sentence each; those of other devices are no fault
-        self._malformed, self._of_other_joints = list[str](), list[str]()
+        self._refusals: list[UnusableMessageError] = []  # of messages that cannot be used
 
     def add(self, raw: Raw) -> None:
         """Add what a message holds; its time of recording is the stamp of what has none."""
         try:
             items = self._items_of(raw)
         except UnusableMessageError as error:
-            is_other = isinstance(error, OtherJointsError)
-            (self._of_other_joints if is_other else self._malformed).append(str(error))
+            self._refusals.append(error)
             return
         time = min(raw.log_time, LAST_STAMP)
         self._items += [item if item.stamp else replace(item, stamp=time) for item in items]
@@ -218,13 +216,14 @@ class _Topic:
         """
         if reader.types.get(self.name) != self._message_type:
             raise self._missing(reader)
-        if not self._usable:
-            self._malformed += self._of_other_joints
-        total = self._usable + len(self._malformed)
+        # messages of other devices are no fault, where there are those of the arm
+        malformed = [str(error) for error in self._refusals
+                     if not (self._usable and isinstance(error, OtherJointsError))]
+        total = self._usable + len(malformed)
         if not total:
             raise InputError(f'{reader.path}: no messages on {self.name} ({self._message_type}): '
                              f'check that it was published while recording, or set {self._key}')
-        reader.warnings += _left_out(self._malformed, total, f'messages on {self.name}')
+        reader.warnings += _left_out(malformed, total, f'messages on {self.name}')
         if self._unstamped:
             reader.warnings.append(f'{self._unstamped} messages on {self.name} have no stamps; '
                                    'the times at which they were recorded are used')

@@ -262,7 +262,9 @@ def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     if len(points) < 2 or not np.ptp(points[:, 2]) > SMALLEST_TILT:  # nor where it is not finite
         return
     spread = np.ptp(points, axis=0)
-    slope, distance_rms = _slope_across(points)
+    centred = points - points.mean(axis=0)
+    slopes, *_ = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)
+    slope, distance_rms = slopes[1], rms(centred[:, 2] - centred[:, :2] @ slopes)
     thin = THIN_SHARE * spread[2]
     is_flat = min(spread[:2]) < thin  # one of the two axes is orthogonal to the plane
     if abs(slope) > LEAST_SLOPE and distance_rms < thin and not is_flat:
@@ -279,13 +281,6 @@ def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
                   'profiles in its own frame')
         raise _error_of(f'the points do not lie in the plane of {axes[0]} and {axes[1]}: their '
                         f'{axes[2]} spans {spread[2] * 1e3:.1f} mm{advice}')
-
-
-def _slope_across(points: Array) -> tuple[float, float]:
-    """Return the slope of the plane through points (n, 3) by the second axis, and the RMS off."""
-    centred = points - points.mean(axis=0)
-    slopes, *_ = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)
-    return float(slopes[1]), rms(centred[:, 2] - centred[:, :2] @ slopes)
 
 
 def _require_axes(points: Array, config: ProfileConfig) -> None:

@@ -32,20 +32,18 @@ class PoseTopic(NamedTuple):
     key: of the configuration, that names it; '' for one of the transform tree
     message_type: as in reader.py
     read: returns the poses that a serialised message makes known, or raises UnusableMessageError
-    required: whether there are no poses without it, as it is of exactly one topic
     """
 
     name: str
     key: str
     message_type: str
     read: Callable[[bytes], Sequence[TimedPose]]
-    required: bool = True
 
 
 def pose_topics(config: Config, tracker: FlangeTracker, arm: Arm | None = None
                 ) -> list[PoseTopic]:
     """
-    Return the topics with the poses, of which one is required.
+    Return the topics with the poses; without the last one there are none.
 
     tracker: follows the transforms, where they are read; arm: gives the poses from joint values,
     as with the key kinematics. Raises InputError for a file of an arm that is none.
@@ -61,7 +59,7 @@ def pose_topics(config: Config, tracker: FlangeTracker, arm: Arm | None = None
     def poses_of(data: bytes, static: bool) -> Sequence[TimedPose]:
         return tracker.add(transforms_from_cdr(data), static)
 
-    return [PoseTopic('/tf_static', '', TF_TYPE, partial(poses_of, static=True), required=False),
+    return [PoseTopic('/tf_static', '', TF_TYPE, partial(poses_of, static=True)),
             PoseTopic('/tf', '', TF_TYPE, partial(poses_of, static=False))]
 
 

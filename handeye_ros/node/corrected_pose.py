@@ -50,8 +50,8 @@ class CorrectedPose(Node):
             if not isinstance(error, OtherJointsError):
                 self.get_logger().warning(str(error), throttle_duration_sec=WARNING_PERIOD)
             return
-        now = self.get_clock().now().to_msg()
-        stamp, base = time_message(pose.stamp) if pose.stamp else now, pose.parent_frame
+        stamp = time_message(pose.stamp or self.get_clock().now().nanoseconds)
+        base = pose.parent_frame
         self._poses.publish(pose_stamped(pose.translation, pose.quaternion, base, stamp))
         if self._tree:
             self._tree.publish(TFMessage(transforms=[transform_stamped(

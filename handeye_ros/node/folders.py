@@ -19,7 +19,6 @@ from handeye_ros.bags.session_files import (
 from handeye_ros.config import Config, with_values
 from handeye_ros.output import folder_name, write_errors_for
 
-LAST_SESSION = 'last'
 PARAMETERS = "the node's parameters"
 
 
@@ -66,7 +65,7 @@ def settings_and_session(overrides: Mapping[str, Any], folders: OutputFolders
     """
     config = with_values(Config(), overrides, PARAMETERS)
     path = Path(config.session).expanduser().absolute() if config.session else None
-    if config.session == LAST_SESSION:
+    if config.session == 'last':
         is_named = 'name' in overrides or 'target.type' in overrides
         of_names = [folders.folder(config)] if is_named else folders.root(config).glob('*')
         newest_of_each = [session for folder in of_names

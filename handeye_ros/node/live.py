@@ -199,14 +199,12 @@ class LiveSession:
         trim_memory()
 
     def run_job(self, name: str, accept: Callable[[Any], Result],
-                function: Callable[..., Any], *args: Any, is_requested: bool = True
-                ) -> Future[Result]:
+                function: Callable[..., Any], *args: Any) -> Future[Result]:
         """
         Begin a long computation in another process; return the future of what accept returns.
 
-        name: in words, '' for what is not told; accept: called by the worker with the result;
-        is_requested: whether somebody is told of a refusal. All other errors are a trouble of the
-        session.
+        name: in words, '' for what nobody has asked for, so that a refusal too is a trouble of the
+        session, as are always other errors; accept: called by the worker with the result.
         """
         accepted = Future[Result]()
 
@@ -216,7 +214,7 @@ class LiveSession:
                 accepted.set_result(accept(job.result()))
             except Exception as error:
                 accepted.set_exception(error)
-                if not (is_requested and isinstance(error, DataError | InputError)):
+                if not (name and isinstance(error, DataError | InputError)):
                     raise
             self._schedule_due_work()  # samples or settings may have changed meanwhile
 
@@ -299,7 +297,9 @@ class LiveSession:
             with suppress(DataError):  # of a verification
                 self._evaluate_new(stop)
         elif stop and not stop.final_reason:
-            self._add_stop(self._evaluated(stop))
+            result = self.evaluate_in_process(stop, self.config)
+            with self.lock:
+                self.session.add_stop(self.session.evaluated(stop, result))
         return stop is not None
 
     def evaluate_waiting(self) -> None:
@@ -345,7 +345,7 @@ class LiveSession:
             return self.verification.add_stop(stop)
         earlier = next((s for s in self.session.stops if s.stamp == stop.stamp), None)
         had_sample = bool(earlier and earlier.sample)
-        stop = self._evaluated(stop)
+        stop = self.session.evaluated(stop, self.evaluate_in_process(stop, self.config))
         if is_requested and stop.sample is None:
             remedy = ': move on, and turn the tool' if stop.final_reason else ''
             raise DataError(f'{sample_summary(stop.result)}{remedy}')
@@ -359,20 +359,16 @@ class LiveSession:
             # an earlier part of the stop has fewer profiles, but is on the disk
             stop = earlier if earlier and earlier.reader else replace(
                 stop, result=Reject(stop.result.stamp, str(error), final=True))
-        self._add_stop(stop)
-        text = _outcome_text(stop, had_sample)
+        with self.lock:
+            self.session.add_stop(stop)
+        again = ' again, of the same stop' if had_sample else ''
+        outcome = (f'sample {stop.number} taken{again}' if stop.sample else
+                   f'stop {stop.number} gave no sample')
+        text = f'{outcome}: {sample_summary(stop.result)}'
         if is_requested or earlier is None or had_sample != bool(stop.sample):
             # the same result with more profiles is not reported again
             self.attempt = Attempt(text, stop)
         return text
-
-    def _evaluated(self, stop: Stop) -> Stop:
-        """Return a stop with its number and what it gives now."""
-        return self.session.evaluated(stop, self.evaluate_in_process(stop, self.config))
-
-    def _add_stop(self, stop: Stop) -> None:
-        with self.lock:
-            self.session.add_stop(stop)
 
     def evaluate_in_process(self, stop: Stop, config: Config) -> Sample | Reject:
         """Return what a stop gives, evaluated in another process."""
@@ -547,11 +543,3 @@ class LiveSession:
             self.message_counts['profile'].forget_malformed()
         if settings_of(config, SAMPLE_KEYS) != settings_of(old, SAMPLE_KEYS):
             self._evaluate_again(self.session.stops)
-
-
-def _outcome_text(stop: Stop, had_sample: bool) -> str:
-    """Return what a stop gave, in words; had_sample: an earlier part of it gave one."""
-    again = ' again, as the robot has not moved since' if had_sample else ''
-    outcome = (f'sample {stop.number} taken{again}' if stop.sample else
-               f'stop {stop.number} gave no sample')
-    return f'{outcome}: {sample_summary(stop.result)}'

@@ -99,7 +99,7 @@ def exit_code(run: Callable[..., None], *args: Any) -> int:
     try:
         run(*args)
     except HandeyeError as error:
-        print(error, file=sys.stderr)
+        print(f'error: {error}', file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:
         pass

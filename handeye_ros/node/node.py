@@ -20,7 +20,7 @@ from handeye_ros.node.outputs import Outputs
 from handeye_ros.node.pool import Pool
 from handeye_ros.node.state import State, state_of, troubles_of, with_troubles
 from handeye_ros.node.streams import Streams
-from handeye_ros.output import folder_name
+from handeye_ros.output import folder_name, write_errors_for
 from handeye_ros.sampling.session import Session
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -59,10 +59,12 @@ class HandeyeNode(Node):
     """
 
     def __init__(self) -> None:
-        """Subscribe and serve; raises InputError for an invalid configuration."""
+        """Subscribe and serve; raises InputError for settings that cannot be used."""
         super().__init__('handeye')
         folders = OutputFolders(self.get_namespace())
         config, stored = declare_settings(self, folders)
+        with write_errors_for(f'{folders.root(config)} (output_dir)'):
+            folders.root(config).mkdir(parents=True, exist_ok=True)
         self.live = live = LiveSession(config, folders, Pool(), self._publish_changes)
         self.outputs = Outputs(self, live)
         self._logged_warnings: set[str] = set()  # without their numbers
@@ -70,7 +72,7 @@ class HandeyeNode(Node):
         if stored:
             self.get_logger().info(live.open_session(stored, config))
         elif config.session:
-            self.get_logger().warning(f'there is no session in {folders.root(config)}: a new '
+            self.get_logger().warning(f'there is no session in {folders.folder(config)}: a new '
                                       'one begins')
         self.streams = Streams(self, live, live.add_joints)
         self.outputs.publish_changes()
@@ -133,7 +135,11 @@ class HandeyeNode(Node):
                                  callback_group=quick)
 
     def call_service(self, name: str) -> tuple[bool, str]:
-        """Return whether a service succeeds, and its message, without the troubles of now."""
+        """
+        Return whether a service succeeds, and its message, without the troubles of now.
+
+        The page shows these beside the message, which stays when they are over.
+        """
         try:
             reply = self.live.call_on_worker(self._trigger_functions[name])
             message, success = reply.result() if isinstance(reply, Future) else reply, True
@@ -163,10 +169,7 @@ class HandeyeNode(Node):
     def open_session(self, name: str) -> str:
         """Continue a previous session with the current settings; raises HandeyeError."""
         live = self.live
-        path = live.folders.folder(live.config) / Path(name).name
-        if path == live.files.path:
-            return f'{path} is the current session'
-        stored = read_session(path)
+        stored = read_session(live.folders.folder(live.config) / Path(name).name)
         config = replace(live.config, samples=stored.config.samples)
         return live.call_on_worker(partial(live.open_session, stored, config))
 
@@ -233,9 +236,12 @@ def declare_settings(node: Node, folders: OutputFolders) -> tuple[Config, Stored
     be read.
     """
     # rclpy offers no other access to the values of parameter files and arguments
-    config, stored = settings_and_session(_values_by_key(node._parameter_overrides.values()),
-                                          folders)
+    overrides = _values_by_key(node._parameter_overrides.values())
+    config, stored = settings_and_session(overrides, folders)
     _require_usable_names(config)
+    for key in overrides:
+        if key.startswith(FILES_ONLY):
+            raise InputError(f'{key} is a key of the command line alone: leave it out')
     values, record = configuration.flatten(config), dict(config.record)
     free_text = ParameterDescriptor(description='Free text, kept with the answer.',
                                     dynamic_typing=True)
@@ -249,18 +255,12 @@ def declare_settings(node: Node, folders: OutputFolders) -> tuple[Config, Stored
 
 
 def _values_by_key(parameters: Iterable[RosParameter]) -> dict[str, Any]:
-    """Return values by key, without those that every node has; raises InputError."""
-    values = {}
-    for parameter in parameters:
-        key = parameter.name
-        if key.startswith(FILES_ONLY):
-            raise InputError(f'{key} is a key of the command line alone: leave it out')
-        if not key.startswith(ROS_OWN_PARAMETERS):
-            # ROS gives an empty list no type, and other lists as arrays
-            is_empty = parameter.type_ == RosParameter.Type.NOT_SET
-            value = [] if is_empty else parameter.value
-            values[key] = value if isinstance(value, str | int | float) else list(value)
-    return values
+    """Return values by key, without those that every node has."""
+    values = {parameter.name: parameter.value for parameter in parameters
+              if not parameter.name.startswith(ROS_OWN_PARAMETERS)}
+    # ROS gives an empty list as None, and other lists as arrays
+    return {key: value if isinstance(value, str | int | float) else list(value or ())
+            for key, value in values.items()}
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:

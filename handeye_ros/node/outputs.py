@@ -129,12 +129,11 @@ class Outputs:
         None withdraws the last message: a new publisher gives a late subscriber none.
         """
         publisher, last_content = self._latched.get(name, (None, None))
-        if publisher and content is None and last_content is not None:
+        if content is None and last_content is not None:
             self._node.destroy_publisher(publisher)
             publisher = None
-        if publisher is None:
-            publisher = self._node.create_publisher(message_type, name, LATCHED_QOS,
-                                                    event_callbacks=NO_CALLBACKS)
+        publisher = publisher or self._node.create_publisher(
+            message_type, name, LATCHED_QOS, event_callbacks=NO_CALLBACKS)
         if content != last_content and content is not None:
             publisher.publish(message_of())
         self._latched[name] = publisher, content

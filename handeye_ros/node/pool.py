@@ -14,7 +14,6 @@ from concurrent.futures.process import BrokenProcessPool
 import ctypes
 import multiprocessing
 import os
-from queue import LifoQueue
 import signal
 import sys
 import threading
@@ -39,18 +38,24 @@ class PoolEndedError(HandeyeError):
 
 
 class Pool:
-    """Runs functions of modules in other processes; one that is killed disturbs no other."""
+    """
+    Runs functions of modules in other processes; one that is killed disturbs no other.
+
+    Each thread has an executor with one process, as the end of a process breaks its executor.
+    """
 
     def __init__(self) -> None:
         """Start no process yet."""
         # a node that ends at once leaves the semaphores of its processes to Python's tracker: it
         # removes them, and nobody needs to hear of it
         sys.warnoptions.append('ignore::UserWarning:multiprocessing.resource_tracker')
-        # of one process each: the end of a process breaks its executor
-        self._free: LifoQueue[ProcessPoolExecutor] = LifoQueue()
-        for _ in range(PROCESS_COUNT):
-            self._free.put(_new_process())
-        self._threads = ThreadPoolExecutor(PROCESS_COUNT, 'pool')
+        self._own = threading.local()  # each thread sees its own `executor`
+        self._threads = ThreadPoolExecutor(PROCESS_COUNT, 'pool', self._use_new_process)
+
+    def _use_new_process(self) -> None:
+        """Give this thread a process of its own, which starts with its first call."""
+        self._own.executor = ProcessPoolExecutor(
+            1, multiprocessing.get_context('spawn'), _initialise_process)
 
     def start(self) -> None:
         """Let the processes finish their imports before they are needed."""
@@ -67,19 +72,11 @@ class Pool:
 
     def _call(self, function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
         for _ in range(2):
-            process = self._free.get()
             try:
-                return process.submit(call_and_trim, function, args).result()
+                return self._own.executor.submit(call_and_trim, function, args).result()
             except BrokenProcessPool:
-                process = _new_process()
-            finally:
-                self._free.put(process)
+                self._use_new_process()
         raise PoolEndedError
-
-
-def _new_process() -> ProcessPoolExecutor:
-    """Return a process, which starts with its first call."""
-    return ProcessPoolExecutor(1, multiprocessing.get_context('spawn'), _initialise_process)
 
 
 def _initialise_process() -> None:

@@ -53,13 +53,6 @@ class Inputs(NamedTuple):
     samples: Sequence[tuple[int, Sample | None]]
 
 
-class Request(NamedTuple):
-    """An answer that was asked for: what it is made from, and the message about it."""
-
-    inputs: Inputs
-    message: Future[str]
-
-
 @dataclass(frozen=True, eq=False)
 class Review:
     """
@@ -119,7 +112,8 @@ class LiveSolver:
         self.why_missing, self.saved, self.is_wanted = why, '', False
         self._reviewed: Inputs | None = None  # what self.review was made from, None: no samples
         self._begun: Inputs | None = None  # of the last review that was begun
-        self._request: Request | None = None  # the last one
+        self._requested: Inputs | None = None  # of the last answer that was asked for
+        self._message = Future[str]()  # about that
 
     def changes_since(self, session: Session) -> str:
         """Return in words how the samples of a session differ from those of the answer, or ''."""
@@ -159,8 +153,8 @@ class LiveSolver:
         except HandeyeError as error:
             self._refuse(error)
             raise
-        if self._request and self._request.inputs == self._inputs():
-            message = self._request.message
+        if self._requested == self._inputs():
+            message = self._message
             if not message.done() or (self.calibration and not message.exception()):
                 return message
         return self._begin_review(is_requested=True)
@@ -190,10 +184,9 @@ class LiveSolver:
         message = live.run_job(
             COMPUTING if is_requested else '',
             partial(self._accept, inputs, session, is_requested),
-            review_of, session, config, self.view, is_requested or self.calibration is not None,
-            is_requested=is_requested)
+            review_of, session, config, self.view, is_requested or self.calibration is not None)
         if is_requested:
-            self._request = Request(inputs, message)
+            self._requested, self._message = inputs, message
         return message
 
     def _accept(self, inputs: Inputs, session: Session, is_requested: bool, review: Review) -> str:
@@ -210,7 +203,7 @@ class LiveSolver:
         if inputs.session is not live.session:
             raise DataError('the samples were cleared while the calibration was computed, so '
                             'there is no answer: take new samples')
-        is_newest = bool(self._request and inputs is self._request.inputs)
+        is_newest = inputs is self._requested
         if answer.refusal and is_newest:
             self._refuse(answer.refusal)
         calibration = answer.require_calibration()

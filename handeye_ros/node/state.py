@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
 State = dict[str, Any]
 
-SAMPLES_FORMAT = 'handeye_ros/samples/1'
-STATUS_FORMAT = 'handeye_ros/status/1'
 NONE, CURRENT, OUTDATED, WITHDRAWN = 'none', 'current', 'outdated', 'withdrawn'
 NO_ANSWER = {
     'parent': '', 'child': '', 'translation': None, 'rotation': None, 'rpy': None, 'std': None,
@@ -201,14 +199,14 @@ def with_troubles(state: State, text: str, success: bool, service: str) -> str:
 
 def samples_message(state: State) -> State:
     """Return the content of ~/samples, as plain values."""
-    return {'format': SAMPLES_FORMAT, 'session': state['session']['path'],
+    return {'format': 'handeye_ros/samples/1', 'session': state['session']['path'],
             'mode': state['session']['mode'], 'worst_first': state['worst'],
             **{key: state[key] for key in ('samples', 'review', 'attempt')}}
 
 
 def status_message(state: State) -> State:
     """Return the content of ~/status, as plain values."""
-    return {'format': STATUS_FORMAT, **state['calibration']}
+    return {'format': 'handeye_ros/status/1', **state['calibration']}
 
 
 def _sample(stop: Stop, session: Session, agreement: Agreement | None) -> State:

@@ -65,8 +65,7 @@ class LiveVerification:
         if self.routine:
             with suppress(InputError):  # of two frames, where no stop is taken
                 self._live.discard_begun_stops()
-        self.routine = None
-        self._most_parts = 1
+        self.routine, self._most_parts = None, 1
         self._parts: list[dict[int, Sample | Reject]] = [{}]  # what their stops gave, by stamp
 
     @property

@@ -64,13 +64,15 @@ def started(module: str, *arguments: object) -> AbstractContextManager[subproces
     ('main', ['config/plate.yaml'], 'unrecognized arguments: config/plate.yaml'),
     *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
         ('replay', ['no/such/bag'], 'no/such/bag: no such file or folder'),
+        ('main', ['--ros-args', '-p', 'output_dir:=/proc/x'], 'cannot write /proc/x (output_dir)'),
         ('scan', ['none.yaml'], 'none.yaml cannot be used'),
-        ('main', ['--ros-args', '-p', 'profile_topic:=my profile'], 'cannot name a topic'),
+        ('main', ['--ros-args', '-p', 'profile_topic:=my profile'], '"my profile" cannot '),
         ('main', ['--ros-args', '-p', 'target.size:=[1.0, 2]'], 'ROS does not start: '),
         ('main', ['--ros-args', 'nonsense'], 'ROS does not start: ')))])
 def test_wrong_arguments_are_refused(module: str, arguments: list[str], reason: str) -> None:
     run = run_module(module, *arguments)
-    assert run.returncode == 2 and reason in run.stderr and 'Traceback' not in run.stderr
+    assert run.returncode == 2 and f'error: {reason}' in run.stderr
+    assert 'Traceback' not in run.stderr
 
 
 def test_a_service_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -130,7 +130,7 @@ def test_samples_are_taken_and_removed_by_hand_or_refused(client, node):
         client.until(service.service_is_ready, 'the service is there')
     answers = [service.call_async(Trigger.Request()) for service in services for _ in range(9)]
     client.until(lambda: all(answer.done() for answer in answers), 'all are answered')
-    again = 'sample 1 taken again, as the robot has not moved since: '
+    again = 'sample 1 taken again, of the same stop: '
     assert all(answer.result().message.startswith(again) for answer in answers)
     answer = client.call('compute_calibration')
     assert not answer.success and 'needs at least' in answer.message
