@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 import math
 import time
-from typing import Any, ClassVar, NamedTuple, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.calibration import measured_points
@@ -108,19 +108,11 @@ class _TargetProblem(Problem):
 ComparedData: TypeAlias = ComparedStations | PairedRows
 """What estimators are given: both can be counted, cut to a subset, and give residuals of an X."""
 
-
-class OwnAnswer(NamedTuple):
-    """
-    The answer of the target's own method.
-
-    data: what it believes, and all estimators are given
-    X: (4, 4) from the mount to the sensor plane
-    refusal: why it is no answer, or None
-    """
-
-    data: ComparedData
-    X: Array
-    refusal: DataError | None
+OwnAnswer: TypeAlias = tuple[ComparedData, Array, DataError | None]
+"""
+The answer of the target's own method: what it believes, and all estimators are given; its
+transform (4, 4) from the mount to the sensor plane; why it is no answer, or None.
+"""
 
 
 @dataclass(frozen=True)
@@ -289,7 +281,7 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
         used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used)
         stations = ComparedStations(used, config, solution.problem, solution.estimate,
                                     solution.posterior.noise)
-        return OwnAnswer(stations, solution.estimate.X, answer.refusal)
+        return stations, solution.estimate.X, answer.refusal
     return _comparison(config.target.type, solve_own, len(samples) + len(rejects), T_true, folds,
                        progress)
 
@@ -307,7 +299,7 @@ def compare_files(given: TableProblem, T_true: Array | None = None, folds: int =
             answer.require_trusted(given)
         except DataError as error:
             refusal = error
-        return OwnAnswer(given.subset(np.flatnonzero(answer.used)), answer.X, refusal)
+        return given.subset(np.flatnonzero(answer.used)), answer.X, refusal
     return _comparison(given.name, solve_own, len(given), T_true, folds, progress)
 
 
