@@ -147,7 +147,8 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
     still = [replace(sample, trajectory=None) for sample in evenly(used, MOST_OF_SWEEP)]
     result = check(still, calibration, config, session.rejects,
                    [stop.stamp for stop in session.stops])
-    return _with_offset(result, offset, calibration) if offset else result
+    before = calibration.time_offset
+    return _with_offset(result, offset, before) if offset and before else result
 
 
 def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
@@ -450,12 +451,10 @@ def _shifts_in_words(move: Move, frame: str) -> str:
         f' (a slide along {unseen} cannot be seen)' if unseen else '')
 
 
-def _with_offset(result: Check, offset: ClockEstimate, calibration: Calibration) -> Check:
+def _with_offset(result: Check, offset: ClockEstimate, before: ClockEstimate) -> Check:
     """Return the check of a sweep with the change of its time offset since the calibration."""
-    previous, verdict = calibration.time_offset, result.verdict
-    if previous is None:
-        return result
-    change, std = offset.value - previous.value, math.hypot(offset.std, previous.std)
+    change, std = offset.value - before.value, math.hypot(offset.std, before.std)
+    verdict = result.verdict
     words = f'{change * 1e3:+.2f} ms (1 sigma {std * 1e3:.2f})'
     sentence = f'The time offset is as it was: {words}'
     if abs(change) > max(SURE_CHANGE_SIGMAS * std, SMALLEST_CHANGE):

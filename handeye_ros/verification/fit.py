@@ -24,7 +24,6 @@ import math
 from typing import Generic, NamedTuple, TypeVar
 
 from handeye_ros import se3
-from handeye_ros.config import Config
 from handeye_ros.data import Array, Indices, Reject, rms
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.blocks import wrt_smooth
@@ -50,7 +49,6 @@ from handeye_ros.estimation.problem import (
     Problem,
     StationGroup,
 )
-from handeye_ros.estimation.target import Target
 from handeye_ros.frames import mount_frame, name_direction
 from handeye_ros.targets.profile_target import grazing
 import numpy as np
@@ -93,20 +91,6 @@ class StationSet:
     counts: tuple[int, ...]
     are_passes: bool = False
     surface: str = ''
-
-    @classmethod
-    def of(cls, target: Target, poses: Array, observations: Observations, config: Config,
-           stamps: NDArray[np.int64], counts: tuple[int, ...], are_passes: bool = False,
-           surface: str = '') -> StationSet:
-        """Return what is seen from poses; config.verify.aim is a further error of their place."""
-        # the ends of a line are no face, and the flanks of teeth are steep by design
-        is_face = target.kinds == ('face',) and not are_passes
-        noise = replace(
-            config.noise, distortion=config.noise.distortion if is_face else 0.0,
-            robot_translation=math.hypot(config.noise.robot_translation, config.verify.aim))
-        problem = Problem(target, poses, observations, replace(config, noise=noise),
-                          long_errors=True)
-        return cls(problem, stamps, counts, are_passes, surface)
 
     @property
     def observations(self) -> Observations:
