@@ -57,9 +57,9 @@ def of_target(target: str, seed: int) -> dict[str, np.ndarray]:
         config = with_values(config, {'target.use_face': True}, target)
         found['line, with its face'] = compare(
             samples, (), config, truth.T_flange_sensor, folds=0).rows[0]
-    return {name: NO_ANSWER if row.error_translation is None else np.array([
-        1e3 * row.error_translation, math.degrees(row.error_rotation),
-        1e3 * row.error_mapped_points]) for name, row in found.items()}
+    return {name: NO_ANSWER if row.failure else np.array([
+        1e3 * row.figures['error_translation'], math.degrees(row.figures['error_rotation']),
+        1e3 * row.figures['error_mapped_points']]) for name, row in found.items()}
 
 
 def two_frames(seed: int) -> dict[str, np.ndarray]:

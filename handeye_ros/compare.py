@@ -9,11 +9,11 @@ method: which edge a point is on (Chen 2023), on which side of the laser the cen
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 import math
 import time
-from typing import Any, ClassVar, NamedTuple, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.calibration import measured_points
@@ -108,19 +108,11 @@ class _TargetProblem(Problem):
 ComparedData: TypeAlias = ComparedStations | PairedRows
 """What estimators are given: both can be counted, cut to a subset, and give residuals of an X."""
 
-
-class OwnAnswer(NamedTuple):
-    """
-    The answer of the target's own method.
-
-    data: what it believes, and all estimators are given
-    X: (4, 4) from the mount to the sensor plane
-    refusal: why it is no answer, or None
-    """
-
-    data: ComparedData
-    X: Array
-    refusal: DataError | None
+OwnAnswer: TypeAlias = tuple[ComparedData, Array, DataError | None]
+"""
+The answer of the target's own method: what it believes, and all estimators are given; its
+transform (4, 4) from the mount to the sensor plane; why it is no answer, or None.
+"""
 
 
 @dataclass(frozen=True)
@@ -221,32 +213,20 @@ ESTIMATORS = {
 @dataclass(frozen=True, eq=False)
 class Row:
     """
-    Result of one estimator, in SI units.
+    Result of one estimator.
 
+    figures: those that are known, of ROW_FIGURES, in SI units. residual_rms: RMS residual of the
+        target's own method with this transform, the target fitted to it; holdout_rms: the same for
+        stations left out of the estimate; error_...: against the true transform; seconds: duration
+        of one fit
     T_flange_sensor: (4, 4), None if the estimator failed
     failure: the reason
-    residual_rms: RMS residual of the target's own method with this transform, the target fitted to
-        it
-    holdout_rms: the same for stations left out of the estimate
-    error_...: against the true transform; None: unknown
-    seconds: duration of one fit
     """
 
     name: str
-    seconds: float
+    figures: Mapping[str, float]
     T_flange_sensor: Array | None = None
     failure: str = ''
-    residual_rms: float | None = None
-    holdout_rms: float | None = None
-    error_translation: float | None = None
-    error_rotation: float | None = None
-    error_mapped_points: float | None = None
-
-    @property
-    def figures(self) -> dict[str, float]:
-        """Return the figures that are known, by their names in ROW_FIGURES."""
-        return {name: getattr(self, name) for name in ROW_FIGURES
-                if getattr(self, name) is not None}
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,7 +269,7 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
         used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used)
         stations = ComparedStations(used, config, solution.problem, solution.estimate,
                                     solution.posterior.noise)
-        return OwnAnswer(stations, solution.estimate.X, answer.refusal)
+        return stations, solution.estimate.X, answer.refusal
     return _comparison(config.target.type, solve_own, len(samples) + len(rejects), T_true, folds,
                        progress)
 
@@ -307,7 +287,7 @@ def compare_files(given: TableProblem, T_true: Array | None = None, folds: int =
             answer.require_trusted(given)
         except DataError as error:
             refusal = error
-        return OwnAnswer(given.subset(np.flatnonzero(answer.used)), answer.X, refusal)
+        return given.subset(np.flatnonzero(answer.used)), answer.X, refusal
     return _comparison(given.name, solve_own, len(given), T_true, folds, progress)
 
 
@@ -320,17 +300,18 @@ def _comparison(target: str, solve_own: Callable[[], OwnAnswer], count: int,
     data, X_own, refusal = solve_own()
 
     def row(estimator: Estimator, X: Array, seconds: float) -> Row:
-        every, errors, left_out = np.arange(len(data)), {}, None
-        if T_true is not None:
-            errors = {f'error_{name}': value for name, value in asdict(
-                errors_against(X, T_true @ data.T_sensor_values, data.field())).items()}
+        every = np.arange(len(data))
+        figures = {'residual_rms': rms(data.residuals(X, every, every))}
         if folds and estimator.refit:
-            left_out = _left_out(data, estimator, min(folds, len(data)), progress)
-        return Row(estimator.name, seconds, X @ se3.inverse(data.T_sensor_values), '',
-                   rms(data.residuals(X, every, every)), left_out, **errors)
+            figures |= _left_out(data, estimator, min(folds, len(data)), progress)
+        if T_true is not None:
+            errors = errors_against(X, T_true @ data.T_sensor_values, data.field())
+            figures |= {f'error_{name}': value for name, value in asdict(errors).items()}
+        return Row(estimator.name, {**figures, 'seconds': seconds},
+                   X @ se3.inverse(data.T_sensor_values))
 
     seconds = time.perf_counter() - start
-    rows = [Row(own_method.name, seconds, failure=str(refusal)) if refusal else
+    rows = [Row(own_method.name, {'seconds': seconds}, failure=str(refusal)) if refusal else
             row(own_method, X_own, seconds)]
     for estimator in others:
         progress(estimator.name)
@@ -338,15 +319,16 @@ def _comparison(target: str, solve_own: Callable[[], OwnAnswer], count: int,
         try:
             X = estimator.fit(data)
         except ESTIMATOR_FAILURES as error:
-            rows.append(Row(estimator.name, time.perf_counter() - start, failure=str(error)))
+            rows.append(Row(estimator.name, {'seconds': time.perf_counter() - start},
+                            failure=str(error)))
         else:
             rows.append(row(estimator, X, time.perf_counter() - start))
     return Comparison(tuple(rows), len(data), count - len(data), refusal, data.field_text)
 
 
 def _left_out(data: ComparedData, estimator: Estimator, folds: int, progress: Progress
-              ) -> float | None:
-    """Return the RMS residual of samples that the estimator was not given, None if it fails."""
+              ) -> dict[str, float]:
+    """Return holdout_rms, of samples that the estimator was not given; nothing if it fails."""
     residuals, every = [], np.arange(len(data))
     for part in range(folds):
         progress(f'{estimator.name}: left out, part {part + 1} of {folds}')
@@ -354,15 +336,15 @@ def _left_out(data: ComparedData, estimator: Estimator, folds: int, progress: Pr
         try:
             X = estimator.fit(data.subset(every[~in_part]))
         except ESTIMATOR_FAILURES:
-            return None
+            return {}
         residuals.append(data.residuals(X, every[~in_part], every[in_part]))
-    return rms(np.concatenate(residuals))
+    return {'holdout_rms': rms(np.concatenate(residuals))}
 
 
 def tables(comparison: Comparison) -> RenderableType:
     """Return the transforms of all rows, and below them their figures."""
     rows = comparison.rows
-    with_errors = any(row.error_mapped_points is not None for row in rows)
+    with_errors = any('error_mapped_points' in row.figures for row in rows)
     shown = {name: column for name, column in ROW_FIGURES.items()
              if with_errors or not name.startswith('error')}
     transforms = figures_table('estimator', 'x, y, z (mm)\nroll, pitch, yaw (degrees)',

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from handeye_ros.verification.check import Check
 
 NOT_AS_WANTED = 1  # exit code: measured, and not passed, or changed
+LARGEST_PLAIN = 10.0  # a position without a unit that is larger was meant in mm: refused
 THINNING_SIZE = 2e-4  # m: edge of the cubes of which each keeps one point
 PATH_LINES = ('auto', 'centre', 'root', 'first', 'second')  # that the path of a tool may follow
 
@@ -261,12 +262,17 @@ def seam(
         '--bag', help='Write nav_msgs/Path and geometry_msgs/PoseArray to DIR/path too.')] = False,
 ) -> None:
     """Find the seam in a cloud, and tool frames along it."""
-    from handeye_ros.scanning.seam import find_seam, SeamOptions, sentences, tool_frames, write
-    options = SeamOptions.of_texts(box, widest, line, start, towards, pitch, travel, work)
+    from handeye_ros.config import parse_length
+    from handeye_ros.scanning.seam import find_seam, sentences, tool_frames, write
+    limits = [parse_length(text, '--box', LARGEST_PLAIN) for text in box]
+    widest_m = parse_length(widest, '--widest', 0.1, 1e-4)
+    pitch_m = parse_length(pitch, '--pitch', 0.1, 1e-5)
+    start_m = [parse_length(text, '--start', LARGEST_PLAIN, -1e3) for text in start if any(start)]
     points, frame = _cloud(path, calibration, config, assignments)
+    points = points[((points >= limits[::2]) & (points <= limits[1::2])).all(axis=1)]
     with progress_bar('looking for the seam'):
-        result = find_seam(points, options)
-        frames = tool_frames(result, options)
+        result = find_seam(points, widest_m, towards, line, start_m or None)
+        frames = tool_frames(result, pitch_m, towards, math.radians(travel), math.radians(work))
     write(out, result, frames, frame)
     if bag:
         import time

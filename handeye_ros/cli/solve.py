@@ -74,10 +74,10 @@ def solve(
         calibration = answer.require_calibration()
         warnings = calibration.provenance.get('warnings', ())
         warn(*warnings)
-        all_warnings = [*opened.warnings, *warnings]
-        calibration = replace(calibration, provenance={
-            **calibration.provenance, 'inputs': opened.inputs,
-            **({'warnings': all_warnings} if all_warnings else {})})
+        provenance = {**calibration.provenance, 'inputs': opened.inputs}
+        if opened.warnings:
+            provenance['warnings'] = [*opened.warnings, *warnings]
+        calibration = replace(calibration, provenance=provenance)
     saved = exports.save_all(calibration, folder, settings.save.formats)
     show(table.table(calibration))
     if causes:

@@ -100,7 +100,8 @@ def solve_nine(T_base_flange: Array, points: Array, edges: Array) -> Array:
     solutions = []
     for R in STARTS:
         start = np.concatenate([R[:, 0], R[:, 2], np.zeros(3)])
-        scale = _scale(rows, start)
+        p, q = (M @ np.append(start, 1.0) for M in rows)
+        scale = 1e3 / float(np.sum(p ** 2) * np.sum(q ** 2))  # for the solver's tolerances
         solutions.append(minimize(
             lambda u, s=scale: (s * cost(rows, u)[0], s * cost(rows, u)[1]), start, jac=True,
             hess=lambda u, s=scale: s * cost(rows, u)[2], method='trust-constr',
@@ -132,12 +133,6 @@ def _rows(T_base_flange: Array, points: Array, edges: Array) -> tuple[Array, Arr
         require_count('Chen 2023', MINIMUM, f'points on edge {edge}', int(mask.sum()))
     p, q = (edge_rows(T_base_flange[mask], points[mask]) for mask in masks)
     return p, q
-
-
-def _scale(rows: tuple[Array, Array], u: Array) -> float:
-    """Return the factor that brings the cost to the order of 1, for the solver's tolerances."""
-    p, q = (M @ np.append(u, 1.0) for M in rows)
-    return 1e3 / float(np.sum(p ** 2) * np.sum(q ** 2))
 
 
 def _norms() -> NonlinearConstraint:

@@ -178,12 +178,11 @@ def swept(points: Array, q30: float, direction: Array) -> Array:
     return np.asarray(cloud + (points[:, 2:] - q30) * direction)
 
 
-def fit_swept_ball(points: Array, q30: float,
-                   direction: Array = SWEEP) -> tuple[Array, Array, float]:
+def fit_swept_ball(points: Array, q30: float, direction: Array) -> tuple[Array, Array, float]:
     """
     Return the sweep's direction (3,) and the ball's centre (3,) and radius, sensor frame.
 
-    points: (n, 3) x, z, q3 on the ball. Raises TooFewError.
+    points: (n, 3) x, z, q3 on the ball; direction: (3,) roughly. Raises TooFewError.
     """
     require_count('Jing 2020', 6, 'profile points on the ball', len(points))
     aside = np.linalg.svd(direction[None])[2][1:]

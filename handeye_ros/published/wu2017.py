@@ -75,11 +75,6 @@ def solve(in_camera: Array, in_base: Array) -> Result:
     best = int(np.argmin(costs))
     matrix = T_g[np.count_nonzero(regular[:best])]
     a, b, c, d = (int(i) for i in quadruples[best])
-    T = _rigid(matrix, in_base)
-    return Result(matrix, T, se3.inverse(T), (a, b, c, d), float(costs[best]), costs)
-
-
-def _rigid(matrix: Array, in_base: Array) -> Array:
-    """Return the rigid transform nearest to matrix that maps the mean point as it does."""
     R, mean = se3.nearest_rotation(matrix[:3, :3]), in_base.mean(axis=0)
-    return se3.transform(R, matrix[:3, :3] @ mean + matrix[:3, 3] - R @ mean)
+    T = se3.transform(R, matrix[:3, :3] @ mean + matrix[:3, 3] - R @ mean)
+    return Result(matrix, T, se3.inverse(T), (a, b, c, d), float(costs[best]), costs)

@@ -80,11 +80,11 @@ def read_cloud(path: Path) -> Array:
         with path.open('rb') as stream:
             length, lines = _header_lines(stream.read(LONGEST_HEADER))
             form, dtype, count = layout(lines)
-            names = dtype.names or ()
-            counts = [math.prod(dtype[name].shape) for name in names]
-            columns = [sum(counts[:names.index(axis)]) for axis in 'xyz']
             stream.seek(length)
             if form == 'ascii':
+                names = [name for name in dtype.names or ()
+                         for _ in range(math.prod(dtype[name].shape))]  # of each column
+                columns = [names.index(axis) for axis in 'xyz']
                 points = np.loadtxt(stream, usecols=columns, max_rows=count, ndmin=2)
             else:
                 rows = np.fromfile(stream, dtype)[:count]

@@ -13,11 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-import math
 from pathlib import Path
 
 from handeye_ros import se3
-from handeye_ros.config import parse_length
 from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, mm
 from handeye_ros.output import csv_text, write_atomically, yaml_text
@@ -33,49 +31,12 @@ SEAM_NAMES = {'v': 'V seam', 'butt': 'butt seam', 'lap': 'lap seam', 'fillet': '
 FRAME_COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'gap', 'mismatch', 'residual',
                  'std')
 NEARBY_LENGTH = 0.01  # m along the seam: sections within it give the residual at a frame
-LARGEST_PLAIN = 10.0  # a position without a unit that is larger was meant in mm: refused
+WIDEST_SEAM = 0.012  # m between the edges of a seam
 MOST_CLOUD_POINTS = 400_000  # largest number of points of a cloud that are used
 FEWEST_POINTS = 500  # smallest number
 # largest 1 sigma of position (m) and approach of an end frame
 LARGEST_FRAME_STD = 4e-5, np.deg2rad(0.4)
 LARGEST_SCATTER = 10.0  # largest scatter of the sections, in sigmas of the points, or one spacing
-
-
-@dataclass(frozen=True)
-class SeamOptions:
-    """
-    Which points of a cloud are used, which seam is found in them, and how a tool follows it.
-
-    box: the lowest and the highest x, y and z of the points (m)
-    widest: largest distance between the edges of the seam (m)
-    line: the curve of a Seam that the path follows; auto: the root of V and fillet, the centre of
-        butt and lap
-    start: a point near the end where the path begins (m); empty: either end
-    towards: within 90 degrees of the approach of the tool
-    pitch: distance of the tool frames along the seam (m)
-    travel: travel angle, a tilt against the advance, about a; work: work angle, a tilt to the
-        side, about n (rad)
-    """
-
-    box: tuple[Sequence[float], Sequence[float]]
-    widest: float
-    line: str
-    start: Sequence[float]
-    towards: Sequence[float]
-    pitch: float
-    travel: float
-    work: float
-
-    @classmethod
-    def of_texts(cls, box: Sequence[str], widest: str, line: str, start: Sequence[str],
-                 towards: Sequence[float], pitch: str, travel: float, work: float) -> SeamOptions:
-        """Return the options of a command line, angles in degrees; raises BadValueError."""
-        limits = [parse_length(text, '--box', LARGEST_PLAIN) for text in box]
-        return cls(
-            (limits[::2], limits[1::2]), parse_length(widest, '--widest', 0.1, 1e-4), line,
-            [parse_length(text, '--start', LARGEST_PLAIN, -1e3) for text in start if any(start)],
-            towards, parse_length(pitch, '--pitch', 0.1, 1e-5), math.radians(travel),
-            math.radians(work))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,26 +93,29 @@ class ToolFrames:
     measures: Array
 
 
-def find_seam(points: Array, options: SeamOptions) -> Seam:
+def find_seam(points: Array, widest: float = WIDEST_SEAM,
+              towards: Sequence[float] = (0.0, 0.0, -1.0), line: str = 'auto',
+              start: Sequence[float] | None = None) -> Seam:
     """
     Return the only seam in a cloud (n, 3).
 
+    widest: largest distance between its edges (m); towards: (3,) within 90 degrees of the approach
+    of the tool; line: see Seam, or auto: the root of V and fillet, the centre of butt and lap;
+    start: (3,) a point near the end where the seam begins.
     Raises DataError where there is none, several, or one that is interrupted or not clear.
     """
-    low, high = options.box
-    points = np.unique(points[((points >= low) & (points <= high)).all(axis=1)], axis=0)
+    points = np.unique(points, axis=0)
     points = points[::max(-(-len(points) // MOST_CLOUD_POINTS), 1)]
     if len(points) < FEWEST_POINTS:
         raise DataError(f'the cloud has {len(points)} different points, fewer than '
                         f'{FEWEST_POINTS}: scan more densely, or widen --box')
-    up = -np.asarray(options.towards)
+    up = -np.asarray(towards)
     sheets = sheets_of(points, up)
-    rough = course(sheets, options.widest, up)
-    if options.start and np.argmin(np.linalg.norm(
-            points[rough.pairs[[0, -1], 0]] - options.start, axis=1)) == 1:
+    rough = course(sheets, widest, up)
+    if start is not None and np.argmin(np.linalg.norm(
+            points[rough.pairs[[0, -1], 0]] - start, axis=1)) == 1:
         rough = replace(rough, pairs=rough.pairs[::-1], t=rough.t[-1] - rough.t[::-1])
     sections = edges_of_seam(sheets, rough)
-    line = options.line
     if line == 'auto':
         line = 'root' if rough.kind in ('v', 'fillet') else 'centre'
     first, last = sections.ends
@@ -172,13 +136,15 @@ def find_seam(points: Array, options: SeamOptions) -> Seam:
     return seam
 
 
-def tool_frames(seam: Seam, options: SeamOptions) -> ToolFrames:
+def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, -1.0),
+                travel: float = 0.0, work: float = 0.0) -> ToolFrames:
     """
     Return frames along the seam up to its end, without uncertain frames at the ends.
 
-    Raises DataError where no frame is certain.
+    pitch: distance between them (m); towards: (3,) within 90 degrees of the approach. travel:
+    travel angle, a tilt against the advance, about a; work: work angle, a tilt to the side, about
+    n (rad). Raises DataError where no frame is certain.
     """
-    pitch = options.pitch
     lengths, t = seam.curve.arc
     std = seam.std(t)
     certain = lengths[(std <= LARGEST_FRAME_STD).all(axis=1)]
@@ -190,10 +156,10 @@ def tool_frames(seam: Seam, options: SeamOptions) -> ToolFrames:
     t = np.interp(lengths, *seam.curve.arc)
     n = seam.curve.advance(t)
     o = -seam.normal(t)
-    o[o @ np.asarray(options.towards) < 0] *= -1
+    o[o @ np.asarray(towards) < 0] *= -1
     o = unit(o - (o * n).sum(axis=1, keepdims=True) * n)
     R = np.stack([n, o, np.cross(n, o)], axis=-1)
-    tilt = Rotation.from_euler('xz', [options.work, options.travel]).as_matrix()
+    tilt = Rotation.from_euler('xz', [work, travel]).as_matrix()
     return ToolFrames(lengths, se3.transform(R @ tilt, seam.curve.position(t)),
                       _measures(seam, t))
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 import math
 from typing import Any, NamedTuple
 
@@ -146,7 +147,8 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
     still = [replace(sample, trajectory=None) for sample in evenly(used, MOST_OF_SWEEP)]
     result = check(still, calibration, config, session.rejects,
                    [stop.stamp for stop in session.stops])
-    return _with_offset(result, offset, calibration) if offset else result
+    before = calibration.time_offset
+    return _with_offset(result, offset, before) if offset and before else result
 
 
 def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
@@ -173,21 +175,17 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     prediction, _, contradicting = fit_without_outliers(
         np.unique(problem.observations.station), compared_at)
     target, sensor = (_moved(prediction, name) for name in MOVABLE)
-    causes = {'target': target, 'sensor': sensor,
-              'robot': _Cause(_robot_likelihood(prediction), ROBOT_CHANGED)}
-    likelihoods = [cause.likelihood for cause in causes.values()]
+    sentences = {'target': target.sentence, 'sensor': sensor.sentence, 'robot': ROBOT_CHANGED}
+    likelihoods = [target.likelihood, sensor.likelihood, _robot_likelihood(prediction)]
     evidence = _log_mean(likelihoods) - _log_likelihood(prediction.residuals, prediction.errors)
-    odds = dict(zip(causes, softmax(likelihoods).tolist(), strict=True))
-    target_move, sensor_move = (
-        Move(causes[name].shift, causes[name].turn, *_smallest_shifts(prediction, name))
-        for name in MOVABLE)
+    odds = dict(zip(sentences, softmax(likelihoods).tolist(), strict=True))
     if evidence < math.log(LEAST_EVIDENCE):
         verdict, sentence = 'unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
-            f'have shown from {_shifts_in_words(target_move, target_frame(config))} on, one of '
-            f'the sensor from {_shifts_in_words(sensor_move, mount_frame(config))} on')
+            f'have shown from {_shifts_in_words(target.move, target_frame(config))} on, one of '
+            f'the sensor from {_shifts_in_words(sensor.move, mount_frame(config))} on')
     else:
-        verdict, sentence = _verdict_and_sentence(causes, odds)
+        verdict, sentence = _verdict_and_sentence(sentences, odds)
         if 'robot' in verdict and (off := rms(prediction.linear.residuals)) > MOVE_SCALES[-1]:
             raise DataError(
                 f'this recording is off by {mm(off)} RMS from what the calibration has, which '
@@ -202,17 +200,21 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
         sentence += f'. Left out, as they contradict the others: {what} {left_out}'
     return Check(
         samples[0].stamp, verdict, sentence, len(prediction.linear.problem.poses),
-        rms(prediction.linear.residuals), math.exp(min(evidence, 700.0)), odds, target_move,
-        sensor_move, sensor.displacement, sensor.std, left_out)
+        rms(prediction.linear.residuals), math.exp(min(evidence, 700.0)), odds, target.move,
+        sensor.move, sensor.displacement, sensor.std, left_out)
 
 
-def _verdict_and_sentence(causes: Mapping[str, _Cause], odds: Mapping[str, float]
+def _verdict_and_sentence(sentences: Mapping[str, str], odds: Mapping[str, float]
                           ) -> tuple[str, str]:
-    """Return the fewest causes that are together as probable as NAMED_FROM, and what follows."""
+    """
+    Return the fewest causes that are together as probable as NAMED_FROM, and what follows.
+
+    sentences: what follows from each cause.
+    """
     ranked = sorted(odds, key=odds.__getitem__, reverse=True)
     probability = np.cumsum([odds[name] for name in ranked])
     named = ranked[:int(np.searchsorted(probability, NAMED_FROM)) + 1]
-    sentence = '; or '.join(causes[name].sentence for name in named)
+    sentence = '; or '.join(sentences[name] for name in named)
     if len(named) > 1:
         text = ', '.join(f'{name} {odds[name]:.0%}' for name in named)
         sentence = f'these stops cannot decide ({text}): {sentence}. {MORE_STOPS}'
@@ -370,18 +372,16 @@ def _move_sigmas(scale: float) -> Array:
 
 class _Cause(NamedTuple):
     """
-    A possible change: its log likelihood, and what follows from it in words.
+    That target or sensor moved: the log likelihood, what follows in words, and the likeliest move.
 
-    shift (m), turn (rad): the most likely move; displacement, std: the largest displacement of a
-    point by this move, and its 1 sigma (m).
+    displacement, std: the largest displacement of a point by this move, and its 1 sigma (m).
     """
 
     likelihood: float
     sentence: str
-    shift: float = 0.0
-    turn: float = 0.0
-    displacement: float = 0.0
-    std: float = 0.0
+    move: Move
+    displacement: float
+    std: float
 
 
 def _moved(prediction: _Prediction, name: str) -> _Cause:
@@ -409,7 +409,8 @@ def _moved(prediction: _Prediction, name: str) -> _Cause:
         f'{what} by {mm(shift)} and {turned}: points are off by up to {off}; calibrate again'
         if name == 'sensor' else
         f'{what} by up to {off} where it was seen, and turned by {turned}; the calibration holds')
-    return _Cause(_log_mean(likelihoods), sentence, shift, turn, displacement, std)
+    return _Cause(_log_mean(likelihoods), sentence,
+                  Move(shift, turn, *_smallest_shifts(prediction, name)), displacement, std)
 
 
 def _robot_likelihood(prediction: _Prediction) -> float:
@@ -450,12 +451,10 @@ def _shifts_in_words(move: Move, frame: str) -> str:
         f' (a slide along {unseen} cannot be seen)' if unseen else '')
 
 
-def _with_offset(result: Check, offset: ClockEstimate, calibration: Calibration) -> Check:
+def _with_offset(result: Check, offset: ClockEstimate, before: ClockEstimate) -> Check:
     """Return the check of a sweep with the change of its time offset since the calibration."""
-    previous, verdict = calibration.time_offset, result.verdict
-    if previous is None:
-        return result
-    change, std = offset.value - previous.value, math.hypot(offset.std, previous.std)
+    change, std = offset.value - before.value, math.hypot(offset.std, before.std)
+    verdict = result.verdict
     words = f'{change * 1e3:+.2f} ms (1 sigma {std * 1e3:.2f})'
     sentence = f'The time offset is as it was: {words}'
     if abs(change) > max(SURE_CHANGE_SIGMAS * std, SMALLEST_CHANGE):
@@ -468,10 +467,7 @@ def _with_offset(result: Check, offset: ClockEstimate, calibration: Calibration)
 
 def plain_values(checks: Sequence[tuple[str, Check]], against: str) -> dict[str, Any]:
     """Return checks, each with the name of its recording, as plain values."""
-    contents = []
-    for recording, result in checks:
-        content = {'input': recording, **asdict(result)}
-        for name in MOVABLE:
-            content |= {f'{name}_{key}': value for key, value in content.pop(name).items()}
-        contents.append(content)
+    contents = [{'input': recording, **asdict(result)} for recording, result in checks]
+    for content, name in product(contents, MOVABLE):
+        content |= {f'{name}_{key}': value for key, value in content.pop(name).items()}
     return {'format': FORMAT, 'against': against, 'checks': contents}

@@ -24,7 +24,6 @@ import math
 from typing import Generic, NamedTuple, TypeVar
 
 from handeye_ros import se3
-from handeye_ros.config import Config
 from handeye_ros.data import Array, Indices, Reject, rms
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.blocks import wrt_smooth
@@ -50,7 +49,6 @@ from handeye_ros.estimation.problem import (
     Problem,
     StationGroup,
 )
-from handeye_ros.estimation.target import Target
 from handeye_ros.frames import mount_frame, name_direction
 from handeye_ros.targets.profile_target import grazing
 import numpy as np
@@ -93,20 +91,6 @@ class StationSet:
     counts: tuple[int, ...]
     are_passes: bool = False
     surface: str = ''
-
-    @classmethod
-    def of(cls, target: Target, poses: Array, observations: Observations, config: Config,
-           stamps: NDArray[np.int64], counts: tuple[int, ...], are_passes: bool = False,
-           surface: str = '') -> StationSet:
-        """Return what is seen from poses; config.verify.aim is a further error of their place."""
-        # the ends of a line are no face, and the flanks of teeth are steep by design
-        is_face = target.kinds == ('face',) and not are_passes
-        noise = replace(
-            config.noise, distortion=config.noise.distortion if is_face else 0.0,
-            robot_translation=math.hypot(config.noise.robot_translation, config.verify.aim))
-        problem = Problem(target, poses, observations, replace(config, noise=noise),
-                          long_errors=True)
-        return cls(problem, stamps, counts, are_passes, surface)
 
     @property
     def observations(self) -> Observations:
@@ -325,23 +309,6 @@ class _WhiteDistances:
         """Return pinv(J) (k, m): by how much the fitted q follows each distance."""
         return np.asarray(np.linalg.pinv(self.J), dtype=float)
 
-    def left_over(self, values: Array) -> Array:
-        """Return what the shape does not take up of r, or of the columns of E."""
-        return np.asarray(values - self.J @ (self.gain @ values))
-
-
-class _Measured(NamedTuple):
-    """
-    The measured quantities of a shape, and how the v with a nominal value deviate from it.
-
-    deviation: (v,) white; wrt_errors: (v, 6 + s) its derivatives by e; region: of a ShapeFit
-    """
-
-    quantities: tuple[Quantity, ...]
-    deviation: Array
-    wrt_errors: Array
-    region: float
-
 
 class GroupFit(NamedTuple, Generic[Result]):
     """
@@ -382,9 +349,10 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float
         white_of(linear.residuals), white_of(linear.jacobian[:, 6:]),
         np.hstack([white_of(linear.jacobian[:, :6]), white_of(by_robot)]),
         scipy.linalg.block_diag(root_of(C), np.eye(by_robot.shape[1])))
-    measured = _measured(shape, q, white)
-    r_left, E_left = white.left_over(white.r), white.left_over(white.E)
-    freedom, known = max(len(r_left) - len(q), 1), len(measured.deviation)
+    quantities, deviation, deviation_wrt_errors, region = _measured(shape, q, white)
+    # what the shape does not take up
+    r_left, E_left = (values - white.J @ (white.gain @ values) for values in (white.r, white.E))
+    freedom, known = max(len(r_left) - len(q), 1), len(deviation)
     sizes = np.abs(linear.residuals)
     square = likeliest(E_left @ white.claim, r_left)[2]
     scatter = Scatter(len(sizes), float(sizes.mean()), float(sizes.std()), rms(sizes),
@@ -393,10 +361,9 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float
     for group in groups:
         variances[group.rows] += np.einsum('nii->ni', _covariance(linear, group))
     fit = ShapeFit(
-        measured.quantities, scatter, linear.residuals, np.sqrt(variances), measured.region, known,
-        float(chi2_sf(measured.region, known)) if known else 1.0,
-        _calibration_error(
-            np.vstack([E_left, -measured.wrt_errors]), np.append(r_left, measured.deviation),
+        quantities, scatter, linear.residuals, np.sqrt(variances), region, known,
+        float(chi2_sf(region, known)) if known else 1.0, _calibration_error(
+            np.vstack([E_left, -deviation_wrt_errors]), np.append(r_left, deviation),
             freedom + known, linear))
     # the test for outliers leaves shape and calibration free
     unknowns = np.hstack([white.J, white.E[:, :6]])
@@ -448,8 +415,14 @@ def likeliest(A: Array, b: Array, information: Array | float = 1.0
     return x, covariance, float(b @ b - explained @ x)
 
 
-def _measured(shape: Shape, q: Array, white: _WhiteDistances) -> _Measured:
-    """Return the measured quantities of a shape q (k,)."""
+def _measured(shape: Shape, q: Array, white: _WhiteDistances
+              ) -> tuple[tuple[Quantity, ...], Array, Array, float]:
+    """
+    Return the measured quantities of a shape q (k,), and how the v with a nominal value deviate.
+
+    That is the white deviations (v,), their derivatives (v, 6 + s) by e, and the region of a
+    ShapeFit.
+    """
     certificate = shape.stations.problem.config.verify.certificate  # U of nominal lengths
     values, wrt_shape = shape.values(q), derivatives(shape.values, q)
     wrt_distances = wrt_shape @ white.gain
@@ -470,7 +443,7 @@ def _measured(shape: Shape, q: Array, white: _WhiteDistances) -> _Measured:
     quantities = (replace(quantity, value=float(value), std=float(std), claimed=float(claimed_std))
                   for quantity, value, std, claimed_std in zip(
                       shape.quantities, values, stds, claimed_stds, strict=True))
-    return _Measured(tuple(quantities), whiten @ deviation, whiten @ wrt_errors[known], region)
+    return tuple(quantities), whiten @ deviation, whiten @ wrt_errors[known], region
 
 
 def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations
+import math
 from typing import TypeVar
 
 from handeye_ros.config import Config
@@ -27,7 +28,8 @@ from handeye_ros.data import (
     Sample,
 )
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.estimation.problem import Observations
+from handeye_ros.estimation.problem import Observations, Problem
+from handeye_ros.estimation.target import Target
 from handeye_ros.frames import mount_poses, mount_poses_of, T_sensor_plane
 from handeye_ros.sampling.stops import evenly, evenly_chosen
 from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
@@ -61,11 +63,27 @@ def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibr
                            for recorded in recordings), strict=True)
     samples = [sample for recorded in shown for sample in recorded]
     poses = mount_poses_of(samples, config)
-    return StationSet.of(
-        TARGETS[routine.target], poses, _conditions(routine, samples, poses @ X), config,
-        stamps=np.array([sample.stamp for sample in samples], dtype=np.int64),
-        counts=tuple(map(len, shown)), surface='; '.join(
+    target = TARGETS[routine.target]
+    problem = _problem(target, poses, _conditions(routine, samples, poses @ X), config,
+                       is_face=target.kinds == ('face',))
+    return StationSet(
+        problem, np.array([sample.stamp for sample in samples], dtype=np.int64),
+        tuple(map(len, shown)), surface='; '.join(
             f'recording {k}: {choice}' for k, choice in enumerate(choices, 1) if choice))
+
+
+def _problem(target: Target, poses: Array, observations: Observations, config: Config,
+             is_face: bool) -> Problem:
+    """
+    Return what is seen from poses (n, 4, 4); config.verify.aim is a further error of their place.
+
+    is_face: whether it is a face. The ends of a line are none, and the flanks of teeth are steep
+    by design.
+    """
+    noise = replace(
+        config.noise, distortion=config.noise.distortion if is_face else 0.0,
+        robot_translation=math.hypot(config.noise.robot_translation, config.verify.aim))
+    return Problem(target, poses, observations, replace(config, noise=noise), long_errors=True)
 
 
 def _of_artefact(routine: Routine, samples: Sequence[Sample], X: Array, calibration: Calibration,
@@ -102,9 +120,9 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
         poses.append(flange.T_base_flange[usable])
         stamps += [profiles[index].stamp for index in usable.tolist()]
         counts.append(len(usable))
-    return StationSet.of(
-        TARGETS['plane'], mount_poses(np.concatenate(poses), config), rows.observations(), config,
-        stamps=np.array(stamps, dtype=np.int64), counts=tuple(counts), are_passes=True)
+    problem = _problem(TARGETS['plane'], mount_poses(np.concatenate(poses), config),
+                       rows.observations(), config, is_face=False)
+    return StationSet(problem, np.array(stamps, dtype=np.int64), tuple(counts), are_passes=True)
 
 
 def _conditions(routine: Routine, samples: Sequence[Sample], T: Array) -> Observations:

@@ -14,7 +14,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.scanning.cloud import write_cloud
 from handeye_ros.scanning.curves import spline
-from handeye_ros.scanning.seam import find_seam, SeamOptions, sentences, tool_frames
+from handeye_ros.scanning.seam import find_seam, sentences, tool_frames
 from handeye_ros.simulate.measuring import Preform, preform_cloud, PreformCloud
 import numpy as np
 import pytest
@@ -175,8 +175,6 @@ JOINTS = {
 START, PERIOD = 1_700_000_000_000_000_000, 10_000_000
 SMALL = {'length': 0.12, 'spacing': 5e-4}
 KINDS = {'butt': 'butt', 'lap': 'lap', 'vee': 'v', 'tee': 'fillet', 'corner': 'fillet'}
-OPTIONS = SeamOptions.of_texts(3 * ('-inf', 'inf'), '12mm', 'auto', (), (0.0, 0.0, -1.0), '5mm',
-                               0.0, 0.0)
 QUICK = ('vee 6, root 2', 'tee 30, lean 45')
 # lean 45: its rough course bends at the ends
 
@@ -210,9 +208,8 @@ def off_approach(truth, T):
 @pytest.mark.parametrize('kind', ['lap', 'butt'])
 def test_centre_line_and_approach_of_a_preform_are_the_true_ones(kind):
     truth = cloud_of(kind=kind)
-    options = replace(OPTIONS, towards=-truth.normals.mean(axis=0))
-    seam = find_seam(truth.points, options)
-    frames = tool_frames(seam, options)
+    seam = find_seam(truth.points)
+    frames = tool_frames(seam, 5e-3, -truth.normals.mean(axis=0))
     away = off_line(truth, frames.T_base_tool[:, :3, 3])
     assert seam.kind == kind and seam.sections.noise == pytest.approx(1e-4, rel=0.1)
     assert away.max() < 1e-4 and off_approach(truth, frames.T_base_tool) < 1.0
@@ -222,7 +219,7 @@ def test_centre_line_and_approach_of_a_preform_are_the_true_ones(kind):
     assert 'no frames on the first' in ' '.join(sentences(seam, frames))
     with pytest.raises(DataError, match='scan more densely'):
         tool_frames(replace(seam, sections=replace(
-            seam.sections, resolution={seam.line: 5e-5})), options)
+            seam.sections, resolution={seam.line: 5e-5})), 5e-3)
 
 
 @pytest.mark.parametrize('name', [
@@ -230,8 +227,8 @@ def test_centre_line_and_approach_of_a_preform_are_the_true_ones(kind):
               if name not in (*QUICK, 'tee 12', 'butt 3, backing 5, spatter'))])
 def test_joints_as_a_sensor_sees_them(name):
     truth = joint_of(name, 1)
-    seam = find_seam(truth.points, OPTIONS)
-    frames = tool_frames(seam, OPTIONS)
+    seam = find_seam(truth.points)
+    frames = tool_frames(seam, 5e-3)
     assert seam.kind == KINDS[name.split()[0]]
     assert off_line(truth, frames.T_base_tool[:, :3, 3]).max() < 1e-4
     assert off_approach(truth, frames.T_base_tool) < 1.0
@@ -244,9 +241,9 @@ def test_joints_as_a_sensor_sees_them(name):
 
 def test_the_path_follows_what_is_asked_for_from_where_it_is_asked():
     points = joint_of('lap 5, lean -20').points
-    second = find_seam(points, replace(OPTIONS, line='second'))
+    second = find_seam(points, line='second')
     last = second.curve.position(second.curve.last)
-    turned = find_seam(points, replace(OPTIONS, line='first', start=list(last)))  # the other end
+    turned = find_seam(points, line='first', start=last)  # from the other end, now the first
     assert (second.line, turned.line) == ('second', 'first')
     assert np.linalg.norm(turned.curve.position(turned.curve.first) - last) < 2e-4
     stds = []
@@ -257,9 +254,8 @@ def test_the_path_follows_what_is_asked_for_from_where_it_is_asked():
 
 def test_frames_are_rotations_at_the_pitch_and_lean_as_asked():
     truth = cloud_of()
-    seam, towards = find_seam(truth.points, OPTIONS), -truth.normals.mean(axis=0)
-    frames = tool_frames(seam, replace(OPTIONS, pitch=3e-3, towards=towards, travel=0.2,
-                                       work=-0.1))
+    seam, towards = find_seam(truth.points), -truth.normals.mean(axis=0)
+    frames = tool_frames(seam, 3e-3, towards, 0.2, -0.1)
     R = frames.T_base_tool[:, :3, :3]
     np.testing.assert_allclose(R @ R.swapaxes(1, 2), np.tile(np.eye(3), (len(R), 1, 1)),
                                atol=1e-14)
@@ -267,12 +263,11 @@ def test_frames_are_rotations_at_the_pitch_and_lean_as_asked():
     np.testing.assert_allclose(np.diff(frames.lengths)[:-1], 3e-3)
     steps = np.linalg.norm(np.diff(frames.T_base_tool[:, :3, 3], axis=0), axis=1)[:-1]
     np.testing.assert_allclose(steps, 3e-3, rtol=1e-3)  # chords of a weakly bent curve
-    for way in (-towards, towards):
-        sparse = replace(OPTIONS, pitch=0.02, towards=way)
-        assert (tool_frames(seam, sparse).T_base_tool[:, :3, 1] @ way > 0.8).all()
-    plain = tool_frames(seam, sparse).T_base_tool
+    for way in (towards, -towards):
+        assert (tool_frames(seam, 0.02, way).T_base_tool[:, :3, 1] @ way > 0.8).all()
+    plain = tool_frames(seam, 0.02, towards).T_base_tool
     for angle, axis in (('travel', 2), ('work', 0)):
-        leant = tool_frames(seam, replace(sparse, **{angle: 0.3})).T_base_tool
+        leant = tool_frames(seam, 0.02, towards, **{angle: 0.3}).T_base_tool
         cosine = (plain[:, :3, 1] * leant[:, :3, 1]).sum(axis=1)
         np.testing.assert_allclose(np.arccos(cosine), 0.3, atol=1e-9)
         np.testing.assert_allclose((plain[:, :3, axis] * leant[:, :3, 1]).sum(axis=1), 0,
@@ -285,7 +280,7 @@ def test_frames_are_rotations_at_the_pitch_and_lean_as_asked():
     ({'thickness': 5e-4}, 'no seam.*scan more densely')])
 def test_what_is_no_single_seam_is_refused(values, words):
     with pytest.raises(DataError, match=words):
-        find_seam(cloud_of(**values).points, OPTIONS)
+        find_seam(cloud_of(**values).points)
 
 
 @pytest.mark.parametrize(('joint', 'words'), [
@@ -294,14 +289,14 @@ def test_what_is_no_single_seam_is_refused(values, words):
     (butt(14, 5), '2 seams .*, 14 mm apart.* larger --widest')])
 def test_noise_that_hides_a_bend_and_a_gap_that_is_too_wide_are_named(joint, words):
     with pytest.raises(DataError, match=words):
-        find_seam(scanned(replace(joint, length=40.0), np.random.default_rng(0)).points, OPTIONS)
+        find_seam(scanned(replace(joint, length=40.0), np.random.default_rng(0)).points)
 
 
 def test_a_v_whose_plates_noise_joins_to_its_bevels_is_no_fillet():
     truth = scanned(vee(8, 1.5, angle=45, noise=0.1, length=40.0), np.random.default_rng(0))
-    seam = find_seam(truth.points, OPTIONS)
+    seam = find_seam(truth.points)
     assert seam.kind == 'v'
-    assert off_line(truth, tool_frames(seam, OPTIONS).T_base_tool[:, :3, 3]).max() < 1e-4
+    assert off_line(truth, tool_frames(seam, 5e-3).T_base_tool[:, :3, 3]).max() < 1e-4
 
 
 def test_the_root_of_a_v_is_known_up_to_the_ends_of_the_part():
@@ -310,8 +305,8 @@ def test_the_root_of_a_v_is_known_up_to_the_ends_of_the_part():
     x = np.repeat(np.arange(0, 0.06, 4e-4), 200)
     u = (np.tile(np.arange(200), 150) + rng.random(len(x))) * 2e-4 - 0.02
     z = np.minimum(0, (np.abs(u) - 4e-3) * 5 / 4) + 3e-5 * rng.normal(size=len(x))
-    seam = find_seam(np.column_stack([x, u, z]), OPTIONS)
-    y, height = tool_frames(seam, OPTIONS).T_base_tool[:, 1:3, 3].T
+    seam = find_seam(np.column_stack([x, u, z]))
+    y, height = tool_frames(seam, 5e-3).T_base_tool[:, 1:3, 3].T
     assert seam.kind == 'v' and np.hypot(y, height + 5e-3).max() < 1e-4
 
 
@@ -321,7 +316,7 @@ def test_the_path_is_as_near_to_a_wavy_seam_as_it_says():
     x, u = x[np.abs(u) > 1e-3], u[np.abs(u) > 1e-3]
     wave = 2 * np.pi / 0.15
     points = np.column_stack([x, u + 3e-3 * np.sin(wave * x), 5e-5 * rng.normal(size=len(x))])
-    frames = tool_frames(find_seam(points, OPTIONS), OPTIONS)
+    frames = tool_frames(find_seam(points), 5e-3)
     x, y, z = frames.T_base_tool[:, :3, 3].T
     away = np.hypot((y - 3e-3 * np.sin(wave * x)) / np.hypot(1, 3e-3 * wave * np.cos(wave * x)), z)
     assert away.max() < 8e-5
@@ -343,7 +338,7 @@ def test_clouds_of_other_things_are_refused():
             (joint_of('tee 12').points, 'no seam.* tilted'), (uneven, 'seam'),
             (joint_of('butt 3, backing 5, spatter', 1).points, '2 seams')):  # parted by spatter
         with pytest.raises(DataError, match=words):
-            find_seam(points, OPTIONS)
+            find_seam(points)
 
 
 def test_a_straight_seam_is_a_cubic_and_a_wound_one_a_spline():

@@ -135,7 +135,8 @@ def test_a_wrong_row_is_left_out_and_reported(tmp_path: Path) -> None:
     read = read_configured('points', tmp_path / 'cell')
     comparison = compare_files(read, folds=9)
     assert (comparison.used, comparison.rejected) == (9, 1)
-    assert all(row.residual_rms < row.holdout_rms < 1e-4 for row in comparison.rows)
+    assert all(row.figures['residual_rms'] < row.figures['holdout_rms'] < 1e-4
+               for row in comparison.rows)
     calibration = calibrate_table(read)
     assert [sample.used for sample in calibration.samples] == [False] + 9 * [True]
     first = calibration.samples[0]
