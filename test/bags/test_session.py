@@ -23,7 +23,6 @@ from handeye_ros.bags.session_files import (
     sessions_in,
 )
 from handeye_ros.config import Config, with_values
-from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node.folders import OutputFolders, settings_and_session
 from handeye_ros.node.live import LiveSession
@@ -31,7 +30,7 @@ from handeye_ros.node.state import sample_count, state_of
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.report import verdict
 from handeye_ros.review import solved_recording
-from live_sessions import changed, computed, new, SPHERE, update
+from live_sessions import changed, computed, feed_one, new, SPHERE, update
 import numpy as np
 import pytest
 from recordings import POINTS, with_layout
@@ -47,10 +46,7 @@ def stored(tmp_path: Path, config: Config = SPHERE.config) -> LiveSession:
 def feed(live: LiveSession, recording=SPHERE, stops: int = 99) -> LiveSession:
     """Give a session a recording up to so many stops, in the order of the stamps."""
     for item in in_order(recording.poses, recording.profiles):
-        if isinstance(item, TimedPose):
-            live.add_poses([item])
-        else:
-            live.add_profile(item)
+        feed_one(live, item)
         if any(map(live.session.is_done, live.to_evaluate.values())):  # not while it stands
             update(live)
         if len(live.session_copy().stops) >= stops:

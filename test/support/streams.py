@@ -55,12 +55,17 @@ def played(poses: Sequence[TimedPose], profiles: Sequence[Profile], config: Conf
            finish: bool = True) -> Session:
     """Return a session that took both streams in the order of their stamps."""
     session = Session(config)
-    for item in in_order(poses, profiles):
-        add(session, item)
-        collect(session, config)
+    go_on(session, in_order(poses, profiles), config)
     if finish:
         session.evaluate_remaining()
     return session
+
+
+def go_on(session: Session, items: Sequence[TimedPose | Profile], config: Config = CONFIG) -> None:
+    """Add messages, and evaluate each stop that they complete, as the node does."""
+    for item in items:
+        add(session, item)
+        collect(session, config)
 
 
 def collect(session: Session, config: Config = CONFIG) -> None:
