@@ -10,7 +10,7 @@ from pathlib import Path
 
 from cells import Recorded, recorded, squared_error
 from handeye_ros import Config, gather, pipeline, se3
-from handeye_ros.config import load
+from handeye_ros.config import load, ProfileConfig, TargetConfig
 from handeye_ros.data import Calibration, Profile, TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings
@@ -228,6 +228,10 @@ ORIGIN, NO_TURN = np.zeros(3), np.array([0.0, 0, 0, 1])
 
 
 @pytest.mark.parametrize(('make', 'named'), [
+    (lambda: TargetConfig(type='sphere', radius=-1), 'target.radius'),
+    (lambda: Config(calibration_type='hand'), 'calibration_type'),
+    (lambda: Config(target='sphere'), 'target'),
+    (lambda: ProfileConfig(axes=('x', '-x')), 'profile.axes'),
     (lambda: Profile(1, 'laser', np.zeros((5, 3))), r'points of a profile is an array \(5, 3\)'),
     (lambda: Profile(1, 'laser', [[0.0, 0.1]]), 'points of a profile is a list'),
     (lambda: Profile(2.5, 'laser', np.zeros((5, 2))), 'stamp of a profile is 2.5'),

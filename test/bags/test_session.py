@@ -9,10 +9,8 @@ from pathlib import Path
 import re
 import resource
 import shutil
-import subprocess
-import sys
 
-from command import assert_refused, handeye, ROOT, succeeds
+from command import assert_refused, handeye, run_python, succeeds
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.bag_write import write
 from handeye_ros.bags.session_files import (
@@ -327,8 +325,7 @@ def test_what_is_no_session_is_reported(tmp_path: Path) -> None:
 def test_kills_lose_no_sample(of_node: tuple[str, ...], count: int, fewest: int) -> None:
     if of_node:
         pytest.importorskip('rclpy', reason='needs rclpy')
-    run = subprocess.run([sys.executable, 'bench/kills.py', *of_node, '--count', str(count)],
-                         cwd=ROOT, text=True, capture_output=True, check=False)
+    run = run_python('bench/kills.py', *of_node, '--count', count)
     assert run.returncode == 0, run.stderr
     result = re.match(rf'{count} kills.*: (\d+) samples acknowledged, .* none lost',
                       run.stdout.splitlines()[-1])

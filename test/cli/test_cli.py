@@ -6,8 +6,6 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 import errno
-import math
-from operator import attrgetter
 import os
 import pty
 import re
@@ -19,7 +17,7 @@ from calibrations import equal
 from command import assert_refused, handeye, PATIENCE, PLATE, ROOT, running, succeeds
 from handeye_ros import __version__, pipeline, se3
 from handeye_ros.bags import bag
-from handeye_ros.config import Config, load, with_assignments
+from handeye_ros.config import Config, load
 from handeye_ros.data import ClockEstimate
 from handeye_ros.results import calibration_file
 from handeye_ros.results.truth import errors_against, true_transform
@@ -167,24 +165,6 @@ def test_a_terminal_shows_progress_and_one_without_letters_the_answer(tmp_path):
     assert (tmp_path / 'calibration.yaml').exists()
     text = re.sub(r'\x1b\[[0-9;?]*[a-zA-Z]', '', stderr.decode())
     assert re.search('reading the recording .* [0-9]+%', text) and 'solving' in text
-
-
-@pytest.mark.parametrize(('assignment', 'expected'), [
-    ('verify.lengths=[15mm, 0.005]', (0.015, 0.005)), ('verify.radius=2 cm', 0.02),
-    ('verify.radius=2.cm', 0.02), ('verify.radius=2E4um', 0.02),
-    ('verify.angle_tolerance=0.5deg', math.pi / 360), ('verify.near=[-300mm, 0, 1e2 mm, 0.2m]',
-                                                       (-0.3, 0.0, 0.1, 0.2)),
-    ('target.radius=20000um', 0.02), ('noise.sensor=30\u00b5m', 3e-5),
-    ('noise.flatness=5 \u03bcm', 5e-6), ('noise.robot_rotation=0.07mrad', 7e-5),
-    ('profile.exposure=20ms', 0.02),
-    ('time_offset_std=5ms', 0.005), ('rotation_lag_std=1ms', 0.001),
-    ('verify.reference=[500mm, 0, 2cm]', (0.5, 0.0, 0.02)),
-    ('record.note=20mm', '20mm'), ('name=3mm', '3mm')])
-def test_set_takes_numbers_with_a_unit(assignment, expected):
-    config = with_assignments(Config(), [assignment])
-    key = assignment.partition('=')[0]
-    value = dict(config.record)['note'] if key == 'record.note' else attrgetter(key)(config)
-    assert value == (expected if isinstance(expected, str) else pytest.approx(expected, rel=1e-12))
 
 
 @pytest.mark.thorough

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 
+from command import run_python
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import (
     adjust,
@@ -150,7 +149,6 @@ print(before, inside, threads(), sep='\n')
 
 def test_solves_use_one_blas_thread_and_after_the_last_as_many_as_before() -> None:
     pytest.importorskip('threadpoolctl', reason='needs threadpoolctl')
-    output = subprocess.run([sys.executable, '-c', PROGRAM], capture_output=True, text=True,
-                            check=True, env={**os.environ, 'OPENBLAS_NUM_THREADS': '2'}).stdout
-    before, inside, after = map(json.loads, output.splitlines())
+    run = run_python('-c', PROGRAM, env={**os.environ, 'OPENBLAS_NUM_THREADS': '2'})
+    before, inside, after = map(json.loads, run.stdout.splitlines())
     assert set(inside) == {1} and after == before

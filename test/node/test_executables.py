@@ -15,7 +15,7 @@ import sys
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from command import PATIENCE, ROOT, running  # noqa: E402, I100
+from command import PATIENCE, PLATE, ROOT, run_python, running  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped  # noqa: E402
 from handeye_ros import se3  # noqa: E402
 from handeye_ros.arm import arm_of  # noqa: E402
@@ -82,10 +82,8 @@ def test_a_service_without_a_home_is_told_what_to_set(monkeypatch: pytest.Monkey
 
 
 def test_the_demo_of_the_readme_ends_with_the_answer_and_its_report(tmp_path: Path) -> None:
-    run = subprocess.run(
-        [sys.executable, ROOT / 'tools/demo.py', '--bag', ROOT / 'bags/plate', '--config',
-         ROOT / 'config/plate.yaml', '--out', tmp_path, '--rate', '8'], cwd=tmp_path,
-        capture_output=True, text=True, check=False, timeout=PATIENCE)
+    run = run_python(ROOT / 'tools/demo.py', '--bag', ROOT / 'bags/plate', '--config', PLATE,
+                     '--out', tmp_path, '--rate', 8, cwd=tmp_path, timeout=PATIENCE)
     assert run.returncode == 0, run.stderr
     assert 'error against truth.yaml: translation 0.0' in run.stdout
     assert {'calibration.yaml', 'report.html'} <= {path.name for path in tmp_path.iterdir()}

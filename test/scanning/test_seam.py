@@ -170,7 +170,6 @@ JOINTS = {
 
 
 START, PERIOD = 1_700_000_000_000_000_000, 10_000_000
-SMALL = {'length': 0.12, 'spacing': 5e-4}
 KINDS = {'butt': 'butt', 'lap': 'lap', 'vee': 'v', 'tee': 'fillet', 'corner': 'fillet'}
 OPTIONS = SeamOptions.of_texts(3 * ('-inf', 'inf'), '12mm', 'auto', (), (0.0, 0.0, -1.0), '5mm',
                                0.0, 0.0)
@@ -178,8 +177,9 @@ QUICK = ('vee 6, root 2', 'tee 30, lean 45')
 # lean 45: its rough course bends at the ends
 
 
-def cloud_of(seed=0, **values):
-    return preform_cloud(Preform(**{**SMALL, **values}), np.random.default_rng(seed))
+def cloud_of(**values):
+    preform = Preform(**{'length': 0.12, 'spacing': 5e-4} | values)
+    return preform_cloud(preform, np.random.default_rng(0))
 
 
 def joint_of(name, seed=0):

@@ -92,14 +92,9 @@ def taken(session: Session, config: Config = CONFIG) -> Sample:
     return stop.result
 
 
-def results(session: Session) -> list[Sample | Reject]:
-    """Return what became of the stops, in the order of their numbers."""
-    return [stop.result for stop in session.stops]
-
-
-def key(results: Sequence[Sample | Reject]) -> list[tuple[object, ...]]:
-    """Return all that results say, to be compared."""
+def key(session: Session) -> list[tuple[object, ...]]:
+    """Return all that the results of stops say, in the order of their numbers."""
     return [(o.stamp, o.reason) if isinstance(o, Reject) else (
         o.stamp, o.T_base_flange.tobytes(), o.profiles,
         tuple((f.point.tobytes(), f.std) if isinstance(f, EdgePoint) else f.centre.tobytes()
-              for f in o.features)) for o in results]
+              for f in o.features)) for o in (stop.result for stop in session.stops)]

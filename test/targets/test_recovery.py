@@ -60,7 +60,6 @@ ROWS = {'general': 'general', 'one orientation': 'one_orientation',
         'one orientation per edge': 'one_orientation_per_edge',
         'tilts about the laser line only': 'tilt_only',
         'yaw about the face normal only': 'yaw_only'}
-VALUES = {'line with its face': {'target__use_face': True}}
 ZERO = 1e-8
 WEDGE_TURNS = [np.pi / 2, 0.0]  # of a block's faces, z = 0 and y = 0, about its edge
 
@@ -91,7 +90,7 @@ def singular_values(name: str, motion: str) -> np.ndarray:
     target = name.split()[0]
     stations = (20, 20) if target == 'plate' else (40, 0)
     scenario = replace(SCENARIOS[target], motion=ROWS[motion], stations=stations)
-    simulated_cell = exact_cell(scenario, **VALUES.get(name, {}))
+    simulated_cell = exact_cell(scenario, target__use_face=name == 'line with its face')
     problem, estimate = simulated_cell.problem, at_truth(simulated_cell)
     p = problem.points_in_base(estimate.X)
     observations = problem.target.reassign(problem.observations, p, estimate.state, problem.config)
