@@ -16,7 +16,7 @@ from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.sampling.session import Session
 import numpy as np
 import pytest
-from recordings import cloud_message, poses, rewrite
+from recordings import cloud_message, POSES, rewrite
 from recordings import TYPES as STORE
 from ros_clouds import cloud, points
 
@@ -105,7 +105,7 @@ def test_a_bag_of_batches_is_read_row_by_row(good_bag, tmp_path) -> None:
     data = [batch(START + i * 50 * MS, 5, first=5 * i) for i in range(20)]
     raws = [Raw('/profile', CLOUD_TYPE, START + i * 50 * MS, d) for i, d in enumerate(data)]
     stands = [TimedPose(START + i * 10 * MS, p.translation, p.quaternion)
-              for i, p in enumerate(poses())]
+              for i, p in enumerate(POSES)]
     raws += [Raw('/flange_pose', POSE_TYPE, p.stamp, pose_cdr(p)) for p in stands]
     file = rewrite(good_bag, tmp_path / 'batches.mcap', raws)
     config = Config(profile=ProfileConfig(period=0.01))

@@ -85,8 +85,15 @@ def at_truth(cell: Cell) -> Estimate:
     return Estimate(cell.truth.T_flange_sensor, targets[cell.problem.target.name])
 
 
-def singular_values(name: str, motion: str) -> np.ndarray:
-    """Return those of the derivatives by all unknowns, each column scaled to length 1."""
+def test_the_table_of_the_document_has_every_motion_and_target() -> None:
+    cells = list(table())
+    assert {motion for motion, *_ in cells} == set(ROWS)
+    assert {name.split()[0] for _, name, *_ in cells} == set(TARGETS)
+
+
+@pytest.mark.parametrize(('motion', 'name', 'rank', 'unknowns'), list(table()))
+def test_a_motion_shows_what_is_stated(motion: str, name: str, rank: int, unknowns: int) -> None:
+    """By the derivatives by all unknowns, each column scaled to length 1."""
     target = name.split()[0]
     stations = (20, 20) if target == 'plate' else (40, 0)
     scenario = replace(SCENARIOS[target], motion=ROWS[motion], stations=stations)
@@ -99,17 +106,6 @@ def singular_values(name: str, motion: str) -> np.ndarray:
     linear = linearise(problem, estimate)
     assert np.abs(linear.residuals).max() < 1e-9
     J = linear.jacobian[:, problem.free_columns]
-    return np.linalg.svd(J / np.maximum(np.linalg.norm(J, axis=0), 1e-12), compute_uv=False)
-
-
-def test_the_table_of_the_document_has_every_motion_and_target() -> None:
-    cells = list(table())
-    assert {motion for motion, *_ in cells} == set(ROWS)
-    assert {name.split()[0] for _, name, *_ in cells} == set(TARGETS)
-
-
-@pytest.mark.parametrize(('motion', 'name', 'rank', 'unknowns'), list(table()))
-def test_a_motion_shows_what_is_stated(motion: str, name: str, rank: int, unknowns: int) -> None:
-    values = singular_values(name, motion)
+    values = np.linalg.svd(J / np.maximum(np.linalg.norm(J, axis=0), 1e-12), compute_uv=False)
     assert len(values) == unknowns
     assert int((values > ZERO).sum()) == rank
