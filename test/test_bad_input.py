@@ -64,13 +64,6 @@ def test_recordings_without_an_answer_are_refused(tmp_path, solve, how, code, wo
     assert_refused(solve(bag_of(tmp_path / 'bag', **how)), code, *words)
 
 
-@pytest.mark.parametrize(('assignment', 'words'), [
-    ('target.tipe=plate', ('unknown key "target.tipe"', 'did you mean "target.type"?')),
-    ('target.radius=20 furlong', ('target.radius',))])
-def test_settings_that_do_not_fit_are_named(good_bag, solve, assignment, words):
-    assert_refused(solve(good_bag, '--set', assignment), 2, *words)
-
-
 def test_places_that_cannot_be_written_are_named(good_bag, tmp_path, solve):
     (tmp_path / 'file').write_text('')
     place = tmp_path / 'file' / 'out'

@@ -113,10 +113,9 @@ def test_lists_name_their_recordings_relative_to_them(tmp_path):
         with pytest.raises(InputError, match=sentence):
             jobs_of([str(tmp_path / 'jobs.csv')], SOLVE)
     (tmp_path / 'empty').mkdir()
-    with pytest.raises(InputError, match='no recording'):
-        jobs_of([str(tmp_path / 'empty')], SOLVE)
-    with pytest.raises(InputError, match='is not there'):
-        jobs_of([str(tmp_path / 'missing.csv')], SOLVE)
+    for name, sentence in ('empty', 'no recording'), ('missing.csv', 'is not there'):
+        with pytest.raises(InputError, match=sentence):
+            jobs_of([str(tmp_path / name)], SOLVE)
 
 
 def test_recordings_and_foreign_files_are_never_replaced_by_results(tmp_path, monkeypatch):

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 import re
 
-from cells import Cell, cell, exact, settings_of
+from cells import Cell, cell, exact_cell, settings_of
 from command import assert_refused, handeye, ROOT
 from handeye_ros import pipeline, se3
 from handeye_ros.compare import compare, Comparison, ESTIMATORS, Row
@@ -45,18 +45,9 @@ def mapped(row: Row) -> float:
     return row.figures['error_mapped_points']
 
 
-def nearly_exact(scenario: str, **values: object) -> Cell:
-    """Return a cell with a nanometre of noise; the settings believe in what is usual."""
-    fine = exact(scenario)
-    fine = replace(fine, sensor=replace(fine.sensor, noise=1e-9))
-    usual = {'noise__sensor': 3e-5, 'noise__robot_translation': 2e-5,
-             'noise__robot_rotation': 7e-5}
-    return cell(fine, **(usual | values))
-
-
 @pytest.mark.parametrize('target', TARGETS)
 def test_without_noise_all_estimators_find_the_truth(target: str) -> None:
-    simulated_cell = nearly_exact(target)
+    simulated_cell = exact_cell(target)
     comparison = compared(simulated_cell)
     assert comparison.refusal is None
     assert (comparison.used, comparison.rejected) == (len(simulated_cell.samples), 0)
@@ -99,7 +90,7 @@ def test_stations_that_disagree_are_given_to_nobody(only) -> None:
 
 def test_axes_other_than_x_z_turn_every_answer(only) -> None:
     only('plate', 'plate', 'plane, the face lines alone', CHEN_RIGID)
-    plate_cell = nearly_exact('plate')
+    plate_cell = exact_cell('plate')
     profile = settings_of(SCENARIOS['plate_y_along_line']).profile
     turned = replace(plate_cell.config, profile=profile)
     assert turned.profile.axes == ('y', 'z')

@@ -11,9 +11,8 @@ import re
 import shlex
 import shutil
 import subprocess
-import sys
 
-from command import handeye, ROOT
+from command import handeye, ROOT, run_python
 from handeye_ros import config as configs
 import pytest
 
@@ -114,9 +113,7 @@ def test_what_ros2_is_told_is_in_the_contract(command: str) -> None:
 def test_the_site_builds(tmp_path: Path) -> None:
     """No link leads nowhere."""
     pytest.importorskip('mkdocs', reason='needs mkdocs')
-    run = subprocess.run(
-        [sys.executable, '-m', 'mkdocs', 'build', '--quiet', '--strict', '--site-dir',
-         str(tmp_path)], cwd=ROOT, capture_output=True, text=True, check=False)
+    run = run_python('-m', 'mkdocs', 'build', '--quiet', '--strict', '--site-dir', tmp_path)
     assert run.returncode == 0, run.stdout + run.stderr
     pages = {path.stem for path in (ROOT / 'docs').glob('*.md')} - {'index'}
     assert all((tmp_path / page / 'index.html').is_file() for page in pages)

@@ -18,7 +18,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 pytest.importorskip('colcon_core', reason='needs colcon')
-from command import running  # noqa: E402, I100
+from command import run_python, running  # noqa: E402, I100
 
 pytestmark = pytest.mark.ros
 
@@ -51,21 +51,11 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Build a workspace with colcon."""
     folder = tmp_path_factory.mktemp('workspace')
     copy_sources(folder / 'src' / NAME)
-    build = subprocess.run(
-        [sys.executable, '-m', 'colcon', 'build', '--packages-select', NAME],
-        cwd=folder, env=environment(), capture_output=True, text=True, check=False)
+    build = run_python('-m', 'colcon', 'build', '--packages-select', NAME, cwd=folder,
+                       env=environment())
     assert build.returncode == 0, build.stdout + build.stderr
     assert 'Summary: 1 package finished' in build.stdout
     return folder
-
-
-@pytest.fixture(scope='module')
-def sourced(workspace: Path) -> dict[str, str]:
-    """Return the environment after `source install/setup.bash`."""
-    dump = subprocess.run(
-        ['bash', '-c', 'source install/setup.bash && env -0'],
-        cwd=workspace, env=environment(), capture_output=True, text=True, check=True)
-    return dict(line.split('=', 1) for line in dump.stdout.split('\0') if line)
 
 
 def share(workspace: Path) -> Path:
@@ -83,7 +73,11 @@ def test_what_is_no_code_is_installed(workspace: Path) -> None:
         assert {file.name: file.read_bytes() for file in place.iterdir()} == expected
 
 
-def test_the_installed_node_answers(workspace, sourced, tmp_path, client):
+def test_the_installed_node_answers(workspace, tmp_path, client):
+    dump = subprocess.run(
+        ['bash', '-c', 'source install/setup.bash && env -0'],
+        cwd=workspace, env=environment(), capture_output=True, text=True, check=True)
+    sourced = dict(line.split('=', 1) for line in dump.stdout.split('\0') if line)
     command = [workspace / 'install' / NAME / 'lib' / NAME / 'calibrate', '--ros-args',
                '--params-file', share(workspace) / 'config' / 'plate.yaml']
     with ((tmp_path / 'log').open('w', encoding='utf-8') as output,
@@ -102,9 +96,8 @@ def test_the_version_is_the_same_everywhere() -> None:
 
 def built(code: str, folder: Path, cwd: Path) -> Path:
     """Return what a call of setuptools makes in a folder."""
-    run = subprocess.run(
-        [sys.executable, '-c', f'import setuptools.build_meta as build; print(build.{code})',
-         str(folder)], cwd=cwd, env=environment(), capture_output=True, text=True, check=False)
+    run = run_python('-c', f'import setuptools.build_meta as build; print(build.{code})',
+                     folder, cwd=cwd, env=environment())
     assert run.returncode == 0, run.stderr
     return folder / run.stdout.splitlines()[-1]
 

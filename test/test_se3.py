@@ -12,7 +12,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 vectors = arrays(float, 3, elements=st.floats(-10, 10))
-small_angles = st.floats(0, 3.1)
 quaternions = arrays(float, 4, elements=st.floats(-1, 1)).filter(
     lambda q: np.linalg.norm(q) > 1e-3)
 
@@ -24,7 +23,7 @@ transforms = st.builds(se3.from_quaternion, vectors, quaternions)
 def deltas(draw: st.DrawFn) -> np.ndarray:
     """Return perturbations (6,) whose rotation is less than half a turn."""
     axis = draw(vectors.filter(lambda v: np.linalg.norm(v) > 1e-3))
-    turn = axis / np.linalg.norm(axis) * draw(small_angles)
+    turn = axis / np.linalg.norm(axis) * draw(st.floats(0, 3.1))
     return np.concatenate([draw(vectors), turn])
 
 

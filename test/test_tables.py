@@ -70,25 +70,16 @@ def test_tables_that_cannot_be_read_are_refused_with_a_reason(tmp_path, text, me
     ('f_x [m],f_y [m]', r'has no column f_z$'),
     ('f_x [m],f_y [m],F_Z [m]', r'has no column f_z; did you mean "F_Z"'),
     ('f_x [m],f_y [m],f_z [m],f_qx,f_qy,f_qz', r'has no column f_qw$'),
-    ('f_x,f_y,f_z,f_a,f_b,f_c', '; it has those that --angles kuka-abc reads, of the fl')])
-def test_a_missing_column_is_none_that_is_there(tmp_path: Path, header: str, message: str) -> None:
-    (tmp_path / 'a.csv').write_text(f'{header}\n' + ','.join('0' for _ in header.split(',')))
+    ('f_x,f_y,f_z,f_a,f_b,f_c', '; it has those that --angles kuka-abc reads, of the fl'),
+    ('f_x [m],f_y [m],f_z [m],f_qx,f_qy,f_qz,f_qw', r'row 1: f_q... is no unit quaternion')])
+def test_poses_without_all_columns_or_unit_length_are_refused(tmp_path, header, message):
+    (tmp_path / 'a.csv').write_text(f'{header}\n' + ','.join('1' for _ in header.split(',')))
     with pytest.raises(TableError, match=message):
-        Table(tmp_path / 'a.csv').poses('f')
-
-
-def test_quaternions_without_unit_length_are_refused(tmp_path: Path) -> None:
-    (tmp_path / 'a.csv').write_text('f_x [m],f_y [m],f_z [m],f_qx,f_qy,f_qz,f_qw\n0,0,0,1,1,0,0')
-    with pytest.raises(TableError, match=r'row 1: f_q... is no unit quaternion'):
         Table(tmp_path / 'a.csv').poses('f')
 
 
 def matrix(name: str, *numbers: float) -> np.ndarray:
     return notation_of(name).rotation(np.array([numbers]))[0].as_matrix()
-
-
-def about(axis: str, degrees: float) -> np.ndarray:
-    return Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
 
 
 def test_quaternions_of_abb_are_those_of_its_manual() -> None:
@@ -117,7 +108,7 @@ def test_rotation_vectors_of_universal_robots_are_those_of_their_manual() -> Non
 def test_angles_are_composed_as_the_manuals_define_them(name, numbers, chain):
     product = np.eye(3)
     for axis, angle in chain:
-        product = product @ about(axis, angle)
+        product = product @ Rotation.from_euler(axis, angle, degrees=True).as_matrix()
     np.testing.assert_allclose(matrix(name, *numbers), product, atol=1e-12)
 
 

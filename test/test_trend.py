@@ -8,7 +8,7 @@ from dataclasses import replace
 from command import assert_refused, handeye, succeeds
 from handeye_ros import se3, trend
 from handeye_ros.data import SampleReport
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.errors import DataError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 import numpy as np
 import pytest
@@ -68,11 +68,6 @@ def test_a_drift_in_small_steps_is_told(tmp_path):
     assert trend.since_when(entries).startswith('the calibration drifted: 05 differs')
 
 
-def test_a_folder_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(InputError, match='no folder .*/nights: '):
-        trend.trend(tmp_path / 'nights')
-
-
 def test_the_verb_shows_writes_and_refuses(tmp_path):
     write(tmp_path / 'steady', range(5))
     run = succeeds('trend', 'steady', '--csv', 't.csv', cwd=tmp_path)
@@ -81,4 +76,5 @@ def test_the_verb_shows_writes_and_refuses(tmp_path):
     assert_refused(handeye('trend', 'steady/day_0', cwd=tmp_path), 3, 'steady')
     (tmp_path / 'empty').mkdir()
     assert_refused(handeye('trend', 'empty', cwd=tmp_path), 2, 'empty holds 0 readable')
+    assert_refused(handeye('trend', 'nights', cwd=tmp_path), 2, 'no folder nights: ')
     succeeds('trend', 'steady/day_0', '--against', 'steady/day_1', cwd=tmp_path)

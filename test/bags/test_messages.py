@@ -12,6 +12,7 @@ from handeye_ros.bags.messages import (
     DATATYPES,
     pose_from_cdr,
     profile_from_cdr,
+    profile_from_cloud,
     ProfileReader,
     row_count,
     transforms_from_cdr,
@@ -26,12 +27,11 @@ import numpy as np
 import pytest
 from recordings import cloud_message, header, new, transform
 from recordings import TYPES as STORE
-from ros_clouds import cloud, expected, field, points, profile
+from ros_clouds import cloud, expected, field, METRES, points
 
 CLOUD, POSE = 'sensor_msgs/msg/PointCloud2', 'geometry_msgs/msg/PoseStamped'
 TF = 'tf2_msgs/msg/TFMessage'
 STAMP = 3_000_000_005
-METRES = ProfileConfig()
 F32, U8 = 7, 2
 XZ, XYZ = {'x': (0, F32), 'z': (8, F32)}, {'x': (0, F32), 'y': (4, F32), 'z': (8, F32)}
 X = np.array([-0.02, -0.01, 0.0, 0.01, 0.02, 0.03])
@@ -292,7 +292,7 @@ def test_what_lost_points_hold_does_not_matter() -> None:
     assert points(empty).shape == (0, 2)
     for x, z, y in ((np.where(lost, 0, LINE), np.where(lost, 0, LOST), 0 * LINE),  # the origin
                     (LINE, LOST, np.where(lost, 7.0, 0.012))):
-        line_profile = profile(layered(x, z, y))
+        line_profile = profile_from_cloud(layered(x, z, y), METRES)
         np.testing.assert_allclose(line_profile.points, expected(LINE, LOST), rtol=1e-6)
         assert line_profile.out_of_plane == pytest.approx(y[0])
     for none in (1e30, np.finfo(np.float32).max, -np.inf):

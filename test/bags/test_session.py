@@ -9,10 +9,8 @@ from pathlib import Path
 import re
 import resource
 import shutil
-import subprocess
-import sys
 
-from command import assert_refused, handeye, ROOT, succeeds
+from command import assert_refused, handeye, run_python, succeeds
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.bag_write import write
 from handeye_ros.bags.session_files import (
@@ -23,7 +21,6 @@ from handeye_ros.bags.session_files import (
     sessions_in,
 )
 from handeye_ros.config import Config, with_values
-from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node.folders import OutputFolders, settings_and_session
 from handeye_ros.node.live import LiveSession
@@ -31,7 +28,7 @@ from handeye_ros.node.state import sample_count, state_of
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.report import verdict
 from handeye_ros.review import solved_recording
-from live_sessions import changed, computed, new, SPHERE, update
+from live_sessions import changed, computed, feed_one, new, SPHERE, update
 import numpy as np
 import pytest
 from recordings import POINTS, with_layout
@@ -47,10 +44,7 @@ def stored(tmp_path: Path, config: Config = SPHERE.config) -> LiveSession:
 def feed(live: LiveSession, recording=SPHERE, stops: int = 99) -> LiveSession:
     """Give a session a recording up to so many stops, in the order of the stamps."""
     for item in in_order(recording.poses, recording.profiles):
-        if isinstance(item, TimedPose):
-            live.add_poses([item])
-        else:
-            live.add_profile(item)
+        feed_one(live, item)
         if any(map(live.session.is_done, live.to_evaluate.values())):  # not while it stands
             update(live)
         if len(live.session_copy().stops) >= stops:
@@ -331,8 +325,7 @@ def test_what_is_no_session_is_reported(tmp_path: Path) -> None:
 def test_kills_lose_no_sample(of_node: tuple[str, ...], count: int, fewest: int) -> None:
     if of_node:
         pytest.importorskip('rclpy', reason='needs rclpy')
-    run = subprocess.run([sys.executable, 'bench/kills.py', *of_node, '--count', str(count)],
-                         cwd=ROOT, text=True, capture_output=True, check=False)
+    run = run_python('bench/kills.py', *of_node, '--count', count)
     assert run.returncode == 0, run.stderr
     result = re.match(rf'{count} kills.*: (\d+) samples acknowledged, .* none lost',
                       run.stdout.splitlines()[-1])

@@ -16,7 +16,7 @@ from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.sampling.session import Session
 import numpy as np
 import pytest
-from recordings import cloud_message, poses, rewrite
+from recordings import cloud_message, POSES, rewrite
 from recordings import TYPES as STORE
 from ros_clouds import cloud, points
 
@@ -105,10 +105,9 @@ def test_a_bag_of_batches_is_read_row_by_row(good_bag, tmp_path) -> None:
     data = [batch(START + i * 50 * MS, 5, first=5 * i) for i in range(20)]
     raws = [Raw('/profile', CLOUD_TYPE, START + i * 50 * MS, d) for i, d in enumerate(data)]
     stands = [TimedPose(START + i * 10 * MS, p.translation, p.quaternion)
-              for i, p in enumerate(poses())]
+              for i, p in enumerate(POSES)]
     raws += [Raw('/flange_pose', POSE_TYPE, p.stamp, pose_cdr(p)) for p in stands]
-    file = rewrite(good_bag, tmp_path / 'batches.mcap', raws,
-                   {'/profile': CLOUD_TYPE, '/flange_pose': POSE_TYPE})
+    file = rewrite(good_bag, tmp_path / 'batches.mcap', raws)
     config = Config(profile=ProfileConfig(period=0.01))
     recording = bag.read(file, config)
     assert [p.stamp for p in recording.profiles] == [START + i * 10 * MS for i in range(100)]
@@ -117,7 +116,6 @@ def test_a_bag_of_batches_is_read_row_by_row(good_bag, tmp_path) -> None:
     assert [p.stamp for p in recording.returns()] == [p.stamp for p in recording.profiles]
     with pytest.raises(InputError, match='several profiles, .*: set profile.period'):
         list(bag.read(file, Config()).returns())
-    one = rewrite(good_bag, tmp_path / 'one.mcap', [raws[0], *raws[20:]],
-                  {'/profile': CLOUD_TYPE, '/flange_pose': POSE_TYPE})
+    one = rewrite(good_bag, tmp_path / 'one.mcap', [raws[0], *raws[20:]])
     with pytest.raises(InputError, match='several profiles, .*: set profile.period'):
         bag.read(one, Config())

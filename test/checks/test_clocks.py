@@ -7,22 +7,20 @@ from dataclasses import replace
 from functools import lru_cache
 import re
 
-from cells import Recorded, settings_of
+from cells import Recorded, simulated
 from handeye_ros import pipeline
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.data import Calibration, NS, Profile
 from handeye_ros.errors import DataError
-from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, simulate
+from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS
 import numpy as np
 import pytest
 
 
 @lru_cache(maxsize=2)
 def at_20_hz(target: str) -> Recorded:
-    scenario = replace(SCENARIOS[target], sensor=replace(SCENARIOS[target].sensor, rate=20.0))
-    recording = simulate(scenario, np.random.default_rng(1))
-    return Recorded(scenario, recording.profiles, recording.poses, recording.truth,
-                    settings_of(scenario))
+    scenario = SCENARIOS[target]
+    return simulated(replace(scenario, sensor=replace(scenario.sensor, rate=20.0)), 1)
 
 
 def solved_late(target: str, late: float, **values: object) -> Calibration:
@@ -65,8 +63,8 @@ def test_clocks_are_not_blamed_for_what_else_is_wrong() -> None:
     (replace(FAULTS['wedge, joints and links 1 mm'], stations=(100, 0)), 1),
     (FAULTS['4 + 3, two bad'], 16)], ids=['one stop that ends early', 'few samples, two wrong'])
 def test_clocks_are_not_blamed_for_few_wrong_stops(scenario: Scenario, seed: int) -> None:
-    recording = simulate(scenario, np.random.default_rng(seed))
-    config = settings_of(scenario)
+    recording = simulated(scenario, seed)
+    config = recording.config
     require_same_clock(pipeline.gather(recording.profiles, recording.poses, config), config)
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import re
 from types import SimpleNamespace
 
-from cells import cell, refused, settings_of
+from cells import cell, refused, settings_of, simulated
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.moved import outliers_at_one_end
 from handeye_ros.config import Config
@@ -16,7 +16,7 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import chi2_isf
 from handeye_ros.guidance.advice import advise
-from handeye_ros.simulate import FAULTS, SCENARIOS, simulate, simulate_samples
+from handeye_ros.simulate import FAULTS, SCENARIOS, simulate_samples
 import numpy as np
 import pytest
 from streams import in_order
@@ -62,13 +62,12 @@ def test_parts_with_neither_one_target_nor_one_transform_name_no_move(name: str)
 
 @pytest.mark.thorough
 def test_a_target_that_moved_is_no_other_surface() -> None:
-    recording = simulate(SCENARIOS['plate'], np.random.default_rng(8))
-    config = settings_of(recording.scenario)
+    recording = simulated(SCENARIOS['plate'], 8)
     middle = recording.poses[len(recording.poses) // 2].stamp
     poses = [replace(pose, translation=pose.translation + (pose.stamp > middle) * np.array(
         [1.8e-3, 1.44e-3, 1.92e-3])) for pose in recording.poses]
     with pytest.raises(DataError, match='the target seems to have moved in base by about '):
-        pipeline.calibrate(recording.profiles, poses, config)
+        recording.calibrate(poses=poses)
 
 
 def warnings_or_refusal(samples: list[Sample], config: Config) -> str:

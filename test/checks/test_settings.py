@@ -6,13 +6,13 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import lru_cache
 
-from cells import ONE_IN_20, Recorded, recorded, settings_of, squared_error
+from cells import ONE_IN_20, Recorded, recorded, simulated, squared_error
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.hypotheses import fit_of_samples, refuse_by_best
 from handeye_ros.checks.settings import setting_hypotheses, with_few_profiles
 from handeye_ros.config import flipped_range
 from handeye_ros.errors import DataError
-from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, scenes, simulate
+from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, scenes
 from handeye_ros.simulate.scenario import Layout
 from handeye_ros.simulate.solids import box, Solid
 import numpy as np
@@ -74,10 +74,8 @@ def test_a_wedge_beside_a_block_is_answered(monkeypatch: pytest.MonkeyPatch, see
         scenes.SCENES['wedge'], solids=beside_another))
     scenario = replace(FAULTS['wedge'], scene='beside', stated=(('target.type', 'wedge'),),
                        layout=Layout(no_return='omit'), stations=(18, 0))
-    config = settings_of(scenario)
-    recording = simulate(scenario, np.random.default_rng(seed))
-    calibration = pipeline.calibrate(recording.profiles, recording.poses, config)
-    assert squared_error(calibration, recording.truth) < ONE_IN_20
+    recording = simulated(scenario, seed)
+    assert squared_error(recording.calibrate(), recording.truth) < ONE_IN_20
 
 
 def test_what_no_setting_mends_is_not_blamed_on_one() -> None:

@@ -8,14 +8,13 @@ from dataclasses import replace
 from functools import partial
 import re
 
-from cells import ONE_IN_100, refused, settings_of, squared_error
+from cells import ONE_IN_100, refused, simulated, squared_error
 from handeye_ros import pipeline, se3
 from handeye_ros.config import flipped_range
 from handeye_ros.data import FaceLine
 from handeye_ros.errors import DataError
-from handeye_ros.simulate import Scenario, SCENARIOS, scenes, simulate
+from handeye_ros.simulate import Scenario, SCENARIOS, scenes
 from handeye_ros.simulate.solids import box, Solid
-import numpy as np
 import pytest
 
 
@@ -36,8 +35,8 @@ def test_ends_of_the_floor_that_scatter_are_no_edges(monkeypatch: pytest.MonkeyP
     """With the wrong sign the floor between rail and plate is a face, off by centimetres."""
     monkeypatch.setitem(scenes.SCENES, 'railed', replace(scenes.SCENES['plate'], solids=railed))
     scenario = replace(SCENARIOS['plate'], stations=(14, 14), scene='railed')
-    recording = simulate(scenario, np.random.default_rng(1))
-    config = flipped_range(settings_of(scenario, target__type='plate'))
+    recording = simulated(scenario, 1, target__type='plate')
+    config = flipped_range(recording.config)
     with pytest.raises(DataError, match='at several heights .* check profile.range_sign'):
         pipeline.calibrate(recording.profiles, recording.poses, config)
 
@@ -72,9 +71,8 @@ def test_the_stops_that_show_another_surface_are_named_and_left_out(
     monkeypatch.setitem(scenes.SCENES, 'clamped', replace(
         scenes.SCENES[SCENARIOS[name].scene], solids=solids))
     scenario = replace(SCENARIOS[name], scene='clamped')
-    recording = simulate(scenario, np.random.default_rng(seed))
-    config = settings_of(scenario, target__type=name)
-    session = pipeline.gather(recording.profiles, recording.poses, config)
+    recording = simulated(scenario, seed, target__type=name)
+    session = pipeline.gather(recording.profiles, recording.poses, recording.config)
     T_target_base = se3.inverse(recording.truth.T_base_target)
     elsewhere, heights = [], []
     for stop in (stop for stop in session.stops if stop.sample):
@@ -84,7 +82,7 @@ def test_the_stops_that_show_another_surface_are_named_and_left_out(
         if abs(height) > 1e-3:
             elsewhere.append(stop)
             heights.append(height)
-    answer = pipeline.answer_session(session, config)
+    answer = pipeline.answer_session(session, recording.config)
     if answered:  # the others are enough
         [sentence] = answer.calibration.provenance['warnings']
         assert {report.stamp for report in answer.calibration.samples
@@ -107,10 +105,8 @@ def test_heights_of_edges_are_named_if_few_show_a_target(monkeypatch: pytest.Mon
     monkeypatch.setitem(scenes.SCENES, 'clamped', replace(
         scenes.SCENES['plate'], solids=partial(clamped, height=0.015, share=0.41)))
     scenario = replace(SCENARIOS['line'], scene='clamped')
-    recording = simulate(scenario, np.random.default_rng(2))
     with refused('surface', 'agree on one plane, but not on the edges') as caught:
-        pipeline.calibrate(recording.profiles, recording.poses,
-                           settings_of(scenario, target__type='line'))
+        simulated(scenario, 2, target__type='line').calibrate()
     listed = re.findall(r'(\d+\.\d) mm: stops ([\d, ]+)', str(caught.value))
     heights = [float(height) for height, _ in listed]  # of clamps, target and table
     assert heights == pytest.approx([40.0, 25.0, 0.0], abs=0.2)

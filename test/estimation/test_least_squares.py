@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 
+from command import run_python
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import (
     adjust,
@@ -94,11 +93,7 @@ def test_no_more_blocks_are_dropped_than_can_be_spared() -> None:
     assert not len(outliers(np.full(200, 1.0), 2, 200, 100))
 
 
-PROBABILITIES = st.floats(1e-12, 1 - 1e-6)
-FREEDOM = st.integers(1, 2000)
-
-
-@given(PROBABILITIES, FREEDOM)
+@given(st.floats(1e-12, 1 - 1e-6), st.integers(1, 2000))
 def test_chi_squared_is_that_of_scipy(probability: float, freedom: int) -> None:
     value = chi2_isf(probability, freedom)
     assert value == pytest.approx(stats.chi2.isf(probability, freedom), rel=1e-9)
@@ -119,21 +114,17 @@ def test_without_evidence_a_scale_is_for_the_report_as_documented(count: int, sc
     assert float(np.sqrt(for_report[0])) == pytest.approx(scale, abs=0.05)
 
 
-def conservative(value: float, std: float) -> float:
-    """Return the scale of a single parameter that the data alone put at value +- std."""
-    information = 1 / std ** 2
-    covariance = np.array([[1 / (1 + information)]])
-    _, variances = prior_variances(covariance, covariance[0] * value * information,
-                                   [1], np.ones(1), np.array([1e8]))
-    return float(np.sqrt(variances[0]))
-
-
 @pytest.mark.parametrize(('value', 'std', 'least', 'most'), [
     (9.0, 6.0, 0.0, 2.0),  # of 1.5 sigma: not believed at several times its prior
     (0.0, 2.0, 0.7, 2.0),  # it may be there as configured
     (50.0, 0.5, 20.0, 100.0), (0.0, 0.01, 0.0, 0.3)])  # what the data show is believed
 def test_a_scale_is_what_data_show(value: float, std: float, least: float, most: float) -> None:
-    assert least < conservative(value, std) < most
+    """Of a single parameter that the data alone put at value +- std."""
+    information = 1 / std ** 2
+    covariance = np.array([[1 / (1 + information)]])
+    _, variances = prior_variances(covariance, covariance[0] * value * information,
+                                   [1], np.ones(1), np.array([1e8]))
+    assert least < np.sqrt(variances[0]) < most
 
 
 # In a process of its own: other tests load libraries with pools of their own, at any time.
@@ -158,7 +149,6 @@ print(before, inside, threads(), sep='\n')
 
 def test_solves_use_one_blas_thread_and_after_the_last_as_many_as_before() -> None:
     pytest.importorskip('threadpoolctl', reason='needs threadpoolctl')
-    output = subprocess.run([sys.executable, '-c', PROGRAM], capture_output=True, text=True,
-                            check=True, env={**os.environ, 'OPENBLAS_NUM_THREADS': '2'}).stdout
-    before, inside, after = map(json.loads, output.splitlines())
+    run = run_python('-c', PROGRAM, env={**os.environ, 'OPENBLAS_NUM_THREADS': '2'})
+    before, inside, after = map(json.loads, run.stdout.splitlines())
     assert set(inside) == {1} and after == before

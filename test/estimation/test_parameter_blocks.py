@@ -14,34 +14,25 @@ from cells import (
     NO_DOUBTS,
     ONE_IN_20,
     ONE_IN_1000,
-    set_to,
     settings_of,
+    simulated,
     solved,
     squared_error,
 )
 from handeye_ros import pipeline, se3
-from handeye_ros.config import Config
+from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.estimation.basis import bent_line, distortion_fields
 from handeye_ros.estimation.blocks import line_bend, points_on_target, sensor_scale
 from handeye_ros.estimation.noise import EDGE_FACTOR, FACE_FACTOR, POSE_FACTOR
 from handeye_ros.estimation.problem import linearise, PoseModel, Problem
-from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, sensor, simulate, simulate_samples
+from handeye_ros.simulate import FAULTS, SCENARIOS, sensor, simulate_samples
 from handeye_ros.simulate.scenario import SensorModel
 import numpy as np
 import pytest
 
 MANY = replace(SCENARIOS['plate'], stations=(24, 24))
-ALL_BLOCKS = {key: getattr(getattr(Config(), part), name) for key in NO_DOUBTS
-              for part, name in [key.split('__')]}
-
-
-def misjudged(cell: Cell, factor: float) -> Cell:
-    """Return a cell whose settings state the robot's noise wrongly by a factor."""
-    noise = cell.config.noise
-    return replace(cell, config=set_to(
-        cell.config, noise__robot_translation=factor * noise.robot_translation,
-        noise__robot_rotation=factor * noise.robot_rotation))
+ALL_BLOCKS = {key: flatten(Config())[key.replace('__', '.')] for key in NO_DOUBTS}
 
 
 def squared(cell: Cell) -> float:
@@ -55,7 +46,10 @@ def squared(cell: Cell) -> float:
 @pytest.mark.thorough
 @pytest.mark.parametrize('factor', [1 / 3, 3.0])
 def test_the_covariance_is_true_though_the_noise_was_stated_wrongly(factor: float) -> None:
-    squares = [squared(misjudged(cell(MANY, seed), factor)) / 6 for seed in range(8)]
+    noise = settings_of(MANY).noise
+    stated = {'noise__robot_translation': factor * noise.robot_translation,
+              'noise__robot_rotation': factor * noise.robot_rotation}
+    squares = [squared(cell(MANY, seed, **stated)) / 6 for seed in range(8)]
     assert 0.4 < np.mean(squares) < 1.7
 
 
@@ -85,17 +79,12 @@ def test_a_nuisance_parameter_without_error_costs_the_estimate_little() -> None:
 # -- robots
 
 
-def real_robot(size: float) -> Scenario:
-    """Return a plate whose robot errs smoothly by size (m, RMS), and turns in proportion."""
-    robot = SCENARIOS['plate'].robot
-    return replace(SCENARIOS['plate'],
-                   robot=replace(robot, systematic=(size, math.radians(0.02) * size / 1.5e-4)))
-
-
 @pytest.mark.thorough
-@pytest.mark.parametrize('size', [0.0, 1.5e-4])
-def test_the_stated_uncertainty_holds_for_every_robot(size: float) -> None:
-    squares = [squared(cell(real_robot(size), seed, **ALL_BLOCKS)) for seed in range(12)]
+@pytest.mark.parametrize('systematic', [(0.0, 0.0), (1.5e-4, math.radians(0.02))])
+def test_the_stated_uncertainty_holds_for_every_robot(systematic: tuple[float, float]) -> None:
+    plate = SCENARIOS['plate']
+    scenario = replace(plate, robot=replace(plate.robot, systematic=systematic))
+    squares = [squared(cell(scenario, seed, **ALL_BLOCKS)) for seed in range(12)]
     assert np.mean(np.array(squares) < ONE_IN_20) >= 0.9
     assert 0.1 < np.mean(squares) / 6 < 1.5
 
@@ -208,8 +197,8 @@ MM = 1e-3
 def test_a_bent_laser_line_is_told_and_the_truth_lies_inside(target: str, bend: float) -> None:
     scenario = FAULTS[f'{target}, line bent by 0.15 mm']
     scenario = replace(scenario, sensor=replace(scenario.sensor, line_bend=bend))
-    recording = simulate(scenario, np.random.default_rng(3))
-    calibration = pipeline.calibrate(recording.profiles, recording.poses, settings_of(scenario))
+    recording = simulated(scenario, 3)
+    calibration = recording.calibrate()
     assert squared_error(calibration, recording.truth) < ONE_IN_1000
     match = re.search(r'the laser line is bent .* by ([\d.]+) \+- ([\d.]+) mm',
                       calibration.target.get('note', ''))
@@ -219,16 +208,15 @@ def test_a_bent_laser_line_is_told_and_the_truth_lies_inside(target: str, bend: 
 
 
 def test_of_a_line_bent_like_an_s_the_truth_lies_inside(monkeypatch: pytest.MonkeyPatch) -> None:
-    scenario, straight = SCENARIOS['wedge'], sensor.columns
+    straight = sensor.columns
 
     def bent(model: SensorModel) -> tuple[Array, Array]:
         origins, directions = straight(model)
         directions[1] += 0.6 * MM * np.linspace(-1, 1, model.columns) ** 3 / np.mean(model.range)
         return origins, directions
     monkeypatch.setattr(sensor, 'columns', bent)
-    recording = simulate(scenario, np.random.default_rng(1))
-    calibration = pipeline.calibrate(recording.profiles, recording.poses, settings_of(scenario))
-    assert squared_error(calibration, recording.truth) < ONE_IN_1000
+    recording = simulated(SCENARIOS['wedge'], 1)
+    assert squared_error(recording.calibrate(), recording.truth) < ONE_IN_1000
 
 
 @pytest.mark.parametrize('origin', [0.0, 0.1])

@@ -153,12 +153,11 @@ def test_a_quick_solution_needs_one_start_that_can_be_solved(monkeypatch: pytest
     truth = solution_of('plate').estimate
     nowhere = replace(truth, X=np.full((4, 4), np.nan))
 
-    def starts(*estimates: Estimate) -> Iterator[Estimate]:
-        yield from estimates
-        raise np.linalg.LinAlgError('no further start can be computed')
-
     def quick(*estimates: Estimate) -> Solution | None:
-        monkeypatch.setattr(type(problem.target), 'starts', lambda *_: starts(*estimates))
+        def starts(*_: object) -> Iterator[Estimate]:
+            yield from estimates
+            raise np.linalg.LinAlgError('no further start can be computed')
+        monkeypatch.setattr(type(problem.target), 'starts', starts)
         return quick_solution(problem)
 
     for estimates in ((truth,), (nowhere, truth)):

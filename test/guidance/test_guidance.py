@@ -34,7 +34,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 FEW = {'plate': (4, 4), 'line': (9, 0), 'plane': (8, 0), 'sphere': (7, 0), 'wedge': (8, 0)}
-every_target = pytest.mark.parametrize('target', FEW)
 
 
 @pytest.fixture(scope='module', params=FEW)
@@ -45,16 +44,12 @@ def fitted(request: pytest.FixtureRequest) -> tuple[Cell, Solution]:
     return simulated_cell, solved(simulated_cell.problem)
 
 
-def answer(cell: Cell, solution: Solution, refusal: DataError | None = None) -> Answer:
-    return Answer(cell.samples, solution, True, None, refusal)
-
-
 def advice_for(fitted: tuple[Cell, Solution], failed_poses: tuple[Array, ...] = (),
                refusal: DataError | None = None, **values: object) -> Advice:
     """Return the advice after the samples of a cell; values: settings, __ for the dot."""
     cell, solution = fitted
     return advise(cell.samples, set_to(cell.config, **values),
-                  answer(cell, solution, refusal), failed_poses=failed_poses)
+                  Answer(cell.samples, solution, True, None, refusal), failed_poses=failed_poses)
 
 
 def test_the_feature_stays_in_view_where_it_is_said_to_be(fitted: tuple[Cell, Solution]) -> None:
@@ -171,7 +166,7 @@ def test_a_sweep_goes_on_until_it_is_enough(fitted: tuple[Cell, Solution]) -> No
     assert 'continue to sweep over' in advice.sentences[-1]
 
 
-@every_target
+@pytest.mark.parametrize('target', FEW)
 @pytest.mark.parametrize('turn', [0.1, 0.9, 1.75])
 def test_before_an_answer_it_tells_moves_within_the_limits(target: str, turn: float) -> None:
     simulated_cell = cell(target, 2)
@@ -251,12 +246,10 @@ def test_moves_tell_more_than_poses_at_random(target: str) -> None:
         for _ in range(targets.target_for(cell.config).min_samples):
             BENCH.insist(cell, BENCH.advised(cell, None) if operator == 'advice'
                          else lambda: BENCH.anywhere(cell))
-        solution = BENCH.solved(cell)
-        return BENCH.sigma_of(solution, cell)
+        return BENCH.sigma_of(BENCH.solved(cell), cell)
 
-    sigmas = np.array([[sigma(seed, operator) for operator in BENCH.OPERATORS]
-                       for seed in range(3)])
-    moves, random = np.median(sigmas, axis=0)
+    moves, random = np.median([[sigma(seed, operator) for operator in BENCH.OPERATORS]
+                               for seed in range(3)], axis=0)
     assert moves < 0.7 * random
 
 

@@ -3,7 +3,8 @@
 """The executables beside the node, each in a process of its own, heard over real topics."""
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from itertools import count, islice
 from pathlib import Path
@@ -14,7 +15,7 @@ import sys
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from command import PATIENCE, ROOT, running  # noqa: E402, I100
+from command import PATIENCE, PLATE, ROOT, run_python, running  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped  # noqa: E402
 from handeye_ros import se3  # noqa: E402
 from handeye_ros.arm import arm_of  # noqa: E402
@@ -83,10 +84,8 @@ def test_a_service_without_a_home_is_told_what_to_set(monkeypatch: pytest.Monkey
 
 
 def test_the_demo_of_the_readme_ends_with_the_answer_and_its_report(tmp_path: Path) -> None:
-    run = subprocess.run(
-        [sys.executable, ROOT / 'tools/demo.py', '--bag', ROOT / 'bags/plate', '--config',
-         ROOT / 'config/plate.yaml', '--out', tmp_path, '--rate', '8'], cwd=tmp_path,
-        capture_output=True, text=True, check=False, timeout=PATIENCE)
+    run = run_python(ROOT / 'tools/demo.py', '--bag', ROOT / 'bags/plate', '--config', PLATE,
+                     '--out', tmp_path, '--rate', 8, cwd=tmp_path, timeout=PATIENCE)
     assert run.returncode == 0, run.stderr
     assert 'error against truth.yaml: translation 0.0' in run.stdout
     assert {'calibration.yaml', 'report.html'} <= {path.name for path in tmp_path.iterdir()}
@@ -159,56 +158,57 @@ def test_saved_calibrations_are_heard_by_who_comes_late(tmp_path: Path, client: 
 # -- scan
 
 
-def test_scanned_points_are_published_in_the_base(tmp_path: Path, client: Client) -> None:
-    rows = 5
-    write_calibration(calibration(), tmp_path / 'calibration.yaml')
+def of_points(points: np.ndarray, stamp: int, height: int = 1) -> PointCloud2:
+    columns = dict(zip('xz', points.T, strict=True))
+    return cloud_message(cloud(columns, XZ, 8, height=height), stamp)
+
+
+@contextmanager
+def scanning(folder: Path, client: Client, *arguments: str) -> Iterator[list[PointCloud2]]:
+    """Give what a scan with the calibration of moving_scan publishes."""
+    write_calibration(calibration(), folder / 'calibration.yaml')
     clouds: list[PointCloud2] = []
     client.node.create_subscription(PointCloud2, '/handeye_scan/points', clouds.append, 100)
-
-    def message(profiles):
-        """Return one message of profiles, a row each, with the stamp of the first."""
-        x, z = np.concatenate([profile.points for profile in profiles]).T
-        scan = cloud({'x': x, 'z': z}, {'x': (0, 7), 'z': (4, 7)}, 8, height=len(profiles))
-        return cloud_message(scan, profiles[0].stamp)
-
-    with started('scan', tmp_path, '--std', '--range', '-inf', '-100mm', '--set',
-                 'profile.period=0.001'):
+    with started('scan', folder, *arguments):
         client.until_heard()
         client.until(lambda: client.node.count_publishers('/handeye_scan/points'), 'it is there')
+        yield clouds
+
+
+def heights(clouds: list[PointCloud2]) -> np.ndarray:
+    """Return z of all points; all fields are of four bytes."""
+    return np.concatenate([np.frombuffer(bytes(c.data), np.float32).reshape(
+        -1, len(c.fields))[:, 2] for c in clouds])
+
+
+def test_scanned_points_are_published_in_the_base(tmp_path: Path, client: Client) -> None:
+    with scanning(tmp_path, client, '--std', '--range', '-inf', '-100mm', '--set',
+                  'profile.period=0.001') as clouds:
         poses, profiles = iter(moving(10_000)), iter(plane_profiles(10_000))
 
         def most_points_came() -> bool:
             # who takes best effort hears what is sent after it knows of the sender
             client.send(client.poses, (pose_message(p.stamp, p.translation, p.quaternion)
                                        for p in islice(poses, 1)), 200.0)
-            batches = [list(islice(profiles, rows)) for _ in range(5 // rows)]
-            client.send(client.profiles, map(message, batches), 1000.0 / rows)
+            batch = [*islice(profiles, 5)]  # a row each, with the stamp of the first
+            points = np.concatenate([profile.points for profile in batch])
+            client.send(client.profiles, [of_points(points, batch[0].stamp, height=5)], 200.0)
             return sum(c.width for c in clouds) >= 50 * 50
 
         client.until(most_points_came, 'most points came')
     assert {c.header.frame_id for c in clouds} == {'base'}
     assert [f.name for f in clouds[0].fields] == ['x', 'y', 'z', 'std']
-    z = np.concatenate([np.frombuffer(bytes(c.data), np.float32).reshape(-1, 4)[:, 2]
-                        for c in clouds])
-    np.testing.assert_allclose(z, 0.1, atol=1e-6)
+    np.testing.assert_allclose(heights(clouds), 0.1, atol=1e-6)
 
 
 def test_profiles_before_a_clock_reset_are_not_scanned(tmp_path: Path, client: Client) -> None:
-    write_calibration(calibration(), tmp_path / 'calibration.yaml')
-    clouds: list[PointCloud2] = []
-    client.node.create_subscription(PointCloud2, '/handeye_scan/points', clouds.append, 100)
-
     def send(ms: int) -> None:
         pose, profile = pose_at(ms), plane_profile(ms)
         client.send(client.poses, [pose_message(pose.stamp, pose.translation, pose.quaternion)],
                     200.0)
-        x, z = profile.points.T
-        scan = cloud({'x': x, 'z': z}, XZ, 8)
-        client.send(client.profiles, [cloud_message(scan, profile.stamp)], 200.0)
+        client.send(client.profiles, [of_points(profile.points, profile.stamp)], 200.0)
 
-    with started('scan', tmp_path):
-        client.until_heard()
-        client.until(lambda: client.node.count_publishers('/handeye_scan/points'), 'it is there')
+    with scanning(tmp_path, client) as clouds:
         place = count(10_000)
 
         def came() -> bool:
@@ -216,9 +216,7 @@ def test_profiles_before_a_clock_reset_are_not_scanned(tmp_path: Path, client: C
             return bool(clouds)
 
         client.until(came, 'it hears both')
-        waiting = plane_profile(0)
-        waiting = cloud_message(cloud(dict(zip('xz', (waiting.points + [0, 1]).T, strict=True)),
-                                      XZ, 8), T0 + 12_000 * STEP)
+        waiting = of_points(plane_profile(0).points + [0, 1], T0 + 12_000 * STEP)
         client.send(client.profiles, [waiting] * 5, 200.0)  # no pose comes after it
         for ms in range(5_000, 5_100):
             send(ms)
@@ -226,9 +224,7 @@ def test_profiles_before_a_clock_reset_are_not_scanned(tmp_path: Path, client: C
         for ms in range(11_950, 12_050):
             send(ms)
         client.until(lambda: clouds, 'the scan goes on')
-    z = np.concatenate([np.frombuffer(bytes(c.data), np.float32).reshape(-1, 3)[:, 2]
-                        for c in clouds])
-    np.testing.assert_allclose(z, 0.1, atol=1e-4)
+    np.testing.assert_allclose(heights(clouds), 0.1, atol=1e-4)
 
 
 # -- corrected_pose

@@ -9,8 +9,6 @@ import json
 from pathlib import Path
 import re
 import signal
-import subprocess
-import sys
 from unittest.mock import MagicMock
 
 from cells import set_to
@@ -21,7 +19,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from command import PATIENCE  # noqa: E402, I100
+from command import PATIENCE, run_python  # noqa: E402, I100
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from handeye_ros.node.streams import Streams  # noqa: E402
 from rclpy._rclpy_pybind11 import RCLError  # noqa: E402
@@ -33,7 +31,6 @@ from ros_helpers import (  # noqa: E402
     parameter,
     pose_message,
     RELIABLE,
-    ROOT,
     running_node,
     set_parameter,
     sphere_profile,
@@ -359,6 +356,5 @@ Node.{0} = interrupted
 def test_a_signal_while_it_starts_ends_it_cleanly(before: str, what: str, number: int) -> None:
     block = (f'import os, sys\n{before.format(what, number)}\n'
              'from handeye_ros.node.main import main; sys.exit(main())')
-    run = subprocess.run([sys.executable, '-c', block], cwd=ROOT, capture_output=True, text=True,
-                         check=False)
+    run = run_python('-c', block)
     assert (run.returncode, 'Traceback' in run.stderr) == (0, False), run.stderr

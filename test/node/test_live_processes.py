@@ -50,8 +50,8 @@ class Gate(Inline):
 
 
 def test_nobody_waits_for_a_solve_or_a_verdict() -> None:
-    live, gate = new(TO_VERIFY), Gate()
-    live.pool = gate
+    gate = Gate()
+    live = new(TO_VERIFY, gate)
     gate.open.set()
     feed(live, PARTS[0].messages)
     live.start()

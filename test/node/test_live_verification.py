@@ -12,6 +12,7 @@ from handeye_ros.node.state import state_of
 from live_sessions import (
     changed,
     computed,
+    fed,
     feed,
     feed_one,
     later,
@@ -53,11 +54,17 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
     assert (report['verdict'], report['stations']) == ('pass', 6)
     assert report['created'] and not report['calibration_file']  # it is the answer, no file
     assert not state_of(live)['session']['notes']
+    live.solver.save_calibration()
+    live.verification.verify_start()
+    feed(live, later(PARTS[1].messages, 1000))
+    verdict(live)
+    file = written.parent / 'calibration.yaml'
+    assert yaml.safe_load(written.read_text())['calibration_file'] == {
+        'path': str(file), 'sha256': hashlib.sha256(file.read_bytes()).hexdigest()}
 
 
 def test_the_stop_in_which_a_verification_is_given_up_is_no_sample() -> None:
-    live = new(TO_VERIFY)
-    feed(live, PARTS[0].messages)
+    live = fed(TO_VERIFY, PARTS[0])
     computed(live)
     before = [stop.number for stop in live.session_copy().stops]
     live.verification.verify_start()
@@ -74,24 +81,8 @@ def test_the_stop_in_which_a_verification_is_given_up_is_no_sample() -> None:
     assert [stop.number for stop in live.session_copy().stops] == before
 
 
-def test_the_verification_of_a_saved_answer_names_its_file() -> None:
-    live = new(TO_VERIFY)
-    feed(live, PARTS[0].messages)
-    computed(live)
-    live.solver.save_calibration()
-    live.verification.verify_start()
-    feed(live, PARTS[1].messages)
-    verdict(live)
-    folder = Path(live.folders.folder(live.config))
-    stated = yaml.safe_load((folder / 'verification_sphere.yaml').read_text())['calibration_file']
-    file = folder / 'calibration.yaml'
-    assert Path(stated['path']) == file
-    assert stated['sha256'] == hashlib.sha256(file.read_bytes()).hexdigest()
-
-
 def test_a_verification_begun_anew_says_what_is_dropped() -> None:
-    live = new(TO_VERIFY)
-    feed(live, PARTS[0].messages)
+    live = fed(TO_VERIFY, PARTS[0])
     computed(live)
     live.verification.verify_start()
     changed(live, verify__lengths=(0.1,))

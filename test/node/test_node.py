@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-import subprocess
-import sys
 
 from handeye_ros.bags.bag import read
 from handeye_ros.config import load
@@ -18,7 +16,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from command import PATIENCE, succeeds  # noqa: E402, I100
+from command import PATIENCE, run_python, succeeds  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped, TransformStamped  # noqa: E402
 from handeye_ros.node.folders import OutputFolders  # noqa: E402
 from handeye_ros.node.node import declare_settings  # noqa: E402
@@ -162,9 +160,7 @@ def transforms_of(pose):
 def test_without_tf2_msgs_poses_from_tf_are_refused(tmp_path: Path) -> None:
     block = ('import sys; sys.modules["tf2_msgs"] = None; '
              'from handeye_ros.node.main import main; sys.exit(main())')
-    run = subprocess.run(
-        [sys.executable, '-c', block, '--ros-args', '-p', 'pose_source:=tf'], cwd=ROOT,
-        capture_output=True, text=True, check=False, timeout=PATIENCE)
+    run = run_python('-c', block, '--ros-args', '-p', 'pose_source:=tf', timeout=PATIENCE)
     assert run.returncode == 2
     assert 'pose_source is tf, but tf2_msgs is not installed' in run.stderr
 

@@ -27,12 +27,9 @@ def ball(x: Array, radius: float = 0.03, centre: Array = CENTRE) -> Array:
     return np.where(squares > 0, centre[1] - np.sqrt(np.maximum(squares, 0)), np.nan)
 
 
-def wide(height: object, seed: int = 0, noise: float = NOISE) -> Array:
+def wide(height: Callable[[Array], Array], seed: int = 0, noise: float = NOISE) -> Array:
     """Return a profile twice as wide as usual, that the whole ball fits in."""
-    points = drawn(lambda x: height(2 * x), seed)  # type: ignore[operator]
-    if not noise:
-        points[:, 1] = height(2 * points[:, 0])  # type: ignore[operator]
-    return points * [2, 1]
+    return drawn(lambda x: height(2 * x), seed, noise) * [2, 1]
 
 
 @pytest.mark.parametrize('config', [KNOWN, UNKNOWN], ids=['known', 'unknown'])

@@ -60,8 +60,7 @@ def calibrations(draw):
     covariance = np.array(draw(st.lists(finite, min_size=36, max_size=36))).reshape(6, 6)
     covariance[np.diag_indices(6)] = np.abs(covariance.diagonal())
     count = st.integers(0, 1000)
-    quality = Quality(draw(count), draw(count), draw(finite), draw(finite), draw(words),
-                      draw(finite))
+    quality = draw(st.builds(Quality, count, count, finite, finite, words, finite))
     samples = draw(st.lists(st.builds(
         SampleReport, st.integers(0, 2 ** 63), st.booleans(), words, st.none() | finite, words),
         max_size=4))

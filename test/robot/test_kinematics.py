@@ -253,9 +253,8 @@ def recorded():
 
 
 def every_other(source, first):
-    stops = np.arange(first, len(source.samples), 2)
     return replace(source, samples=source.samples[first::2], q=source.q[first::2],
-                   problem=source.problem.subset(stops))
+                   problem=source.problem.subset(np.arange(first, len(source.samples), 2)))
 
 
 def test_two_recordings_give_one_answer(recorded):

@@ -64,13 +64,9 @@ def test_a_few_deep_ends_are_no_bevel_of_all() -> None:
     assert common_shape(samples[-4:]).size > 2e-4
 
 
-WORST: list[tuple[str, dict[str, Any], float]] = [
-    ('sharp', {}, 3e-5), ('rounded', {'rounding': 5e-4}, 9e-5),
-    ('bevelled', {'bevel': 3e-4}, 1e-4), ('thin', {'thickness': 2e-3}, 4e-5)]
-
-
-@pytest.mark.parametrize(('name', 'values', 'worst'), WORST, ids=[name for name, *_ in WORST])
-def test_simulated_ends_are_at_the_edge(name: str, values: dict[str, Any], worst: float) -> None:
+@pytest.mark.parametrize(('values', 'worst'), [
+    ({}, 3e-5), ({'rounding': 5e-4}, 9e-5), ({'bevel': 3e-4}, 1e-4), ({'thickness': 2e-3}, 4e-5)])
+def test_simulated_ends_are_at_the_edge(values: dict[str, Any], worst: float) -> None:
     scenario = replace(BASELINE, target=replace(BASELINE.target, **values))
     away, std = [], []
     for seed in range(2):

@@ -23,6 +23,7 @@ from streams import (
     BAD,
     collect,
     CONFIG,
+    go_on,
     GOOD,
     in_order,
     key,
@@ -31,7 +32,6 @@ from streams import (
     pose,
     profile,
     profiles,
-    results,
     START,
     stops,
     taken,
@@ -85,10 +85,8 @@ def test_a_clock_that_is_set_back_goes_on_by_itself(config: Config) -> None:
     assert session.late == ('poses',)
     with pytest.raises(DataError, match='older stamps'):
         taken(session)  # of where the robot stood before its clock was set
-    for item in in_order(stops((40, 42)), profiles(40, 42)):
-        add(session, replace(item, translation=item.translation + [0.5, 0.0, 0.0])
-            if isinstance(item, TimedPose) else item)
-        collect(session, config)
+    elsewhere = [replace(p, translation=p.translation + [0.5, 0.0, 0.0]) for p in stops((40, 42))]
+    go_on(session, in_order(elsewhere, profiles(40, 42)), config)
     assert session.late == () and session.motion.still > 1.0
     if config is MANUAL:
         taken(session)
@@ -147,9 +145,7 @@ def test_a_stray_of_another_frame_is_counted_and_more_are_refused(kind: str) -> 
         add(session, item)
     assert session.conflict is None, 'only the first frame has come for some seconds'
     set_back = session.copied()
-    for item in in_order(stops((-500, -498)), profiles(-500, -498)):
-        add(set_back, item)
-        collect(set_back)
+    go_on(set_back, in_order(stops((-500, -498)), profiles(-500, -498)))
     assert set_back.conflict is None, 'a clock that is set back brings none of them back'
     add(session, stray(500))
     assert session.conflict is None, 'one more begins a new count'
@@ -216,7 +212,7 @@ def test_an_edge_at_the_end_of_the_view_is_reported(cut: float, words: str) -> N
 
 STREAM_POSES = stops((0, 1), (2, 2.8), (3.5, 4.5), rate=25.0)
 STREAM_PROFILES = [*profiles(0.02, 2.9, rate=8.0), *profiles(3.4, 4.5, rate=8.0, points=BAD)]
-IN_ORDER = key(results(played(STREAM_POSES, STREAM_PROFILES)))
+IN_ORDER = key(played(STREAM_POSES, STREAM_PROFILES))
 
 
 @settings(max_examples=30)
@@ -230,8 +226,8 @@ def test_the_order_of_arrival_changes_nothing(poses_next: list[bool], collecting
         if collecting:
             collect(session)
     session.evaluate_remaining()
-    assert key(results(session)) == IN_ORDER
-    assert {*session.samples, *session.rejects} == {*results(session)}
+    assert key(session) == IN_ORDER
+    assert {*session.samples, *session.rejects} == {stop.result for stop in session.stops}
 
 
 @pytest.mark.parametrize('first', ['pose', 'profile'])
@@ -240,12 +236,10 @@ def test_one_stream_may_be_far_behind_the_other(first: str) -> None:
     late = profiles(0.0, 17.0, rate=8.0)
     streams = [poses, late] if first == 'pose' else [late, poses]
     session = Session(CONFIG)
-    for item in streams[0] + streams[1]:
-        add(session, item)
-        collect(session)
+    go_on(session, streams[0] + streams[1])
     session.evaluate_remaining()
     assert len(session.stops) == 3
-    assert key(results(session)) == key(results(played(poses, late)))
+    assert key(session) == key(played(poses, late))
 
 
 @pytest.mark.parametrize('jump', [-1e9, -30.0, 1.5, 1e9])
@@ -257,16 +251,11 @@ def test_one_wild_stamp_changes_only_its_message(jump: float, kind: str, place: 
     wild = streams[kind][place]
     items = in_order(STREAM_POSES, STREAM_PROFILES)
     outcomes = []
-    for left_out in (True, False):
-        session = Session(CONFIG)
-        for item in items:
-            if item is not wild:
-                add(session, item)
-            elif not left_out:
-                add(session, replace(item, stamp=item.stamp + round(jump * NS)))
-            collect(session)
+    for changed in ([], [replace(wild, stamp=wild.stamp + round(jump * NS))]):
+        session, at = Session(CONFIG), items.index(wild)
+        go_on(session, [*items[:at], *changed, *items[at + 1:]])
         session.evaluate_remaining()
-        outcomes.append(key(results(session)))
+        outcomes.append(key(session))
         assert not session.late
     assert outcomes[0] == outcomes[1]
     # the first of all may be early: nothing tells that it is

@@ -20,6 +20,7 @@ from streams import (
     BAD,
     collect,
     CONFIG,
+    go_on,
     GOOD,
     in_order,
     MANUAL,
@@ -214,9 +215,7 @@ def test_a_sample_by_hand_takes_none_from_the_stop_before() -> None:
 def test_a_sample_by_hand_is_not_taken_again_by_itself() -> None:
     session = played(stops((0, 1)), profiles(0, 1), finish=False)
     taken(session)
-    for item in in_order(stops((0, 1), (2, 3))[52:], profiles(1.02, 3)):
-        add(session, item)
-        collect(session)
+    go_on(session, in_order(stops((0, 1), (2, 3))[52:], profiles(1.02, 3)))
     session.evaluate_remaining()
     assert [round(float(s.T_base_flange[0, 3]), 6) for s in session.samples] == [0.0, 0.1]
 

@@ -214,8 +214,7 @@ def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
     assert 'of the frame' not in run.stderr
     other = replace(calibration(), child_frame='other')
     write_calibration(other, tmp_path / 'calibration.yaml')
-    run = handeye('scan', bag, '--calibration', '.', '--out', 'c.ply', cwd=tmp_path)
-    assert run.returncode == 0
+    run = succeeds('scan', bag, '--calibration', '.', '--out', 'c.ply', cwd=tmp_path)
     assert 'the profiles are of the frame "laser", and the calibration is of "other"' in run.stderr
 
 

@@ -5,6 +5,7 @@ Simulated cells: what the sensor sees, what is true of it, and the settings, tog
 
 cell('plate', seed=3): samples of features with exactly known noise; exact_cell: without noise
 recorded('plate', seed=3): a recording of rendered profiles, so all steps are tested; slower
+simulated(scenario, seed): a recording with all of its profiles and poses; slower still
 noisy, solution_of, calibration_of: a cell of each method, solved once for all tests
 
 Keywords are settings, with __ for the dot: cell('sphere', target__radius=0.0).
@@ -159,23 +160,23 @@ def recorded(scenario: str | Scenario = 'plate', seed: int = 0, rate: float = 10
     scenario = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
     sensor = replace(scenario.sensor, rate=rate, thinning=3)
     sensor = replace(sensor, columns=columns or sensor.columns)
-    scenario = replace(scenario, sensor=sensor, robot=replace(scenario.robot, rate=50.0))
-    simulated = simulate(scenario, np.random.default_rng(seed))
-    return Recorded(scenario, simulated.profiles, simulated.poses, simulated.truth,
+    quick = replace(scenario, sensor=sensor, robot=replace(scenario.robot, rate=50.0))
+    return simulated(quick, seed, **values)
+
+
+def simulated(scenario: Scenario, seed: int, **values: object) -> Recorded:
+    """Return a recording as the scenario has it; values: settings, __ for the dot."""
+    recording = simulate(scenario, np.random.default_rng(seed))
+    return Recorded(scenario, recording.profiles, recording.poses, recording.truth,
                     settings_of(scenario, **values))
 
 
 every_method = pytest.mark.parametrize('name', targets.TARGETS)
 
 
-def scenario_for(name: str, where: str = 'eye_in_hand') -> Scenario:
-    """Return the scenario of a method, with the sensor on the flange or beside the robot."""
-    return replace(SCENARIOS[name], calibration_type=where)
-
-
 @lru_cache
 def noisy(name: str, where: str = 'eye_in_hand', seed: int = 0) -> Cell:
-    return cell(scenario_for(name, where), seed)
+    return cell(replace(SCENARIOS[name], calibration_type=where), seed)
 
 
 @lru_cache

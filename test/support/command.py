@@ -49,14 +49,19 @@ def running(command: Sequence[Any], end: int = signal.SIGTERM,
             stream.close()
 
 
+def run_python(*arguments, **options):
+    """Run Python to the end of a program, in the root unless cwd says otherwise."""
+    return subprocess.run([sys.executable, *map(str, arguments)], capture_output=True, text=True,
+                          check=False, **({'cwd': ROOT} | options))
+
+
 def handeye(*arguments, cwd, before=''):
     """Run `handeye` in a folder; before: code that runs first, then in a process of its own."""
     command = ['handeye', *map(str, arguments)]
     if before:
         program = f'import sys; sys.path.insert(0, {str(ROOT)!r}); {before}\n' \
                   'from handeye_ros.cli import main; main()'
-        return subprocess.run([sys.executable, '-c', program, *command[1:]], cwd=cwd,
-                              capture_output=True, text=True, check=False)
+        return run_python('-c', program, *command[1:], cwd=cwd)
     streams = [io.TextIOWrapper(io.BytesIO(), 'utf-8', write_through=True) for _ in range(2)]
     with (chdir(cwd), redirect_stdout(streams[0]), redirect_stderr(streams[1]),
           mock.patch.object(sys, 'argv', command), pytest.raises(SystemExit) as end):

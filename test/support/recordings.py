@@ -18,17 +18,12 @@ START = 1_700_000_000_000_000_001
 PROFILES_PERIOD, POSES_PERIOD = 33_333_333, 10_000_000
 
 
-def profiles(count=30):
-    rng, x = np.random.default_rng(1), np.linspace(-0.02, 0.02, 200)
-    return [Profile(START + i * PROFILES_PERIOD, 'laser',
-                    np.column_stack([x, 0.17 + rng.normal(0, 3e-5, 200)])) for i in range(count)]
-
-
-def poses(count=100):
-    rng = np.random.default_rng(2)
-    quaternion = np.array([0.0, 0.6, 0.0, 0.8])
-    return [TimedPose(START + i * POSES_PERIOD, rng.normal(size=3), quaternion, 'base')
-            for i in range(count)]
+RANGES = 0.17 + np.random.default_rng(1).normal(0, 3e-5, (30, 200))
+PROFILES = [Profile(START + i * PROFILES_PERIOD, 'laser',
+                    np.column_stack([np.linspace(-0.02, 0.02, 200), z]))
+            for i, z in enumerate(RANGES)]
+POSES = [TimedPose(START + i * POSES_PERIOD, place, np.array([0.0, 0.6, 0.0, 0.8]), 'base')
+         for i, place in enumerate(np.random.default_rng(2).normal(size=(100, 3)))]
 
 
 def scan(bag):
@@ -84,7 +79,6 @@ POINTS = {
 }
 
 
-PROFILES, POSES = profiles(), poses()
 CONFIG = Config()
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 
@@ -112,9 +106,8 @@ def split(folder, target):
     """Split a bag into eleven files, so that _10 comes behind _9."""
     target.mkdir()
     _, messages = scan(folder)
-    names = [f'split_{i}.mcap' for i in range(11)]
-    for i, name in enumerate(names):
-        rewrite(folder, target / name, messages[i * 12:(i + 1) * 12])
+    for i in range(11):
+        rewrite(folder, target / f'split_{i}.mcap', messages[i * 12:(i + 1) * 12])
     return target
 
 

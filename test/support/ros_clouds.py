@@ -38,12 +38,8 @@ def cloud(columns, layout, point_step, *, height=1, row_padding=0, bigendian=Fal
                            data=data, is_dense=True)
 
 
-def profile(msg, config=METRES):
-    return profile_from_cloud(msg, config)
-
-
 def points(msg, config=METRES):
-    return profile(msg, config).points
+    return profile_from_cloud(msg, config).points
 
 
 def expected(x, z):

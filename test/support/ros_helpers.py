@@ -12,7 +12,7 @@ import sys
 import time
 from typing import Any
 
-from command import PATIENCE, ROOT, running
+from command import PATIENCE, ROOT, run_python, running
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from handeye_ros.node.streams import TFMessage
@@ -53,9 +53,7 @@ def running_node(tmp_path: Path, *arguments: str, program: Path | None = None
 
 def run_module(module: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run a module of handeye_ros.node to its end."""
-    return subprocess.run(
-        [sys.executable, '-m', f'handeye_ros.node.{module}', *arguments], cwd=ROOT,
-        capture_output=True, text=True, check=False, timeout=PATIENCE)
+    return run_python('-m', f'handeye_ros.node.{module}', *arguments, timeout=PATIENCE)
 
 
 def replay(bag: Path) -> None:
@@ -135,13 +133,12 @@ class Client:
     def until_counted(self, **counts: int) -> dict[str, str]:
         """Wait until the node has counted so many messages (malformed, profiles, poses)."""
         keys = {'malformed': 'malformed messages', 'profiles': 'profiles', 'poses': 'poses'}
+        expected = {keys[name]: int(self._before.get(keys[name], 0)) + n
+                    for name, n in counts.items()}
         self.until(lambda: self._told and all(
-            self._counted(self._told[-1], keys[name]) == n for name, n in counts.items()),
+            int(self._told[-1][key]) == n for key, n in expected.items()),
             f'the node has counted {counts}')
         return self._told[-1]
-
-    def _counted(self, state: dict[str, str], key: str) -> int:
-        return int(state[key]) - int(self._before.get(key, 0))
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         report = {'level': max(status.level for status in msg.status),

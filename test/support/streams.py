@@ -55,12 +55,17 @@ def played(poses: Sequence[TimedPose], profiles: Sequence[Profile], config: Conf
            finish: bool = True) -> Session:
     """Return a session that took both streams in the order of their stamps."""
     session = Session(config)
-    for item in in_order(poses, profiles):
-        add(session, item)
-        collect(session, config)
+    go_on(session, in_order(poses, profiles), config)
     if finish:
         session.evaluate_remaining()
     return session
+
+
+def go_on(session: Session, items: Sequence[TimedPose | Profile], config: Config = CONFIG) -> None:
+    """Add messages, and evaluate each stop that they complete, as the node does."""
+    for item in items:
+        add(session, item)
+        collect(session, config)
 
 
 def collect(session: Session, config: Config = CONFIG) -> None:
@@ -87,14 +92,9 @@ def taken(session: Session, config: Config = CONFIG) -> Sample:
     return stop.result
 
 
-def results(session: Session) -> list[Sample | Reject]:
-    """Return what became of the stops, in the order of their numbers."""
-    return [stop.result for stop in session.stops]
-
-
-def key(results: Sequence[Sample | Reject]) -> list[tuple[object, ...]]:
-    """Return all that results say, to be compared."""
+def key(session: Session) -> list[tuple[object, ...]]:
+    """Return all that the results of stops say, in the order of their numbers."""
     return [(o.stamp, o.reason) if isinstance(o, Reject) else (
         o.stamp, o.T_base_flange.tobytes(), o.profiles,
         tuple((f.point.tobytes(), f.std) if isinstance(f, EdgePoint) else f.centre.tobytes()
-              for f in o.features)) for o in results]
+              for f in o.features)) for o in (stop.result for stop in session.stops)]

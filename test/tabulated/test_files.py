@@ -17,7 +17,7 @@ from handeye_ros import se3, tabulated
 from handeye_ros.bags import bag, bag_write
 from handeye_ros.cli.tools import write_simulated
 from handeye_ros.compare import compare_files
-from handeye_ros.config import load, with_values
+from handeye_ros.config import load, with_assignments, with_values
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.results import calibration_file
@@ -65,10 +65,8 @@ EXACT: dict[str, Callable[[np.random.Generator], measured.SimulatedFiles]] = {
 
 def read_configured(name: str, folder: Path) -> TableProblem:
     """Return what is read of a scene in a folder."""
-    path, _, file, *_ = given(name, folder)
-    config = with_values(load(Path(str(file))), dict([str(given(name, folder)[-1]).split('=')]),
-                         'test')
-    return tabulated.read(Path(str(path)), config)
+    path, _, file, _, assignment = map(str, given(name, folder))
+    return tabulated.read(Path(path), with_assignments(load(Path(file)), [assignment]))
 
 
 @pytest.mark.parametrize('name', [name for name in FILE_SCENES if name != 'tracker'])
@@ -365,7 +363,6 @@ def test_inputs_that_are_none_end_with_2(handeye: Run, tmp_path: Path) -> None:
     refused(handeye('solve', 'nowhere.csv', *settings), 2, 'nowhere.csv', 'cannot be read')
     refused(handeye('solve', 'cell/tracker.csv', '--set', 'target.type=pointz'), 2,
             'target.type pointz is not solved from one')
-    refused(handeye('solve', 'cell', *settings), 2, 'is a folder; give the file in it')
     refused(handeye('solve', 'cell/small_tracker.mcap', *settings), 2, 'cannot be read')
     (tmp_path / 'cell' / 'tracker.csv').unlink()
     refused(handeye('solve', *given('small_tracker', tmp_path / 'cell')), 2,

@@ -49,7 +49,6 @@ def test_stations_at_another_edge_are_left_out() -> None:
 @pytest.mark.thorough
 def test_an_edge_is_found_whichever_of_its_two_faces_is_taken() -> None:
     """Neither all ends nor those of one side lie on one line; the best known ones do."""
-    accurate = 0
     for seed in range(2):
         line_cell = cell(LINE, seed)
         samples = []
@@ -61,8 +60,7 @@ def test_an_edge_is_found_whichever_of_its_two_faces_is_taken() -> None:
             face = replace(face, centre=edge.point + 0.015 * inwards, direction=inwards)
             samples.append(replace(sample, features=(face, *ends)))
         calibration = line_cell.solve(samples)
-        accurate += line_cell.error(calibration.T_flange_sensor) < 3e-4
-    assert accurate == 2
+        assert line_cell.error(calibration.T_flange_sensor) < 3e-4
 
 
 @pytest.mark.thorough

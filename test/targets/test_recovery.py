@@ -60,7 +60,6 @@ ROWS = {'general': 'general', 'one orientation': 'one_orientation',
         'one orientation per edge': 'one_orientation_per_edge',
         'tilts about the laser line only': 'tilt_only',
         'yaw about the face normal only': 'yaw_only'}
-VALUES = {'line with its face': {'target__use_face': True}}
 ZERO = 1e-8
 WEDGE_TURNS = [np.pi / 2, 0.0]  # of a block's faces, z = 0 and y = 0, about its edge
 
@@ -86,23 +85,6 @@ def at_truth(cell: Cell) -> Estimate:
     return Estimate(cell.truth.T_flange_sensor, targets[cell.problem.target.name])
 
 
-def singular_values(name: str, motion: str) -> np.ndarray:
-    """Return those of the derivatives by all unknowns, each column scaled to length 1."""
-    target = name.split()[0]
-    stations = (20, 20) if target == 'plate' else (40, 0)
-    scenario = replace(SCENARIOS[target], motion=ROWS[motion], stations=stations)
-    simulated_cell = exact_cell(scenario, **VALUES.get(name, {}))
-    problem, estimate = simulated_cell.problem, at_truth(simulated_cell)
-    p = problem.points_in_base(estimate.X)
-    observations = problem.target.reassign(problem.observations, p, estimate.state, problem.config)
-    used = observations.select(observations.kind != UNUSED)
-    problem = replace(problem, observations=used)
-    linear = linearise(problem, estimate)
-    assert np.abs(linear.residuals).max() < 1e-9
-    J = linear.jacobian[:, problem.free_columns]
-    return np.linalg.svd(J / np.maximum(np.linalg.norm(J, axis=0), 1e-12), compute_uv=False)
-
-
 def test_the_table_of_the_document_has_every_motion_and_target() -> None:
     cells = list(table())
     assert {motion for motion, *_ in cells} == set(ROWS)
@@ -111,6 +93,19 @@ def test_the_table_of_the_document_has_every_motion_and_target() -> None:
 
 @pytest.mark.parametrize(('motion', 'name', 'rank', 'unknowns'), list(table()))
 def test_a_motion_shows_what_is_stated(motion: str, name: str, rank: int, unknowns: int) -> None:
-    values = singular_values(name, motion)
+    """By the derivatives by all unknowns, each column scaled to length 1."""
+    target = name.split()[0]
+    stations = (20, 20) if target == 'plate' else (40, 0)
+    scenario = replace(SCENARIOS[target], motion=ROWS[motion], stations=stations)
+    simulated_cell = exact_cell(scenario, target__use_face=name == 'line with its face')
+    problem, estimate = simulated_cell.problem, at_truth(simulated_cell)
+    p = problem.points_in_base(estimate.X)
+    observations = problem.target.reassign(problem.observations, p, estimate.state, problem.config)
+    used = observations.select(observations.kind != UNUSED)
+    problem = replace(problem, observations=used)
+    linear = linearise(problem, estimate)
+    assert np.abs(linear.residuals).max() < 1e-9
+    J = linear.jacobian[:, problem.free_columns]
+    values = np.linalg.svd(J / np.maximum(np.linalg.norm(J, axis=0), 1e-12), compute_uv=False)
     assert len(values) == unknowns
     assert int((values > ZERO).sum()) == rank
