@@ -264,7 +264,7 @@ def test_a_parameter_file_may_hold_empty_lists_and_integers(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(('argument', 'reason'), [
     ('noise.sensor:=abc', "noise.sensor is 'abc', expected a number from 1e-09 to 0.01 m"),
-    ('target.type:=points', 'target.type points is solved from files, .* "handeye solve'),
+    ('target.type:=points', 'target.type points is solved from files .*"handeye solve'),
     ('name:=a/b', "name is 'a/b', expected the name of a folder"),
     ('target.size:=[1.0]', 'target.size is \\[1.0], expected a list of 0 or 2 values'),
     ('nois.sensor:=1.0', 'unknown key "nois.sensor" .*; did you mean "noise.sensor"?'),
