@@ -249,7 +249,6 @@ LINE = np.linspace(-0.03, 0.03, 200)
 EDGE = np.where(LINE < 0.004, 0.17 + 0.1 * LINE, 0.19)
 NOISY = EDGE + 5e-5 * np.sin(9.7 * np.arange(200))
 LOST = np.where((LINE > 0.004) & (LINE < 0.012), np.nan, EDGE)
-SHUFFLED = np.random.default_rng(1).permutation(200)
 
 
 def layered(x: np.ndarray, z: np.ndarray, y: np.ndarray | None = None, **options: int) -> object:
@@ -257,8 +256,8 @@ def layered(x: np.ndarray, z: np.ndarray, y: np.ndarray | None = None, **options
 
 
 @pytest.mark.parametrize('order', [
-    np.arange(200)[::-1], SHUFFLED, np.roll(np.arange(200), 77), np.r_[0:200:2, 1:200:2],
-    np.arange(200).reshape(4, 50)[::-1].ravel()])
+    np.arange(200)[::-1], np.random.default_rng(1).permutation(200), np.roll(np.arange(200), 77),
+    np.r_[0:200:2, 1:200:2], np.arange(200).reshape(4, 50)[::-1].ravel()])
 @pytest.mark.parametrize('z', [EDGE, LOST])
 def test_points_come_in_any_order(order: np.ndarray, z: np.ndarray) -> None:
     read_points = points(layered(LINE[order], z[order]))
