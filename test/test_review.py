@@ -15,7 +15,7 @@ import pytest
 def test_a_stop_left_out_agrees_as_one_that_is_used() -> None:
     """Of a rounded edge, which all stops of an answer are moved to."""
     plate = SCENARIOS['plate']
-    rounded = recorded(replace(plate, target=replace(plate.target, rounding=2e-3)), rate=6.0)
+    rounded = recorded(replace(plate, target=replace(plate.target, rounding=1e-3)), rate=6.0)
     left_out = []
     for excluded in ([], [5]):
         config = set_to(rounded.config, samples__exclude=excluded)

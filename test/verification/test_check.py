@@ -209,7 +209,7 @@ def test_the_verb_on_recordings(tmp_path):
     run = handeye('check', 'today', 'today', '--against', 'moved.yaml', cwd=tmp_path)
     assert run.returncode == 1, run.stderr
     assert 'UNCHANGED' not in run.stdout and run.stdout.endswith('since today\n')
-    other = simulate(scenario, np.random.default_rng(6))
-    bag_write.write(tmp_path / 'other', other.profiles, other.poses)
-    run = handeye('check', 'other', 'today', '--against', 'calibration.yaml', cwd=tmp_path)
+    bag_write.write(tmp_path / 'before', recording.profiles, [
+        replace(p, translation=p.translation + [0, 0, 2e-3]) for p in recording.poses])
+    run = handeye('check', 'before', 'today', '--against', 'calibration.yaml', cwd=tmp_path)
     assert run.returncode == 1 and 'since' not in run.stdout, run.stderr
