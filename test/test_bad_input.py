@@ -58,7 +58,7 @@ def stamps_since_boot(profiles, poses):
     ({'change': lambda profiles, poses: (profiles, ())}, 2,
      ('no topic /flange_pose', 'set pose_topic')),
     ({'change': stamps_since_boot}, 3, ('clocks',)),
-    ({'empty': True}, 3, ('no edge of a face in the profile', 'that the laser crosses the target')),
+    ({'empty': True}, 3, ('no edge of a face in the profile', 'the laser crosses the target')),
     ({'motion': 'one_orientation'}, 3, ('one orientation', 'tilt the tool'))])
 def test_recordings_without_an_answer_are_refused(tmp_path, solve, how, code, words):
     assert_refused(solve(bag_of(tmp_path / 'bag', **how)), code, *words)
