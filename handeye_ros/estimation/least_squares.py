@@ -266,7 +266,7 @@ def drop_outliers(used: NDArray[np.intp], total: int, fewest: int,
         wrong = [*outliers(squares, freedom, total, spare)] or [*surely_wrong(fit)][:spare]
         if not wrong:
             return fit
-        dropped |= {int(used[place]): float(squares[place]) for place in wrong}
+        dropped = {**dropped, **{int(used[place]): float(squares[place]) for place in wrong}}
         used = np.delete(used, wrong)
         fit = fitted(fit, used, dropped)
 

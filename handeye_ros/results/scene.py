@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+import math
 from typing import Any
 
 from handeye_ros import se3
@@ -88,7 +89,7 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
              np.array([T[:3, 3], (T @ X)[:3, 3]]))
     for stop in stops:
         plane = stop.points[np.isfinite(stop.points).all(axis=1)]
-        plane = plane[::-(-len(plane) // MOST_POINTS) or 1]
+        plane = plane[::max(1, math.ceil(len(plane) / MOST_POINTS))]
         name, color = (('laser line', LASER_COLOUR) if stop.used else
                        ('laser line, not used', UNUSED_COLOUR))
         draw('points', name, color, 2.0, se3.apply(stop.T_mount @ X, in_sensor(plane, config)))

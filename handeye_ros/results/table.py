@@ -7,7 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 import math
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 from handeye_ros import se3
 from handeye_ros.config import RECORD_PREFIX
@@ -27,11 +27,20 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+
+class ShownEstimate(NamedTuple):
+    """How the table shows the estimates whose keys match a pattern."""
+
+    keys: str
+    label: str  # '' is that of the key
+    words: str  # around the value
+    factor: float  # to the unit in the words
+    digits: int
+
+
 FOUND_MM = '{} mm (1 sigma, found and allowed for)'
 FOUND_DEGREES = '{} degrees (1 sigma, found and allowed for)'
-# How estimates are shown: a pattern of their keys, the label ('' is that of the key), the words
-# around the value, the factor to the unit in these, and the digits.
-ESTIMATES = (
+ESTIMATES = tuple(ShownEstimate(*columns) for columns in (
     ('(centre|point|radius|distance|size|setback).*', '', '{} mm', 1e3, 3),
     ('.*angle', '', '{} degrees', math.degrees(1), 4),
     ('normal.*|direction', '', '{}', 1.0, 6),
@@ -44,7 +53,7 @@ ESTIMATES = (
     ('distortion_error', 'sensor, bent field', FOUND_MM, 1e3, 4),
     ('line_bend', 'sensor, bent laser line', FOUND_MM, 1e3, 4),
     ('flatness_error', 'target, flatness', FOUND_MM, 1e3, 4),
-)
+))
 
 
 def table(calibration: Calibration) -> RenderableType:
@@ -149,7 +158,7 @@ def weakest(quality: Quality) -> str:
 def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the other estimates, of target, sensor and robot, in mm and degrees."""
     for key, value in target.items():
-        shown = next((row[1:] for row in ESTIMATES if re.fullmatch(row[0], key)), None)
+        shown = next((shown for shown in ESTIMATES if re.fullmatch(shown.keys, key)), None)
         name = f'target {key.replace("_", " ")}'
         if key == 'pose':
             T = se3.from_values(value)
@@ -160,12 +169,12 @@ def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         elif key.endswith('_std') or key == 'joint':
             continue
         elif shown:
-            (label, words, factor, digits), std = shown, target.get(f'{key}_std')
+            factor, digits, std = shown.factor, shown.digits, target.get(f'{key}_std')
             numbers = value.values() if isinstance(value, Mapping) else np.atleast_1d(value)
-            text = words.format(' '.join(f'{v * factor:.{digits}f}' for v in numbers))
+            text = shown.words.format(' '.join(f'{v * factor:.{digits}f}' for v in numbers))
             sigma = '' if std is None else (
                 f', 1 sigma {std * factor:.{digits}f}' if std else ', given')
-            yield label or name, text + sigma
+            yield shown.label or name, text + sigma
         else:
             yield name, str(value)
 
