@@ -113,7 +113,7 @@ def _described_target(solution: Solution, config: Config) -> dict[str, Any]:
 
 def _joint(solution: Solution) -> dict[str, Any]:
     """
-    Return the values for a later check: target state, joint covariance, variance factor.
+    Return the values for a later check: target state, joint covariance, factors of the noise.
 
     The covariance (6 + k, 6 + k) is of the errors of the transform and of the target's parameters
     as the data show them, so that errors in common cancel.
@@ -124,7 +124,7 @@ def _joint(solution: Solution) -> dict[str, Any]:
     u = posterior.unknowns
     covariance[np.ix_(free, free)] = posterior.covariance[:u, :u]
     return {'state': solution.estimate.state.tolist(), 'covariance': covariance.ravel().tolist(),
-            'variance_factor': posterior.variance_factor}
+            'variance_factors': solution.for_report.noise.variance_factors.tolist()}
 
 
 def edges_used(problem: Problem) -> list[str]:

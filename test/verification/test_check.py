@@ -14,7 +14,7 @@ from handeye_ros.data import Array, Calibration, Reject
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.simulate import simulate
-from handeye_ros.simulate.scenario import RobotModel, Scenario, SCENARIOS
+from handeye_ros.simulate.scenario import FAULTS, RobotModel, Scenario, SCENARIOS
 from handeye_ros.verification.check import check
 import numpy as np
 import pytest
@@ -161,6 +161,12 @@ def test_faces_seen_at_grazing_incidence_are_no_change(calibrated):
             check_result = check(checked_samples, calibration, config)
             assert check_result.verdict == 'unchanged', check_result.sentence
             assert check_result.left_out == [], check_result.sentence
+
+
+@pytest.mark.parametrize('fault', ['distorted 0.02 mm', 'wavy 10 um', 'plane, distorted 0.02 mm',
+                                   'wedge, line bent by 0.15 mm', 'bevelled 0.5 mm'])
+def test_faults_that_the_cell_had_before_are_no_change(fault):
+    assert bench.verdict_of_halves(FAULTS[fault], 1) == 'unchanged'
 
 
 def with_state(calibration, state):
