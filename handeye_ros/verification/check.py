@@ -238,7 +238,12 @@ class _Calibrated(NamedTuple):
 
     @classmethod
     def read(cls, calibration: Calibration, config: Config) -> _Calibrated:
-        """Return what a stored calibration says; raises InputError where its target is missing."""
+        """Return what a stored calibration says; raises InputError where it cannot be compared."""
+        if calibration.method != config.target.type and calibration.method in TARGETS:
+            raise InputError(
+                f'the calibration was made with a target of type {calibration.method}, but '
+                f'target.type is {config.target.type}: without --config and --set target.type, '
+                'its own settings apply')
         try:
             target, joint = TARGETS[calibration.method], calibration.target['joint']
             parameter_count = len(target.parameter_names)

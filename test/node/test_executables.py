@@ -66,6 +66,7 @@ def started(module: str, *arguments: object) -> AbstractContextManager[subproces
     *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
         ('replay', ['no/such/bag'], 'no/such/bag: no such file or folder'),
         ('main', ['--ros-args', '-p', 'output_dir:=/proc/x'], 'cannot write /proc/x (output_dir)'),
+        ('main', ['--ros-args', '-p', 'output_dir:=/proc'], 'cannot write /proc (output_dir)'),
         ('scan', ['none.yaml'], 'none.yaml cannot be used'),
         ('main', ['--ros-args', '-p', 'profile_topic:=my profile'], '"my profile" cannot '),
         ('main', ['--ros-args', '-p', 'target.size:=[1.0, 2]'], 'ROS does not start: '),

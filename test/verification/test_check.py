@@ -192,6 +192,7 @@ def test_what_cannot_be_checked_is_refused(calibrated):
             (eight[:3], sphere, DataError, '3 usable'), ([], sphere, DataError, '0 usable'),
             (eight, replace(sphere, T_flange_sensor=X @ FAR), DataError, 'is of this sensor'),
             (eight, replace(sphere, method='points'), InputError, 'points'),
+            (eight, calibrated['plate'].calibration, InputError, 'target of type plate'),
             (eight, replace(sphere, target={'centre': {}}), InputError, 'does not hold'),
             (eight, with_state(sphere, [1.0, 2.0]), InputError, 'does not hold')):
         with pytest.raises(error, match=words):
