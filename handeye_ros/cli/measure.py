@@ -77,14 +77,14 @@ def verify(
     --set verify.lengths=[200mm] --set verify.tolerance=0.3mm; docs/measure.md tells which of them
     a routine needs.
     """
-    from handeye_ros.output import html_file, write_atomically
+    from handeye_ros.output import require_html_name, write_atomically
     from handeye_ros.results.calibration_file import file_of
     from handeye_ros.verification import result_file
     from handeye_ros.verification.routines import routine_of, settings_for
     from handeye_ros.verification.stations import stations_of, stations_of_passes
     from handeye_ros.verification.verify import verify as verified
     if protocol:
-        html_file(protocol)
+        require_html_name(protocol)
     routine = routine_of(name)
     opened, settings = open_calibration(calibration, config, assignments, kinematics)
     settings = settings_for(routine, settings, len(bags))

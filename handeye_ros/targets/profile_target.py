@@ -140,7 +140,7 @@ class ProfileTarget(Target):
         """Return the number (m,) of the surface, or pair of surfaces, in its profile."""
         return observations.feature // self.face_count
 
-    def ambiguous(self, observations: Observations) -> bool:
+    def shows_several(self, observations: Observations) -> bool:
         """Return whether a station shows several surfaces or pairs of them."""
         return self.several_in_view and bool(self.pieces(observations).any())
 
@@ -190,7 +190,7 @@ class ProfileTarget(Target):
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:
         """Return the observations with one piece per station: the first of the near ones."""
-        if not self.ambiguous(observations):
+        if not self.shows_several(observations):
             return observations
         squares = self.conditions(p, observations.kind, state, config).g ** 2
         nearest = of_nearest_piece(observations, self.pieces(observations), squares)

@@ -40,7 +40,7 @@ from handeye_ros.estimation.blocks import LINE_BEND, line_bend, sensor_distortio
 from handeye_ros.estimation.noise import Noise, Whitening, whitening
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem, UNUSED
 from handeye_ros.estimation.target import Target
-from handeye_ros.frames import mount_frame, name_direction, target_frame
+from handeye_ros.frames import direction_in_words, mount_frame, target_frame
 from handeye_ros.sampling.stops import evenly
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.profile_target import GRAZING
@@ -450,7 +450,7 @@ def _smallest_shifts(prediction: _Prediction, name: str) -> tuple[list[float], l
 
 def _shifts_in_words(move: Move, frame: str) -> str:
     """Return in words from which size on shifts along the axes show, and which do not."""
-    along = [(size, name_direction(np.array(axis), frame))
+    along = [(size, direction_in_words(np.array(axis), frame))
              for size, axis in zip(move.shows, move.axes, strict=True)]
     unseen = ' or '.join(name for size, name in along if np.isnan(size))
     return ', '.join(f'{mm(size)} along {name}' for size, name in along if size < UNSEEN_SHIFT) + (
