@@ -29,7 +29,6 @@ from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.features import combined_features
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import decoded, Stop
-from handeye_ros.sampling.stream import interpolate
 import numpy as np
 from numpy.typing import NDArray
 
@@ -118,22 +117,24 @@ def _delay(pairs: Sequence[tuple[_Rest, _Rest]]) -> float:
 
 def _rests(session: Session, config: Config) -> list[_Rest]:
     """Return the rest of the profiles at each stop that has several, in the order of time."""
-    in_time = sorted(stops_to_explain(session), key=lambda stop: stop.stamp)
-    stops = [(stop, profiles, _changes(profiles)) for stop in in_time
-             if len(profiles := _compared_profiles(stop, config)) > 1]
+    stops = []
+    for unread in sorted(stops_to_explain(session), key=lambda stop: stop.stamp):
+        stop = unread.load(config)
+        if len(profiles := _compared_profiles(stop, config)) > 1:
+            stops.append((replace(stop, profiles=()), profiles, _changes(profiles)))
     if not stops:
         return []
     all_changes = np.concatenate([changes for _, _, changes in stops])
     largest_at_rest = max(
         SMALLEST_CHANGE, LARGEST_REST_RATIO * float(np.quantile(all_changes, STILL_SHARE)))
-    return [_rest(stop.load(config), profiles, changes > largest_at_rest, config)
+    return [_rest(stop, profiles, changes > largest_at_rest, config)
             for stop, profiles, changes in stops]
 
 
 def _compared_profiles(stop: Stop, config: Config) -> list[Profile]:
     """Return the profiles of a stop that are compared, each with the one before."""
     compared = list[Profile]()
-    for profile in decoded(stop.load(config).profiles, config):
+    for profile in decoded(stop.profiles, config):
         if not compared or profile.stamp - compared[-1].stamp >= COMPARED_LAG:
             compared.append(profile)
     return compared
@@ -168,7 +169,9 @@ def _rest(stop: Stop, profiles: Sequence[Profile], changed: NDArray[np.bool_], c
     # the profiles at both ends may be of a robot that was moving for a part of the exposure
     change_before, change_after = first > 0, last < len(profiles) - 1
     at_rest, sample = profiles[first + change_before:last + 1 - change_after], None
-    T_base_flange = se3.mean_pose(interpolate(stop.poses, [pose.stamp for pose in stop.poses]))
+    T_base_flange = se3.mean_pose(se3.from_quaternion(
+        np.array([pose.translation for pose in stop.poses]),
+        np.array([pose.quaternion for pose in stop.poses])))
     if len(at_rest) > 2:
         with suppress(FeatureError):
             used, features = combined_features(at_rest, config)

@@ -37,8 +37,6 @@ def with_possibly_wrong_station(solution: Solution) -> Solution:
     Stations dropped as wrong make another wrong one likelier.
     """
     problem, n, dropped = solution.problem, len(solution.used), len(solution.dropped_squares)
-    if problem.is_large:
-        return solution
     faded = min(1.0, 2 - n / problem.stations_for_noise)
     configured = posterior_at(problem, solution.estimate, Noise())
     explained, log_likelihood_ratio, added = _each_station_wrong(configured)
@@ -100,7 +98,8 @@ def budget(solution: Solution) -> list[BudgetTerm]:
     White noise of sensor and poses, and each block by its name, are the exact parts of C in (5) at
     the scales for the report: whitened noise of covariance V gives (C A')V(C A')', and the
     parameters of a block, with the prior information 1/tau^2, give C_xn C_nx / tau^2. Then what
-    (8), (10) and a corrected arm add to it. `best-fit transform` is what (9) changes: the rest.
+    (8), (10) and a corrected arm add to it. `best-fit transform` is the remainder, what (9)
+    changes. A part without a positive variance of mapped points is left out.
     """
     reported = solution.for_report
     parts = _parts_of_noise(reported)

@@ -83,7 +83,7 @@ class Solution:
         """
         u, C = self.posterior.unknowns, self.for_report.covariance
         reported = C[:u, :u].copy()
-        if self.for_report is self.posterior:
+        if self.posterior.noise.blocks_as_noise:
             return reported
         shift = self.shift_for_report
         reported[:6, :6] = cover(reported[:6, :6] + np.outer(shift, shift), self._best_fit)

@@ -24,16 +24,18 @@ A sweep differs from stops in these places, found by Sample.moving, sampling.mov
 PoseModel of the problem:
 
 - profiles: fewer points of a line or arc are kept (lines.py, arcs.py)
-- stops.py cuts it by time, into passes; features.py combines no profiles; passes_expanded (here)
-  takes a pass apart, with one trajectory for all
+- stops.py cuts it by time, into passes; features.py combines no profiles, and reads every eighth
+  with the other sign of the range too (FLIPPED_EVERY); passes_expanded (here) takes a pass apart,
+  with one trajectory for all
 - estimation: problem_with_clocks (here) adds the three unknowns; fewer profiles than stops are
   enough (Problem.stations_for_noise)
 - session.py: a pass is never a duplicate, nor taken early; guidance advises to sweep on
 - checks: other settings and clocks, and a scale of an answer that fits, are not tried (causes.py);
   with the other sign of the range or other poses the clocks are searched anew (hypotheses.py,
   conventions.py); a move must be larger than the smooth error of the robot (moved.py); edges may
-  scatter (refusals.py, require_edges); profiles dropped at one end tell of no move (moved.py);
-  a pass agrees if most of its profiles do (review.py)
+  scatter (refusals.py, require_edges); profiles dropped at one end tell of no move, and a small
+  move is compared with wrong times, tried at the reported noise alone, and with a 40th of the
+  profiles on either side of it (moved.py); a pass agrees if most of its profiles do (review.py)
 - verification: a gauge is measured in passes (stations.py); a sweep also checks a calibration
   (check.py)
 """
@@ -52,6 +54,7 @@ from handeye_ros.data import (
     Reject,
     ROTATION_LAG,
     Sample,
+    SEED,
     TIME_OFFSET,
 )
 from handeye_ros.errors import DataError
@@ -70,6 +73,7 @@ from handeye_ros.estimation.search import (
 from handeye_ros.sampling.stops import even_indices, evenly
 from handeye_ros.sampling.trajectory import Instants, joined, Trajectory
 from handeye_ros.targets import problem_of_known_poses
+from handeye_ros.targets.profile_target import out_of_face
 import numpy as np
 from numpy.typing import NDArray
 
@@ -156,10 +160,10 @@ def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
     if exposure:
         # a profile averages over the exposure, and shows a face only while the face is seen: an
         # end shifts by up to half the exposure times the velocity across it, always inwards
-        inwards = np.sign(linear.problem.target.feature_errors(linear))
+        outwards = np.sign(out_of_face(linear))[:, None]
         velocity = np.abs(linear.wrt_twists(linear.problem.pose_twists[:, :, :1]))
         std = exposure / 2
-        yield ParameterBlock('exposure', inwards * velocity * std, std)
+        yield ParameterBlock('exposure', outwards * velocity * std, std)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +196,7 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     clocked, problem = ClockedPoses(samples), problem_with_clocks(samples, config)
     # the clocks from some samples, and then from all
     start = _best_over_offsets(problem.subset(even_indices(len(samples), SEARCH_SAMPLES)),
-                               np.random.default_rng(0))
+                               np.random.default_rng(SEED))
     start_values = start.problem.pose_values
     # profiles in gaps between the poses would pull the offset
     in_time = np.flatnonzero(_flange_at(start_values, clocked, problem).inside)

@@ -122,6 +122,11 @@ class Wedge(ProfileTarget):
         turns = delta[..., 4:5] + ANGLE_SHARES * delta[..., 5:]
         return super().retract(state, np.concatenate([delta[..., :4], turns], axis=-1))
 
+    def measures(self, state: Array) -> dict[str, float]:
+        """Return the common turn of both faces, and the angle that it is half of to each (rad)."""
+        first, second = state[16:].tolist()
+        return {'turn': (first + second) / 2, 'angle': second - first}
+
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:
         """Return the observations with the best pair of lines per station, each on its face."""

@@ -3,15 +3,18 @@
 """Clocks that differ are named, with the time offset that mends them."""
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 import re
 
 from cells import Recorded, simulated
 from handeye_ros import pipeline
 from handeye_ros.checks.clocks import require_same_clock
+from handeye_ros.config import Config
 from handeye_ros.data import Calibration, NS, Profile
 from handeye_ros.errors import DataError
+from handeye_ros.sampling.stops import Stop
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS
 import numpy as np
 import pytest
@@ -66,6 +69,19 @@ def test_clocks_are_not_blamed_for_few_wrong_stops(scenario: Scenario, seed: int
     recording = simulated(scenario, seed)
     config = recording.config
     require_same_clock(pipeline.gather(recording.profiles, recording.poses, config), config)
+
+
+def test_to_compare_clocks_each_stored_stop_is_read_once() -> None:
+    recording, reads = at_20_hz('plate'), Counter[int]()
+    session = pipeline.gather(recording.profiles, recording.poses, recording.config)
+
+    def read(stop: Stop, _: Config) -> Stop:
+        reads[stop.stamp] += 1
+        return stop
+    for stop in session.stops:
+        session.add_stop(replace(stop, poses=(), profiles=(), reader=partial(read, stop)))
+    require_same_clock(session, recording.config)
+    assert reads == Counter(stop.stamp for stop in session.stops)
 
 
 @pytest.mark.filterwarnings('error')

@@ -15,7 +15,8 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, NS, TimedPose
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.problem import Estimate
+from handeye_ros.estimation.blocks import blocks_at
+from handeye_ros.estimation.problem import Estimate, linearise
 from handeye_ros.results.truth import errors_against
 from handeye_ros.sampling.stops import StopFinder
 from handeye_ros.sampling.stream import interpolate
@@ -279,6 +280,16 @@ def test_a_late_rotation_and_an_exposure_are_part_of_the_model() -> None:
     assert calibration.time_offset is not None and abs(calibration.time_offset.value - 0.02) < 2e-4
     lag, std = (calibration.target[key] for key in ('rotation_lag', 'rotation_lag_std'))
     assert abs(lag - 0.01) < 4 * std < 1e-3
+
+
+def test_an_exposure_is_allowed_for_whatever_the_set_back_of_faces() -> None:
+    scenario = sweep('plate', 0.02, exposure=2e-3)
+    recording = simulate(scenario, np.random.default_rng(4))
+    config = config_of(scenario, profile__exposure=2e-3, target__setback_std=0.0)
+    timed = with_estimated_clocks(
+        pipeline.gather(recording.profiles, recording.poses, config).samples, config)
+    blocks = blocks_at(linearise(timed.problem, timed.estimate))
+    assert 'exposure' in [block.name for block in blocks]
 
 
 @pytest.mark.thorough

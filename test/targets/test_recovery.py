@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 import re
 
-from cells import Cell, cell, exact_cell
+from cells import Cell, cell, exact_cell, solution_of
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
@@ -46,6 +46,16 @@ def test_the_truth_is_found(scene: str, values: dict[str, object], where: str, s
         assert target['face_angle'] == pytest.approx(np.pi / 2, abs=1e-6)
     if 'centre' in target:
         assert np.linalg.norm(vector(target['centre']) - T[:3, 3]) < 1e-6
+
+
+@pytest.mark.parametrize('name', TARGETS)
+def test_a_measure_changes_as_the_parameter_of_its_name(name: str) -> None:
+    target, state = TARGETS[name], solution_of(name).estimate.state
+    for k, parameter in enumerate(target.parameter_names):
+        step = 1e-3 * np.eye(len(target.parameter_names))[k]
+        before, after = map(target.measures, (state, target.retract(state, step)))
+        assert after == pytest.approx(before | ({parameter: before[parameter] + 1e-3}
+                                                if parameter in before else {}))
 
 
 def test_a_plane_of_which_yaw_leaves_the_position_open_is_refused() -> None:
