@@ -268,7 +268,11 @@ class TrackerConfig(Section):
 
 @dataclass(frozen=True)
 class NoiseConfig(Section):
-    """Prior noise, 1 sigma; the data correct it."""
+    """
+    Prior noise, 1 sigma; the data correct it.
+
+    robot_class sets robot_smooth where values are set by key (with_values); here it does not.
+    """
 
     sensor: float = setting(3e-5, 'Range noise of one profile point.', 1e-9, 0.01, 'm')
     distortion: float = setting(2e-5, "Smooth error of the sensor's field.", 0.0, 0.01, 'm')

@@ -399,7 +399,8 @@ class Quality:
     How good the answer is; metres.
 
     residual_rms: of all used observations
-    holdout_rms: of the same, each predicted from a fit without its station
+    holdout_rms: of the same, each predicted from a fit without its station; of many stations,
+        without it and some others
     weakest_direction: of the translation, in words
     weakest_std: its 1 sigma
     """

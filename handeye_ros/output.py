@@ -57,9 +57,12 @@ class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[mi
         return True
 
 
-for kind in (np.generic, np.ndarray):
-    _Dumper.add_multi_representer(kind, lambda dumper, value: dumper.represent_data(
-        value.tolist()))
+def _as_plain(dumper: Any, value: Any) -> Any:
+    return dumper.represent_data(value.tolist())
+
+
+_Dumper.add_multi_representer(np.generic, _as_plain)
+_Dumper.add_multi_representer(np.ndarray, _as_plain)
 # bytes of a path that are no UTF-8 are no Unicode, and become question marks
 _Dumper.add_representer(str, lambda dumper, value: dumper.represent_str(
     value.encode(errors='replace').decode()))

@@ -133,7 +133,11 @@ def calibrate_session(session: Session, config: Config) -> Calibration:
 
 
 def answer_session(session: Session, config: Config) -> Answer:
-    """Return the answer of a session; raises DataError when it holds no stops."""
+    """
+    Return the answer of a session; raises DataError when it holds no stops.
+
+    config: the one of the session, which made its samples.
+    """
     session.require_any_stop()
     return answer_samples(session.samples, session.rejects, session.with_base_frame(config),
                           session.frame_id, session)

@@ -28,7 +28,7 @@ import math
 
 from handeye_ros.checks.refusals import LARGEST_DROPPED_SHARE
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Sample
+from handeye_ros.data import Array, Sample, SEED
 from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import CONVINCING_SQUARE, quick_solution, robust_solution
@@ -166,7 +166,7 @@ def explain_problem(problem: Problem, stamps: Sequence[int], all_starts: bool = 
 
     all_starts: as in a solve, not only the first two.
     """
-    solution = (robust_solution(problem, np.random.default_rng(0), subsets=True)
+    solution = (robust_solution(problem, np.random.default_rng(SEED), subsets=True)
                 if all_starts else quick_solution(problem))
     return Explanation.of_solutions(stamps, solution) if solution else Explanation(stamps)
 

@@ -25,7 +25,7 @@ from handeye_ros.checks.hypotheses import (
     FALSE_CAUSE_PROBABILITY,
     Hypothesis,
 )
-from handeye_ros.data import Array, rms
+from handeye_ros.data import Array, rms, SEED
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.blocks import ParameterBlock, with_columns
 from handeye_ros.estimation.least_squares import chi2_isf, eigen
@@ -359,7 +359,7 @@ def _bayes_factors(posterior: Posterior, moments: NDArray[np.intp], random_order
     sums = (np.array([np.swapaxes(D[:, rows], 1, 2) @ D[:, rows] for rows in parts]),
             np.array([root @ (A[rows].T @ D[:, rows]) for rows in parts]),
             np.array([e[rows] @ D[:, rows] for rows in parts]))
-    rng, n = np.random.default_rng(0), len(parts)
+    rng, n = np.random.default_rng(SEED), len(parts)
     factors = []
     for order in (np.arange(n), *(rng.permutation(n) for _ in range(random_orders))):
         # over all parts after each moment

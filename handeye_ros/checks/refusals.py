@@ -80,7 +80,7 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
             refusal, advice = UnexplainedError, (
                 'check target.type, and that the laser crosses the target')
         raise refusal(
-            f'{count_of(len(samples), "usable sample")}{why}; target.type {target.name} needs at '
+            f'{count_of(len(samples), "usable sample")}{why}; the target {target.name} needs at '
             f'least {target.min_samples}: {advice}', reason='few')
 
 
@@ -90,8 +90,8 @@ def require_features(samples: Sequence[Sample], target: ProfileTarget) -> None:
         for missing in Counter(target.least_features) - Counter(map(type, sample.features)):
             raise DataError(
                 f'the sample with the stamp {sample.stamp} lacks a feature ({missing.noun}) that '
-                f'target.type {target.name} needs in every sample: gather the samples with this '
-                'target.type', reason='features')
+                f'the target {target.name} needs in every sample: gather the samples with this '
+                'target', reason='features')
 
 
 def require_rotations(poses: Array, frame: str, lost: str) -> None:

@@ -120,9 +120,9 @@ def _stops(bag: Path, calibration: 'Calibration', config: 'Config'
     recording = read_bag(bag, config)
     warn_of_frame(recording, calibration)
     session = collect_samples(recording, config)
-    _warn_of_calibration_samples(bag, [sample.stamp for sample in session.samples], calibration,
-                                 config)
-    return session.samples, session.rejects
+    samples = session.samples
+    _warn_of_calibration_samples(bag, [sample.stamp for sample in samples], calibration, config)
+    return samples, session.rejects
 
 
 def _warn_of_calibration_samples(bag: Path, stamps: 'Sequence[int]', calibration: 'Calibration',

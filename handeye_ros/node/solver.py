@@ -76,9 +76,9 @@ def review_of(session: Session, config: Config, view: Array, with_cause: bool) -
     a refusal is searched in the stops, which takes long: where somebody waits for the answer, or
     has one.
     """
-    answer = pipeline.answer_samples(session.samples, session.rejects, config, session.frame_id,
-                                     session if with_cause else None)
     in_order = sorted(session.samples, key=lambda sample: sample.stamp)
+    answer = pipeline.answer_samples(in_order, session.rejects, config, session.frame_id,
+                                     session if with_cause else None)
     failed = [stop.pose for stop in session.stops if stop.poses and not stop.sample]
     return Review(advise(in_order, config, answer, view, failed), answer,
                   agreements(session, answer, config),

@@ -197,7 +197,7 @@ def _require_room(end: FaceEnd) -> None:
             f'it {VIEW_MARGIN * 1e3:.0f} mm or more into the view)')
 
 
-LOST_BETWEEN = 4  # largest number of columns between neighbouring points of the plate
+LOST_BETWEEN = 4  # largest step between neighbouring points of the plate, in columns
 SLACK_SIGMAS = 6.0  # of the range difference between two neighbours on a surface
 FURTHER_COLUMNS = 80  # columns beyond a face that may still be its bent end or its wall
 

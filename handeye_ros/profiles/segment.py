@@ -19,7 +19,9 @@ from handeye_ros.profiles.ransac import dominant_line, NARROWEST_LINE
 import numpy as np
 
 MAX_LINES = 5
-FOREIGN_POINTS = 5  # largest number of other points between two of a line; more split it
+# largest step from one point of a line to its next, counted in points: a longer one splits it; and
+# most points off a line between its ends, of which more may be the middle of a bent face
+FOREIGN_POINTS = 5
 STRAY_GAP = 2  # an end point further than this from its neighbour is on the line by chance
 INLIER_SIGMAS = 4.0
 MOST_NOISE = 30.0  # times the configured noise: more is no surface

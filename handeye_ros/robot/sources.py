@@ -21,7 +21,7 @@ from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.refusals import require_certain, require_samples
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Calibration, Indices, NS, Sample
+from handeye_ros.data import Array, Calibration, Indices, NS, Sample, SEED
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.least_squares import adjust
 from handeye_ros.estimation.problem import Estimate, Problem
@@ -86,11 +86,12 @@ def source_of(session: Session, read: Recording, arm: Arm, config: Config,
     """
     config = replace(config, kinematics='', pose_source='topic', robot_base_frame=arm.base,
                      robot_effector_frame=arm.flange)
-    require_samples(session.samples, session.rejects, target_for(config))
-    require_enough(len(session.samples))
+    samples = sorted(session.samples, key=lambda sample: sample.stamp)
+    require_samples(samples, session.rejects, target_for(config))
+    require_enough(len(samples))
     assert read.joints is not None
     # as pipeline.answer_samples prepares them, none dropped
-    samples = with_common_edge_shape(sorted(session.samples, key=lambda sample: sample.stamp))
+    samples = with_common_edge_shape(samples)
     samples = with_estimated_clocks(samples, config).samples
     problem = problem_of_known_poses(samples, config)
     q = _joints_at(samples, read, read.joints)
@@ -122,7 +123,7 @@ def fit_of_sources(sources: Sequence[Source], arm: Arm) -> ArmFit:
         config = source.problem.config
         noise = replace(config.noise, robot_smooth=UNCORRECTED_STD)
         agreed = robust_solution(replace(source.problem, config=replace(config, noise=noise)),
-                                 np.random.default_rng(0), subsets=True)
+                                 np.random.default_rng(SEED), subsets=True)
         # the arm's errors and a smooth one of their own stand for robot_smooth from here on
         without_smooth = replace(config, noise=replace(noise, robot_smooth=0.0))
         measured.append(ArmProfiles(source.q[agreed.used],
@@ -141,7 +142,7 @@ def _median_residual(source: Source, arm: Arm, joints: Array) -> float:
     """Return the median residual (m) of all stops with q multiplied by joints (joints, joints)."""
     q = source.q @ joints.T
     poses = mount_poses(arm.forward(q), source.problem.config)
-    agreed = robust_solution(replace(source.problem, poses=poses), np.random.default_rng(0))
+    agreed = robust_solution(replace(source.problem, poses=poses), np.random.default_rng(SEED))
     all_stops = ArmProfiles(q, agreed.full_problem)
     fit = ArmFit.of_arm(arm, [all_stops], agreed.estimate.X, [agreed.estimate.state], np.ones(1))
     return float(np.median(fit.distances))

@@ -41,7 +41,8 @@ from numpy.typing import NDArray
 
 LARGEST_DISAGREEMENT = 5e-4  # between profiles of a robot that stands still (m)
 SMALLEST_DISAGREEMENT = 1e-4  # the same for arcs, beyond their own scatter
-LEAST_SHOWING = 0.5  # smallest share of the profiles of a stop that show the target
+# smallest share of the profiles of a stop that show the target; more must show an edge or a bend
+LEAST_SHOWING = 0.5
 LEAST_AGREEING = 0.6  # of those that show it, smallest share that agree
 ALONG_WEIGHT = 0.1  # weight of a distance along a surface against one across, to match lines
 MOST_INDEPENDENT = 4  # profiles of one stop count as at most this many for an edge

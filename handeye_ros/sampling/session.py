@@ -283,16 +283,20 @@ class Session(Copyable):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return one sentence for each kind of message that was dropped."""
-        expired = [f'gave up {count_of(self._expired_stops, "stop")}, the oldest that waited for '
-                   'profiles'] if self._expired_stops else []
+        """
+        Return one sentence for each kind of message and stop that was dropped.
+
+        And for wrong numbers in samples.exclude, and a frame that is not as it seems.
+        """
+        sentences = [f'gave up {count_of(self._expired_stops, "stop")}, the oldest that waited '
+                     'for profiles'] if self._expired_stops else []
         numbers = [stop.number for stop in self._stops.values()]
         missing = [number for number in self.config.samples.exclude if number not in numbers]
         if missing and numbers:
-            expired.append(f'samples.exclude names no stop of these: {missing}')
+            sentences.append(f'samples.exclude names no stop of these: {missing}')
         out_of_plane = max((abs(float(across)) for across, *_ in self._centroids), default=0.0)
         return (*self._pose_stream.warnings, *self._profile_stream.warnings,
-                *self._profiles.warnings, *expired,
+                *self._profiles.warnings, *sentences,
                 *frame_notes(self._profile_stream.frame, out_of_plane, self.config))
 
     @property
@@ -368,7 +372,11 @@ class Session(Copyable):
 
     @property
     def samples(self) -> tuple[Sample, ...]:
-        """Return the samples without those of samples.exclude; of a pass one per profile."""
+        """
+        Return the samples without those of samples.exclude; of a pass one per profile.
+
+        Each time with a new trajectory, to which its splines are fitted when they are needed.
+        """
         return passes_expanded([stop.sample for stop in self.stops
                                if stop.sample and not self.excludes(stop)])
 
