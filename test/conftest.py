@@ -9,13 +9,11 @@ import os
 from pathlib import Path
 import signal
 import socket
-import sys
 from typing import Any
 
 from hypothesis import HealthCheck, settings
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent / 'support'))
 NOT_RUN = pytest.StashKey[str]()
 HIGHEST = 101  # the highest without conflict with Linux's own ports; people use low ones
 

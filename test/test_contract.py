@@ -15,7 +15,7 @@ import handeye_ros
 from handeye_ros import config as configs
 from handeye_ros.cli import command
 from handeye_ros.tabulated import FILE_TARGETS
-from handeye_ros.targets import TARGETS
+from handeye_ros.targets import SOLVED_FROM_FILES, TARGETS
 import pytest
 import typer.main
 import yaml
@@ -74,6 +74,7 @@ def test_keys_and_targets_are_those_listed() -> None:
     known = {parameter.key for parameter in configs.parameters()}
     assert set(names(keys)) == known
     assert set(names(targets)) == TARGETS.keys() | FILE_TARGETS.keys()
+    assert set(SOLVED_FROM_FILES) == FILE_TARGETS.keys()
 
 
 def test_the_reference_tells_every_key() -> None:

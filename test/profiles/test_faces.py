@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Face lines and edge points of drawn profiles."""
+"""Face lines and edge points of drawn profiles (faces.py, edges.py, segment.py, lines.py)."""
 from __future__ import annotations
 
 from typing import Any

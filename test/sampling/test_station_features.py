@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Faces and edges of the profiles of a station together, drawn ones and simulated ones."""
+"""Features of a stop (features.py): faces and edges of its profiles, drawn and simulated ones."""
 from __future__ import annotations
 
 from collections.abc import Callable
