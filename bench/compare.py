@@ -30,9 +30,9 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.errors import DataError
 from handeye_ros.published import cn105021139a, wu2017
 from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
-from handeye_ros.simulate.measured import laser_tracker
+from handeye_ros.simulate.tables import laser_tracker
 from handeye_ros.tabulated.pairs import PointPairs, PosePairs
-from handeye_ros.tabulated.tracker import Piece, sweep_from, TrackerSession
+from handeye_ros.tabulated.tracker import Piece, sweep_from, TrackerProblem
 import numpy as np
 from scipy.spatial.transform import Rotation
 import trials
@@ -70,7 +70,7 @@ def two_frames(seed: int) -> dict[str, np.ndarray]:
     exact = se3.apply(se3.inverse(T), base)
     camera = exact + 3e-5 * rng.normal(size=(10, 3))
     found = {'points': PointPairs(Config(), camera, base).estimate().X,
-             'Wu 2017, best of 210': wu2017.solve(camera, base).T_base_camera}
+             'Wu 2017, best of 210': wu2017.solve(camera, base)}
     return {name: trials.errors(X, T, exact) for name, X in found.items()}
 
 
@@ -142,7 +142,7 @@ def by_tracker(seed: int) -> dict[str, np.ndarray]:
     ball = np.mean(reflector.pop('ball'), axis=0)
     pieces = [Piece(0, kind, np.array(points))
               for kind, points in reflector.items()]
-    session = TrackerSession(config, [*pieces, *swept], ball, q30)
+    session = TrackerProblem(config, [*pieces, *swept], ball, q30)
     found = session.answer.T_flange_sensor
     x, z = np.meshgrid((-0.02, 0.0, 0.02), (0.16, 0.175, 0.19))
     field = np.column_stack([x.ravel(), np.zeros(x.size), z.ravel()])

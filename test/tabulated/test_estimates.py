@@ -11,9 +11,9 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.published import jing2020
-from handeye_ros.simulate.measured import BALL_RADIUS, laser_tracker, SimulatedFiles
+from handeye_ros.simulate.tables import BALL_RADIUS, laser_tracker, SimulatedFiles
 from handeye_ros.tabulated.pairs import PointPairs, PosePairs
-from handeye_ros.tabulated.tracker import Piece, sweep_from, SWEPT_PARTS, TrackerSession
+from handeye_ros.tabulated.tracker import Piece, sweep_from, SWEPT_PARTS, TrackerProblem
 from handeye_ros.tabulated.values import answer_table, TableAnswer
 import numpy as np
 import pytest
@@ -123,7 +123,7 @@ def tracked(measured: jing2020.Readings) -> TableAnswer:
     pieces = [Piece(row, part, point[None])
               for part, points in measured.parts.items() if part != 'ball'
               for row, point in enumerate(points)]
-    return answer_table(TrackerSession(config, pieces, measured.parts['ball'][0], measured.q30))
+    return answer_table(TrackerProblem(config, pieces, measured.parts['ball'][0], measured.q30))
 
 
 def test_the_tracker_without_noise_finds_the_truth() -> None:
