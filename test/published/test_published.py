@@ -14,6 +14,7 @@ from handeye_ros.data import Array
 from handeye_ros.errors import SingularError, TooFewError
 from handeye_ros.published import chen2023, jing2020, wu2017, zheng2018
 from handeye_ros.published import cn105021139a as patent
+from handeye_ros.simulate.tables import points_in_two_frames
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -46,8 +47,7 @@ def pairs(seed: int, noise: float = 0.0) -> tuple[Array, Array, Array]:
     """Return T_camera_base and ten points in camera and base (metres)."""
     rng = np.random.default_rng(seed)
     T = se3.transform(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-1, 1, 3))
-    base = rng.uniform(-0.15, 0.15, (10, 3)) + [0.6, 0.1, 0.3]
-    return T, se3.apply(T, base) + noise * rng.normal(size=(10, 3)), base
+    return T, *points_in_two_frames(rng, se3.inverse(T), noise)
 
 
 def test_wu_takes_the_best_of_all_210_quadruples() -> None:
