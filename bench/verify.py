@@ -44,7 +44,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate import FAULTS, settings, simulate
 from handeye_ros.simulate import robot as robots
-from handeye_ros.simulate.measuring import draw_pose, Gauge, Messages, rendered, scan_gauge
+from handeye_ros.simulate.artefacts import draw_pose, Gauge, Messages, rendered, scan_gauge
 from handeye_ros.simulate.robot import pose_error
 from handeye_ros.simulate.scenario import (
     PlateTarget,

@@ -16,11 +16,11 @@ from calibrations import CALIBRATION
 from command import assert_refused, handeye, PATIENCE, ROOT
 from handeye_ros.batch import (
     CRASH_EXIT_CODE,
+    earlier_row,
     Job,
     jobs_of,
     results_of,
     run,
-    unchanged,
     write_table,
 )
 from handeye_ros.errors import InputError
@@ -72,7 +72,7 @@ def test_each_job_costs_itself_and_is_computed_once(tmp_path):
     assert rows['good5']['std_x'] == CALIBRATION.covariance[0, 0] ** 0.5
     assert rows['good5']['residual_rms'] == CALIBRATION.quality.residual_rms
     (tmp_path / 'good3.mcap').write_text('laser 3.0')
-    computed_again = {job.label for job in jobs if unchanged(job, out) is None}
+    computed_again = {job.label for job in jobs if earlier_row(job, out) is None}
     assert computed_again == {'good3', 'killing', 'crashing'}
     write_table([*rows.values()], out)
     with (out / 'results.csv').open() as stream:
@@ -187,15 +187,15 @@ def test_only_an_unchanged_whole_result_is_not_computed_again(tmp_path):
     completed = handeye('batch', 'a.mcap', '--out', 'out', '--scheduler', 'tcp://127.0.0.1:9',
                         cwd=tmp_path)  # that does not exist, and is not asked
     assert completed.returncode == 0 and '0 computed' in completed.stdout, completed
-    assert unchanged(job, out)['x'] == 1.0
-    assert unchanged(replace(job, words=('--set=a=1',)), out) is None
+    assert earlier_row(job, out)['x'] == 1.0
+    assert earlier_row(replace(job, words=('--set=a=1',)), out) is None
     arm = replace(job, words=(f'--set=kinematics={tmp_path / "arm.yaml"}',))
     (tmp_path / 'arm.yaml').write_text('1')
     run(arm, out, lambda words: 0)
-    assert unchanged(arm, out)
+    assert earlier_row(arm, out)
     (tmp_path / 'arm.yaml').write_text('another')
-    assert unchanged(arm, out) is None
+    assert earlier_row(arm, out) is None
     (tmp_path / 'a.mcap').write_text('crash')
-    assert run(job, out, pretended)['exit_code'] == 70 and unchanged(job, out) is None
+    assert run(job, out, pretended)['exit_code'] == 70 and earlier_row(job, out) is None
     (out / 'a/job.json').write_text('{"state": ')  # a client that was killed
-    assert unchanged(job, out) is None
+    assert earlier_row(job, out) is None

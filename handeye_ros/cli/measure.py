@@ -216,9 +216,9 @@ def scan(
         '--std', help='Add the 1 sigma of each point (m): calibration, sensor, robot.')] = False,
 ) -> None:
     """Put profiles into the base frame, as a cloud of points."""
-    from handeye_ros.scanning.cloud import require_format, write_cloud
+    from handeye_ros.scanning.cloud import require_suffix, write_cloud
     from handeye_ros.scanning.scan import Scanner, ScanOptions
-    require_format(out)
+    require_suffix(out)
     sensor, settings = open_calibration(calibration, config, assignments, kinematics)
     scanner = Scanner(sensor, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
     count = scanner.count

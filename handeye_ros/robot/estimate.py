@@ -9,7 +9,7 @@ the axes of the sensor; s is the measured point, c the position of the target. S
 one at several positions, have sensor and arm in common; the errors of the arm act through the
 twists of the flange.
 
-Estimate and reported covariance follow docs/estimator.md: the data determine the scale of each
+Estimate and reported covariance follow docs/estimator.md: the data determine the variance of each
 kind of error, its most likely value for the estimate and a conservative one for the covariance.
 """
 from __future__ import annotations
@@ -39,12 +39,12 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 SMOOTH_ERROR_STD = 2e-4  # prior 1 sigma of the remaining error of the robot, each axis (m)
-MINIMUM = 12  # stops
-# iterations of prior scales and noise; relative change below which they end
+FEWEST_STOPS = 12
+# iterations of variances and noise; relative change below which they end
 MOST_ROUNDS, CONVERGED_CHANGE = 6, 0.02
 POOLED_FREEDOM = 4.0  # degrees of freedom by which the noise of all axes counts for each axis
 LEAST_NOISE = 1e-6  # rounding of the values (m)
-LARGEST_SCALE = 1e3  # largest prior scale
+LARGEST_VARIANCE = 1e3  # of a kind of error, relative to its prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,7 +265,7 @@ class ArmFit:
         return self.system.least_squares(self, iterations=20, converged=1e-4)
 
 
-def noise_and_scales(fit: ArmFit, conservative: bool = False) -> tuple[Array, Array]:
+def noise_and_variances(fit: ArmFit, conservative: bool = False) -> tuple[Array, Array]:
     """
     Return noise (axes,) and variances (g,) of ArmFit as the residuals of a fit show them.
 
@@ -280,7 +280,7 @@ def noise_and_scales(fit: ArmFit, conservative: bool = False) -> tuple[Array, Ar
         counts = np.bincount(fit.kind_numbers).tolist()
         variances = prior_variances(
             covariance / np.outer(stated, stated), fit.errors[order] / stated, counts,
-            variances, np.full(len(variances), LARGEST_SCALE))[int(conservative)]
+            variances, np.full(len(variances), LARGEST_VARIANCE))[int(conservative)]
     (r, J), axis = fit.linear, fit.rows % len(fit.noise)
     redundancy = 1 - np.einsum('mi,mi->m', J @ fit.covariance, J)
     freedom, squares = np.bincount(axis, redundancy), np.bincount(axis, (r * fit.noise[axis]) ** 2)
@@ -292,10 +292,10 @@ def noise_and_scales(fit: ArmFit, conservative: bool = False) -> tuple[Array, Ar
 
 def with_estimated_weights(fit: ArmFit, conservative: bool = False, rounds: int = MOST_ROUNDS
                            ) -> ArmFit:
-    """Return a fit with noise and scales of the priors as it shows them; see noise_and_scales."""
+    """Return a fit with noise and variances as it shows them; see noise_and_variances."""
     for _ in range(rounds):
         before = np.append(fit.noise, fit.variances)
-        noise, variances = noise_and_scales(fit, conservative)
+        noise, variances = noise_and_variances(fit, conservative)
         fit = replace(fit, noise=noise, variances=variances).solved()
         if np.abs(np.log(np.append(noise, variances) / before)).max() < CONVERGED_CHANGE:
             break
@@ -314,7 +314,7 @@ def without_bad_stops(fit: ArmFit) -> ArmFit:
         (r, J), freedom = fit.linear, np.bincount(item)
         left_out = leave_one_out(r, J, fit.covariance, item)
         return np.bincount(item, r * left_out) / freedom, freedom
-    return drop_outliers(stops[fit.used], len(stops), MINIMUM, fitted_to, left_out_squares)
+    return drop_outliers(stops[fit.used], len(stops), FEWEST_STOPS, fitted_to, left_out_squares)
 
 
 def with_arm(fit: ArmFit, arm: Arm) -> ArmFit:
@@ -329,7 +329,7 @@ def arm_covariance(fit: ArmFit, chosen: ArmFit) -> tuple[Array, float]:
 
     And the RMS per axis (m) of the smooth remaining error of the robot, which neighbouring stops
     have in common. Both come from fit, which has all kinds of errors of the arm, with conservative
-    prior scales and the smooth error; the covariance includes how far X and the errors of the arm
+    variances and the smooth error; the covariance includes how far X and the errors of the arm
     are from those of the chosen fit there.
     """
     wide = with_estimated_weights(fit, conservative=True)
@@ -339,7 +339,7 @@ def arm_covariance(fit: ArmFit, chosen: ArmFit) -> tuple[Array, float]:
                    variances=np.append(arm_variances, 1.0))
     for _ in range(2):  # iterations of the noise beside a smooth error
         wide = replace(wide, noise=noise).solved()
-        noise, variances = noise_and_scales(wide, conservative=True)
+        noise, variances = noise_and_variances(wide, conservative=True)
     wide = replace(wide, variances=np.append(arm_variances, variances[-1]))
     in_chosen = chosen.arm.free[wide.arm.free]
     rows = np.append(np.arange(6), 6 + np.flatnonzero(in_chosen))
