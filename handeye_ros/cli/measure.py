@@ -17,9 +17,9 @@ from handeye_ros.cli.common import (
     KinematicsFile,
     Length,
     MeasureConfig,
-    NoPath,
     one_of,
     open_calibration,
+    OptionalPath,
     OutFile,
     progress_bar,
     read_bag,
@@ -65,7 +65,7 @@ def verify(
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
     out: OutFile = None,
-    protocol: Annotated[NoPath, File(help=(
+    protocol: Annotated[OptionalPath, File(help=(
         'Write a protocol for the file of an inspector (HTML; print it to PDF).'))] = None,
 ) -> None:
     """
@@ -177,10 +177,10 @@ def check(
 def trend(
     folder: Annotated[Path, typer.Argument(
         metavar='DIR', help='All calibration.yaml below this folder are compared.')],
-    against: Annotated[NoPath, File(
+    against: Annotated[OptionalPath, File(
         help='The calibration.yaml, or its folder, with which each of them is compared; default: '
         'the oldest of them.')] = None,
-    csv: Annotated[NoPath, File(help='Write the calibrations as CSV.')] = None,
+    csv: Annotated[OptionalPath, File(help='Write the calibrations as CSV.')] = None,
 ) -> None:
     """Show how the calibrations below a folder changed with time."""
     from handeye_ros import trend as trends
@@ -241,7 +241,7 @@ def seam(
         metavar='CLOUD_OR_BAG', help='A .ply or .pcd file, or a bag with --calibration.')],
     out: Annotated[Path, Folder(
         help='Where seam.csv and seam.yaml are written.')] = Path('out/seam'),
-    calibration: Annotated[NoPath, File(
+    calibration: Annotated[OptionalPath, File(
         help='The calibration.yaml that puts a bag into the base.')] = None,
     config: MeasureConfig = None,
     assignments: Assignments = [],

@@ -51,7 +51,7 @@ def plain_values(verification: Verification, inputs: Iterable[object] = (),
     del values['fit']
     return {'format': FORMAT, 'version': __version__, 'k': COVERAGE_FACTOR, **values,
             'scatter': asdict(fit.scatter), 'smallest_error': fit.error.detectable,
-            'weakest_direction': fit.error.weakest_direction, 'region': fit.region,
+            'weakest_direction': fit.error.weakest_direction, 'region': fit.squared_deviation,
             'freedom': fit.freedom, 'claim_p': fit.claim_p, 'inputs': list(map(str, inputs)),
             'calibration_file': input_values(calibration_file) if calibration_file else {},
             'created': datetime.now(UTC).isoformat(timespec='seconds')}
