@@ -251,8 +251,6 @@ class _Calibrated(NamedTuple):
             target, joint = TARGETS[calibration.method], calibration.target['joint']
             parameter_count = len(target.parameter_names)
             state = np.array(joint['state'], dtype=float)
-            if len(state) == 4:  # of a sphere, as version 0.1.0 wrote it: centre and radius
-                state = np.append(se3.transform(np.eye(3), state[:3]), state[3])
             state = state.reshape(16 + parameter_count - len(target.pose_axes))
             covariance = np.array(joint['covariance'], dtype=float).reshape(
                 2 * [6 + parameter_count])
