@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import math
 
 from handeye_ros import output
-from handeye_ros.config import VerifyConfig
-from handeye_ros.data import Calibration, Reject
+from handeye_ros.config import Config, VerifyConfig
+from handeye_ros.data import Calibration, Reject, Sample
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.least_squares import FALSE_ALARM
 from handeye_ros.frames import T_sensor_plane
@@ -31,6 +31,7 @@ from handeye_ros.verification.fit import (
     StationSet,
 )
 from handeye_ros.verification.routines import Routine
+from handeye_ros.verification.stations import stations_of
 import numpy as np
 
 SIGNIFICANCE = 0.01  # level of the tests of a calibration error
@@ -79,7 +80,8 @@ class Verification:
     reasons: sentences
     tolerance (m), angle_tolerance (rad): as configured
     stations: number of stops used, of a sweep of profiles
-    quantities: those of the fit, and the scatter of each face or ball
+    quantities: those of the fit, the scatter of each face or ball, and the error of the
+        calibration that the points suggest, as the largest displacement of one of them
     surface: the choice between several in sight
     says: what the routine measures, in words
     recorded: when (ISO 8601; empty: unknown)
@@ -134,7 +136,8 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
                 'that the calibration is of this sensor, which object was under it, that the '
                 'object did not move, that nothing else was in view (verify.near), and, of a '
                 'sweep, that the clocks are as they were (handeye check)')
-    quantities = (*fit.quantities, *routine.form_errors(shape.stations, fit.distances))
+    quantities = (*fit.quantities, *routine.form_errors(shape.stations, fit.distances), Quantity(
+        'likeliest error of the calibration', fit.error.largest, fit.error.largest_std))
     per_station = _station_results(stations, shape.stations, fit, p, dropped)
     verdict, reasons = _decide(fit, quantities, per_station, stated, smooth_std)
     return Verification(
@@ -142,6 +145,19 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
         len(np.unique(shape.stations.observations.station)), quantities, fit, per_station,
         stations.surface_note, routine.measures, output.time_of(int(stations.stamps.min())),
         stated.certificate, dict(config.record))
+
+
+def verify_stops(routine: Routine, recordings: Sequence[Sequence[Sample | Reject]],
+                 calibration: Calibration, config: Config) -> Verification:
+    """
+    Return the result of a routine by what the stops of each recording, a face or ball, gave.
+
+    config: the settings_for the routine. Raises as verify does.
+    """
+    samples = [[stop for stop in stops if isinstance(stop, Sample)] for stops in recordings]
+    rejects = [stop for stops in recordings for stop in stops if isinstance(stop, Reject)]
+    return verify(routine, stations_of(routine, samples, calibration, config), calibration,
+                  rejects)
 
 
 def _station_results(stations: StationSet, used: StationSet, fit: ShapeFit,
