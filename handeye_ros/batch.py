@@ -284,10 +284,10 @@ def _figures(content: Mapping[str, Any], prefix: str = '') -> JobRow:
 
 
 def outcome_of(row: JobRow) -> str:
-    """Return the result of a job in one word."""
+    """Return the result of a job in words: of one not as wanted, its verdict."""
     if row['exit_code'] == 0:
         return 'warning' if row.get('warnings') else 'pass'
-    return {1: 'failed or changed', 2: 'unusable', 3: 'refused'}.get(row['exit_code'], 'crashed')
+    return {1: row.get('verdict'), 2: 'unusable', 3: 'refused'}.get(row['exit_code']) or 'crashed'
 
 
 def write_table(rows: Sequence[JobRow], out: Path) -> None:

@@ -43,6 +43,9 @@ def pretended(words: list[str]) -> int:
     if text == 'misuse':
         print('Usage: handeye solve\n\nError: No such option: --x', file=sys.stderr)
         return 2
+    if text == 'doubt':
+        (out / 'verification.yaml').write_text('verdict: insensitive\n')
+        return 1
     if text == 'refuse':
         print('error: no target was seen within 3.1 mm', file=sys.stderr)
         return 3
@@ -57,14 +60,15 @@ def pretended(words: list[str]) -> int:
 def test_each_job_costs_itself_and_is_computed_once(tmp_path):
     texts = {f'good{k}': f'laser {k}e-3' for k in range(6)}
     texts |= {'killing': 'kill', 'crashing': 'crash', 'refused': 'refuse',
-              'misused': 'misuse'}
+              'misused': 'misuse', 'doubtful': 'doubt'}
     for name, text in texts.items():
         (tmp_path / f'{name}.mcap').write_text(text)
     out, jobs = tmp_path / 'out', jobs_of([str(tmp_path)], SOLVE)
     assert [job.label for job in jobs] == sorted(texts)
     rows = {row['label']: row for row in results_of(jobs, out, pretended)}
     assert {name: row['exit_code'] for name, row in rows.items() if row['exit_code']} == {
-        'killing': CRASH_EXIT_CODE, 'crashing': CRASH_EXIT_CODE, 'refused': 3, 'misused': 2}
+        'killing': CRASH_EXIT_CODE, 'crashing': CRASH_EXIT_CODE, 'refused': 3, 'misused': 2,
+        'doubtful': 1}
     assert rows['crashing']['cause'] == 'ZeroDivisionError: a fault'
     assert 'worker' in rows['killing']['cause'].lower()
     assert rows['misused']['cause'] == 'No such option: --x'
@@ -79,6 +83,7 @@ def test_each_job_costs_itself_and_is_computed_once(tmp_path):
         assert [row['label'] for row in csv.DictReader(stream)] == sorted(rows)
     page = (out / 'report.html').read_text()
     assert 'no target was seen within 3.1 mm' in page and 'good5/output.txt' in page
+    assert '<td>insensitive</td>' in page
 
 
 def test_links_to_recordings_are_followed(tmp_path):

@@ -82,7 +82,7 @@ class ArmProfiles:
                          linear.jacobian[:, problem.free_columns], linear.wrt_pose,
                          whitening(linear, BLOCKS_AS_NOISE))
 
-    def moved(self, target: Array, step: Array) -> Array:
+    def stepped(self, target: Array, step: Array) -> Array:
         """Return the state of the target after a step (k,)."""
         step = np.append(np.zeros(6), step)
         return self.problem.retracted(Estimate(np.eye(4), target), step).state
@@ -116,7 +116,7 @@ class ArmPoints:
         return Residuals(values.ravel(), np.repeat(np.arange(n), 3),
                          wrt_X_and_target.reshape(3 * n, -1), wrt_pose.reshape(3 * n, 6))
 
-    def moved(self, target: Array, step: Array) -> Array:
+    def stepped(self, target: Array, step: Array) -> Array:
         """Return the position of the target after a step (3,)."""
         return target + step
 
@@ -247,14 +247,14 @@ class ArmFit:
         """Return the least squares with these weights; all errors of the robot are one item."""
         item = np.append(self.station[self.rows], np.full(len(self.errors), len(self.q)))
         return System(lambda fit: Rows(fit.with_priors[0], lambda: fit.with_priors[1]),
-                      ArmFit.moved, item)
+                      ArmFit.stepped, item)
 
-    def moved(self, step: Array) -> ArmFit:
+    def stepped(self, step: Array) -> ArmFit:
         """Return the estimate after a step (u,)."""
         sizes = [6, len(self.arm.values), len(self.smooth),
                  *(residual.wrt_X_and_target.shape[1] - 6 for residual in self.residuals)]
         X_step, arm_step, smooth_step, *target_steps = np.split(step, np.cumsum(sizes)[:-1])
-        targets = tuple(data.moved(target, target_step) for data, target, target_step in zip(
+        targets = tuple(data.stepped(target, target_step) for data, target, target_step in zip(
             self.measured, self.targets, target_steps, strict=True))
         return replace(self, X=se3.perturb(self.X, X_step), targets=targets,
                        arm=replace(self.arm, values=self.arm.values + arm_step),
