@@ -28,11 +28,18 @@ from handeye_ros import se3
 from handeye_ros.compare import compare
 from handeye_ros.config import Config, with_values
 from handeye_ros.errors import DataError
+from handeye_ros.frames import mount_poses
 from handeye_ros.published import cn105021139a, wu2017
 from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
-from handeye_ros.simulate.measured import laser_tracker
+from handeye_ros.simulate.tables import (
+    CAMERA_STDS,
+    laser_tracker,
+    points_in_two_frames,
+    poses_of_target,
+    ROBOT_STDS,
+)
 from handeye_ros.tabulated.pairs import PointPairs, PosePairs
-from handeye_ros.tabulated.tracker import Piece, sweep_from, TrackerSession
+from handeye_ros.tabulated.tracker import Piece, sweep_from, TrackerProblem
 import numpy as np
 from scipy.spatial.transform import Rotation
 import trials
@@ -66,11 +73,10 @@ def two_frames(seed: int) -> dict[str, np.ndarray]:
     """Return the errors of ten points, 0.03 mm per axis; they are mapped themselves."""
     rng = np.random.default_rng(1000 + seed)
     T = se3.transform(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-1, 1, 3))
-    base = rng.uniform(-0.15, 0.15, (10, 3))
-    exact = se3.apply(se3.inverse(T), base)
-    camera = exact + 3e-5 * rng.normal(size=(10, 3))
+    camera, base = points_in_two_frames(rng, T, middle=(0.0, 0.0, 0.0))
     found = {'points': PointPairs(Config(), camera, base).estimate().X,
-             'Wu 2017, best of 210': wu2017.solve(camera, base).T_base_camera}
+             'Wu 2017, best of 210': wu2017.solve(camera, base)}
+    exact = se3.apply(se3.inverse(T), base)
     return {name: trials.errors(X, T, exact) for name, X in found.items()}
 
 
@@ -82,28 +88,16 @@ class Poses:
     on_base: the camera stands beside the robot, which carries the target.
     """
 
-    camera: tuple[float, float] = (1e-4, 1e-3)
-    robot: tuple[float, float] = (3e-5, 1e-4)
+    camera: tuple[float, float] = CAMERA_STDS
+    robot: tuple[float, float] = ROBOT_STDS
     count: int = 12
     tilts: tuple[float, float, float] = (30, 30, 60)
     on_base: bool = False
 
     def errors(self, seed: int) -> dict[str, np.ndarray]:
         """Return the errors of each; mapped: x and y within +-50 mm, range 200-300 mm."""
-        rng = np.random.default_rng(1000 + seed)
-        X = se3.transform(Rotation.random(random_state=rng).as_matrix(), 0.1 * rng.normal(size=3))
-        Z = se3.transform(Rotation.random(random_state=rng).as_matrix(),
-                          np.array([0.7, 0.1, 0.2]))
-        turns = rng.uniform(-np.array(self.tilts), self.tilts, (self.count, 3))
-        R = Rotation.from_euler('xyz', turns, degrees=True).as_matrix() @ np.diag([1.0, -1, -1])
-        place = rng.uniform([-0.05, -0.05, 0.2], [0.05, 0.05, 0.3], (self.count, 3))
-        views = se3.transform(R, place)
-        if self.on_base:
-            X, Z = Z, X
-        T = Z @ se3.inverse(views) @ se3.inverse(X)
-        T = se3.inverse(T) if self.on_base else T
-        T, views = (se3.perturb(of, rng.normal(size=(self.count, 6)) * np.repeat(sigma, 3))
-                    for of, sigma in ((T, self.robot), (views, self.camera)))
+        X, _, T, views = poses_of_target(np.random.default_rng(1000 + seed), self.robot,
+                                         self.camera, self.on_base, self.count, self.tilts)
         side = (-0.05, 0.0, 0.05)
         field = np.stack(np.meshgrid(side, side, (0.2, 0.25, 0.3)), axis=-1).reshape(-1, 3)
         return {name: trials.errors(found, X, field) if np.isfinite(found).all() else NO_ANSWER
@@ -111,9 +105,9 @@ class Poses:
 
     def answers(self, T: np.ndarray, views: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
         """Yield what each makes of the poses."""
-        T = se3.inverse(T) if self.on_base else T
         config = with_values(Config(), {
             'calibration_type': 'eye_on_base' if self.on_base else 'eye_in_hand'}, 'cell')
+        T = mount_poses(T, config)
         poses = PosePairs(config, views, T)
         yield 'A X = X B', poses.estimate().X
         (camera, camera_turn), (robot, robot_turn) = np.square([self.camera, self.robot])
@@ -142,7 +136,7 @@ def by_tracker(seed: int) -> dict[str, np.ndarray]:
     ball = np.mean(reflector.pop('ball'), axis=0)
     pieces = [Piece(0, kind, np.array(points))
               for kind, points in reflector.items()]
-    session = TrackerSession(config, [*pieces, *swept], ball, q30)
+    session = TrackerProblem(config, [*pieces, *swept], ball, q30)
     found = session.answer.T_flange_sensor
     x, z = np.meshgrid((-0.02, 0.0, 0.02), (0.16, 0.175, 0.19))
     field = np.column_stack([x.ravel(), np.zeros(x.size), z.ravel()])

@@ -83,7 +83,6 @@ class World:
     T_base_target: np.ndarray
     samples: list[Sample] = field(default_factory=list)
     last: Solution | None = None
-    solution: Solution | None = None  # by which a node judges crossings
     refused: list[np.ndarray] = field(default_factory=list)  # poses at which no sample was taken
     seen: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))  # by all profiles
 
@@ -312,8 +311,7 @@ def followed(cell: World, away: float, stations: int) -> Followed:
     """
     why, enough = list[str](), 0
     for _ in range(stations):
-        cell.solution = solved(cell)
-        advice = advise(cell.samples, cell.config, answer_of(cell, cell.solution), cell.seen,
+        advice = advise(cell.samples, cell.config, answer_of(cell, solved(cell)), cell.seen,
                         cell.refused)
         if advice.enough:
             enough = len(cell.samples)

@@ -26,7 +26,7 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mount_poses
 from handeye_ros.robot.estimate import ArmFit, ArmPoints, with_estimated_weights
-from handeye_ros.robot.selection import ArmOutcome, selected_model
+from handeye_ros.robot.selection import ArmOutcome, corrected_arm
 from handeye_ros.robot.sources import fit_of_sources, PointRows, solve_rows, Source
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import recording as cells
@@ -35,6 +35,7 @@ from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.targets import target_for
 import numpy as np
 from scipy.stats import chi2
+import trials
 
 NOISE, HELD_OUT, LIMIT = 3e-5, 22, 1e-3
 # xyz of each joint's origin in the joint before, its axis, and its limits (rad)
@@ -187,8 +188,7 @@ def judged(cell: Cell, case: Case, outcome: ArmOutcome, held: PointRows) -> tupl
     """Return before and after (mm), NEES over 6, and the share of parameters within 2 sigma."""
     before, after = (rms(predicted(m.fit, held) - held.points)
                      for m in (outcome.models[0], outcome.chosen))
-    away = se3.difference(outcome.chosen.fit.X, cell.X)
-    nees = float(away @ np.linalg.solve(outcome.covariance, away)) / 6
+    nees = trials.nees(outcome.chosen.fit.X, outcome.covariance, cell.X) / 6
     arm = outcome.arm
     off = np.abs(arm.errors - cell.arm.errors)[arm.free]
     inside = off < 2 * np.maximum(np.sqrt(np.diag(arm.covariance)), 1e-12)
@@ -239,12 +239,11 @@ def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
     start = fit_of_sources(sources, arm_of(robot.URDF))
     used = np.concatenate([np.arange(len(one.q)) < 0.75 * len(one.q) for one in start.measured])
     fit = with_estimated_weights(replace(start, used=used))
-    outcome = selected_model(fit, start.q[used], LIMIT, lambda joints: fit.residual_rms)
+    outcome = corrected_arm(fit, start.q[used], LIMIT, lambda joints: fit.residual_rms)
     before, after = (float(np.sqrt((m.fit.distances[~used] ** 2).mean())) * 1e3
                      for m in (outcome.models[0], outcome.chosen))
-    away = se3.difference(outcome.chosen.fit.X, cell.arm.flange @ cell.T_mount_sensor)
-    nees = float(away @ np.linalg.solve(outcome.covariance, away)) / 6
-    return before, after, nees
+    return before, after, trials.nees(outcome.chosen.fit.X, outcome.covariance,
+                                      cell.arm.flange @ cell.T_mount_sensor) / 6
 
 
 def main() -> None:

@@ -46,7 +46,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.errors import HandeyeError
 from handeye_ros.results.truth import errors_against
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings, simulate, simulate_samples
-from handeye_ros.simulate.scenario import changed, Sweep
+from handeye_ros.simulate.scenario import changed, Sweep, swept
 import numpy as np
 from scipy.stats import chi2
 import trials
@@ -73,14 +73,13 @@ class Outcome:
     refusal: str = ''
 
 
-def swept(target: str, offset: float = 0.02, knot: float = 1.6, rate: float = 250.0,
-          **sweep: object) -> Scenario:
+def sweep_of(target: str, offset: float = 0.02, knot: float = 1.6, rate: float = 250.0,
+             **sweep: object) -> Scenario:
     """Return a sweep over a target; sweep: values of scenario.Sweep."""
     base, knots = SCENARIOS[target], round(DURATION / knot) + 1
     second = knots // 2 * (base.scene == 'plate')
-    return changed(base, target, stations=(knots - second, second),
-                   tilt=min(math.radians(24), base.tilt), robot={'rate': rate},
-                   sensor={'columns': 640, 'rate': 50.0, 'delay': -offset},
+    scenario = swept(base, target, poses=rate, delay=-offset, rim_bias=base.sensor.rim_bias)
+    return replace(scenario, stations=(knots - second, second),
                    sweep=Sweep(knot, **sweep))  # type: ignore[arg-type]
 
 
@@ -88,23 +87,23 @@ def sweeps() -> Iterator[tuple[str, Scenario]]:
     """Yield the rows of robots that move."""
     for target in ('plate', 'sphere', 'line', 'plane', 'wedge'):
         for ms in (0, 20, -35, 150):
-            yield f'{target}, {ms} ms', swept(target, ms * 1e-3)
-        yield f'{target}, fast', swept(target, knot=0.9)
-        yield f'{target}, slow', swept(target, knot=4.0)
+            yield f'{target}, {ms} ms', sweep_of(target, ms * 1e-3)
+        yield f'{target}, fast', sweep_of(target, knot=0.9)
+        yield f'{target}, slow', sweep_of(target, knot=4.0)
         yield f'{target}, robot smooth 0.1 mm', changed(
-            swept(target), target, robot={'systematic': (1e-4, 3e-4)})
-        yield f'{target}, no rotation', replace(swept(target), motion='one_orientation')
+            sweep_of(target), target, robot={'systematic': (1e-4, 3e-4)})
+        yield f'{target}, no rotation', replace(sweep_of(target), motion='one_orientation')
     for target in ('plate', 'sphere'):
         for rate in (100, 30, 1000):
-            yield f'{target}, poses at {rate} Hz', swept(target, rate=float(rate))
-        yield f'{target}, drift 0.1 mm in 1 s', swept(target, drift=(1e-4, 3e-4))
-        yield f'{target}, stamps jitter by 0.5 ms', swept(target, stamp_jitter=5e-4)
-        yield f'{target}, poses jitter, 0.1 mm, gaps', swept(
+            yield f'{target}, poses at {rate} Hz', sweep_of(target, rate=float(rate))
+        yield f'{target}, drift 0.1 mm in 1 s', sweep_of(target, drift=(1e-4, 3e-4))
+        yield f'{target}, stamps jitter by 0.5 ms', sweep_of(target, stamp_jitter=5e-4)
+        yield f'{target}, poses jitter, 0.1 mm, gaps', sweep_of(
             target, pose_jitter=1e-3, resolution=1e-4, gaps=5)
-        yield f'{target}, exposure 2 ms', swept(target, exposure=2e-3)
-        yield f'{target}, rotation late by 10 ms', swept(target, rotation_lag=0.01)
+        yield f'{target}, exposure 2 ms', sweep_of(target, exposure=2e-3)
+        yield f'{target}, rotation late by 10 ms', sweep_of(target, rotation_lag=0.01)
         yield f'{target}, sensor on the base', replace(
-            swept(target), calibration_type='eye_on_base')
+            sweep_of(target), calibration_type='eye_on_base')
 
 
 def with_stations(scenario: Scenario, count: int) -> Scenario:

@@ -44,7 +44,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate import FAULTS, settings, simulate
 from handeye_ros.simulate import robot as robots
-from handeye_ros.simulate.measuring import draw_pose, Gauge, Messages, rendered, scan_gauge
+from handeye_ros.simulate.artefacts import draw_pose, Gauge, Messages, rendered, scan_gauge
 from handeye_ros.simulate.robot import pose_error
 from handeye_ros.simulate.scenario import (
     PlateTarget,
@@ -186,15 +186,6 @@ def step_block(rng: np.random.Generator, heights: tuple[float, ...] = (0.025, 0.
     return faces(rng, turn @ poses, heights, **values)
 
 
-def step_directions(rng: np.random.Generator, heights: tuple[float, ...] = (0.025, 0.05, 0.1),
-                    **values: Any) -> Artefact:
-    """Return a block laid along z, x and y of the base in turn: two faces each."""
-    poses, turns = _poses(6), _poses(6)
-    poses[1::2, 2, 3] = heights
-    turns[:, :3, :3] = Rotation.from_euler('zyx', np.repeat(LAID, 2, axis=0)).as_matrix()
-    return faces(rng, turns @ poses, heights, **values)
-
-
 def square(rng: np.random.Generator, **values: Any) -> Artefact:
     """Return two faces at a right angle."""
     poses = _poses(2)
@@ -315,7 +306,7 @@ def runs(routine: Routine, made: Artefact, found: tuple[Calibration, ...], aim: 
 def within(found: Verification) -> bool:
     if not found.fit.freedom:
         return found.fit.scatter.p > 0.05
-    return bool(found.fit.region <= chi2.ppf(0.95, found.fit.freedom))
+    return bool(found.fit.squared_deviation <= chi2.ppf(0.95, found.fit.freedom))
 
 
 def trial(name: str, seed: int, scenes: dict = SCENES) -> tuple[Verification, Verification]:

@@ -26,7 +26,7 @@ from handeye_ros.tables import Table
 from handeye_ros.trend import AXES
 
 JobRow: TypeAlias = dict[str, Any]
-Verb: TypeAlias = Callable[[list[str]], int]
+RunWords: TypeAlias = Callable[[list[str]], int]
 
 LIST_COLUMNS = {'bag', 'label', 'config', 'settings', 'args'}  # of a list
 JOB_FILE = 'job.json'  # in the folder of a job: what it was computed from, and its row
@@ -187,12 +187,12 @@ def client_of(scheduler: str) -> Iterator[Any]:
             yield client
 
 
-def results_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'local'
+def results_of(jobs: Sequence[Job], out: Path, run_words: RunWords, scheduler: str = 'local'
                ) -> Iterator[JobRow]:
     """
     Yield the row of each job: of the unchanged at once, of the others when they are done.
 
-    verb: runs the words of a command in a process, and returns its exit code; scheduler: its
+    run_words: runs the words of a command in a process, and returns its exit code; scheduler: its
     address, asked where there is something to compute. A worker that ends costs only its own
     job. Raises InputError, also for a folder that is there but holds no result.
     """
@@ -203,7 +203,7 @@ def results_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'loc
         if results := [parent for parent in folder.parents if (parent / JOB_FILE).is_file()]:
             raise InputError(f'{folder} would be inside the result {results[0]}, and be lost with '
                              'it: name another folder with --out')
-    earlier_rows = [unchanged(job, out) for job in jobs]
+    earlier_rows = [earlier_row(job, out) for job in jobs]
     yield from filter(None, earlier_rows)
     pending = [job for job, row in zip(jobs, earlier_rows, strict=True) if row is None]
     if not pending:
@@ -212,7 +212,7 @@ def results_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'loc
         from distributed import as_completed
         # an entry is given up with its result, as a future that is held keeps it in memory
         job_of_future = dict(zip(
-            workers.map(partial(run, out=out, verb=verb), pending, pure=False), pending,
+            workers.map(partial(run, out=out, run_words=run_words), pending, pure=False), pending,
             strict=True))
         for future, result in as_completed(job_of_future, with_results=True, raise_errors=False):
             job, error = job_of_future.pop(future), future.exception()
@@ -221,7 +221,7 @@ def results_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'loc
                 'cause': f'{type(error).__name__}: {error}', 'computed': True}
 
 
-def unchanged(job: Job, out: Path) -> JobRow | None:
+def earlier_row(job: Job, out: Path) -> JobRow | None:
     """Return the row of a job from its folder below out if it would be computed from the same."""
     try:
         previous = json.loads((out / job.label / JOB_FILE).read_text(encoding='utf-8'))
@@ -232,7 +232,7 @@ def unchanged(job: Job, out: Path) -> JobRow | None:
     return {**previous['row'], 'computed': False} if same else None
 
 
-def run(job: Job, out: Path, verb: Verb) -> JobRow:
+def run(job: Job, out: Path, run_words: RunWords) -> JobRow:
     """Return the row of a job after running it; its folder below out appears whole or not."""
     folder = out / job.label
     unfinished = folder.with_name(f'.{folder.name}.handeye-batch')
@@ -242,7 +242,7 @@ def run(job: Job, out: Path, verb: Verb) -> JobRow:
     printed, errors = io.StringIO(), io.StringIO()
     try:
         with redirect_stdout(printed), redirect_stderr(errors):
-            code = verb(job.command(unfinished))
+            code = run_words(job.command(unfinished))
     except Exception as error:  # noqa: BLE001 - costs this job alone
         code = CRASH_EXIT_CODE
         errors.write(f'error: {type(error).__name__}: {error}')
@@ -284,10 +284,10 @@ def _figures(content: Mapping[str, Any], prefix: str = '') -> JobRow:
 
 
 def outcome_of(row: JobRow) -> str:
-    """Return the result of a job in one word."""
+    """Return the result of a job in words: of one not as wanted, its verdict."""
     if row['exit_code'] == 0:
         return 'warning' if row.get('warnings') else 'pass'
-    return {1: 'failed or changed', 2: 'unusable', 3: 'refused'}.get(row['exit_code'], 'crashed')
+    return {1: row.get('verdict'), 2: 'unusable', 3: 'refused'}.get(row['exit_code']) or 'crashed'
 
 
 def write_table(rows: Sequence[JobRow], out: Path) -> None:

@@ -197,8 +197,8 @@ OTHERS: dict[str, tuple[Estimator, ...]] = {
         Estimator('fixed point, least squares',
                   lambda given: jing2020.fixed_point_least_squares(*_ball(given)))),
     'line': (Estimator('Zheng 2018', _zheng, refit=False),),
-    'points': (Estimator('Wu 2017, best of all quadruples', lambda given: wu2017.solve(
-        given.seen, given.robot).T_base_camera),),
+    'points': (Estimator('Wu 2017, best of all quadruples',
+                         lambda given: wu2017.solve(given.seen, given.robot)),),
     'hand_eye': (
         Estimator('closed form (Park and Martin 1994)', _park),
         Estimator('CN105021139A', lambda given: cn105021139a.solve_motions(

@@ -16,11 +16,11 @@ from calibrations import CALIBRATION
 from command import assert_refused, handeye, PATIENCE, ROOT
 from handeye_ros.batch import (
     CRASH_EXIT_CODE,
+    earlier_row,
     Job,
     jobs_of,
     results_of,
     run,
-    unchanged,
     write_table,
 )
 from handeye_ros.errors import InputError
@@ -43,6 +43,9 @@ def pretended(words: list[str]) -> int:
     if text == 'misuse':
         print('Usage: handeye solve\n\nError: No such option: --x', file=sys.stderr)
         return 2
+    if text == 'doubt':
+        (out / 'verification.yaml').write_text('verdict: insensitive\n')
+        return 1
     if text == 'refuse':
         print('error: no target was seen within 3.1 mm', file=sys.stderr)
         return 3
@@ -57,14 +60,15 @@ def pretended(words: list[str]) -> int:
 def test_each_job_costs_itself_and_is_computed_once(tmp_path):
     texts = {f'good{k}': f'laser {k}e-3' for k in range(6)}
     texts |= {'killing': 'kill', 'crashing': 'crash', 'refused': 'refuse',
-              'misused': 'misuse'}
+              'misused': 'misuse', 'doubtful': 'doubt'}
     for name, text in texts.items():
         (tmp_path / f'{name}.mcap').write_text(text)
     out, jobs = tmp_path / 'out', jobs_of([str(tmp_path)], SOLVE)
     assert [job.label for job in jobs] == sorted(texts)
     rows = {row['label']: row for row in results_of(jobs, out, pretended)}
     assert {name: row['exit_code'] for name, row in rows.items() if row['exit_code']} == {
-        'killing': CRASH_EXIT_CODE, 'crashing': CRASH_EXIT_CODE, 'refused': 3, 'misused': 2}
+        'killing': CRASH_EXIT_CODE, 'crashing': CRASH_EXIT_CODE, 'refused': 3, 'misused': 2,
+        'doubtful': 1}
     assert rows['crashing']['cause'] == 'ZeroDivisionError: a fault'
     assert 'worker' in rows['killing']['cause'].lower()
     assert rows['misused']['cause'] == 'No such option: --x'
@@ -72,13 +76,14 @@ def test_each_job_costs_itself_and_is_computed_once(tmp_path):
     assert rows['good5']['std_x'] == CALIBRATION.covariance[0, 0] ** 0.5
     assert rows['good5']['residual_rms'] == CALIBRATION.quality.residual_rms
     (tmp_path / 'good3.mcap').write_text('laser 3.0')
-    computed_again = {job.label for job in jobs if unchanged(job, out) is None}
+    computed_again = {job.label for job in jobs if earlier_row(job, out) is None}
     assert computed_again == {'good3', 'killing', 'crashing'}
     write_table([*rows.values()], out)
     with (out / 'results.csv').open() as stream:
         assert [row['label'] for row in csv.DictReader(stream)] == sorted(rows)
     page = (out / 'report.html').read_text()
     assert 'no target was seen within 3.1 mm' in page and 'good5/output.txt' in page
+    assert '<td>insensitive</td>' in page
 
 
 def test_links_to_recordings_are_followed(tmp_path):
@@ -187,15 +192,15 @@ def test_only_an_unchanged_whole_result_is_not_computed_again(tmp_path):
     completed = handeye('batch', 'a.mcap', '--out', 'out', '--scheduler', 'tcp://127.0.0.1:9',
                         cwd=tmp_path)  # that does not exist, and is not asked
     assert completed.returncode == 0 and '0 computed' in completed.stdout, completed
-    assert unchanged(job, out)['x'] == 1.0
-    assert unchanged(replace(job, words=('--set=a=1',)), out) is None
+    assert earlier_row(job, out)['x'] == 1.0
+    assert earlier_row(replace(job, words=('--set=a=1',)), out) is None
     arm = replace(job, words=(f'--set=kinematics={tmp_path / "arm.yaml"}',))
     (tmp_path / 'arm.yaml').write_text('1')
     run(arm, out, lambda words: 0)
-    assert unchanged(arm, out)
+    assert earlier_row(arm, out)
     (tmp_path / 'arm.yaml').write_text('another')
-    assert unchanged(arm, out) is None
+    assert earlier_row(arm, out) is None
     (tmp_path / 'a.mcap').write_text('crash')
-    assert run(job, out, pretended)['exit_code'] == 70 and unchanged(job, out) is None
+    assert run(job, out, pretended)['exit_code'] == 70 and earlier_row(job, out) is None
     (out / 'a/job.json').write_text('{"state": ')  # a client that was killed
-    assert unchanged(job, out) is None
+    assert earlier_row(job, out) is None

@@ -30,17 +30,17 @@ if TYPE_CHECKING:
     from handeye_ros.tabulated.values import TableProblem
 
 File, Folder, Length = (partial(typer.Option, metavar=name) for name in ('FILE', 'DIR', 'L'))
-NoPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
+OptionalPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
 Bag = Annotated[Path, typer.Argument(help='A rosbag2 folder, or an .mcap or .db3 file.')]
 Input = Annotated[Path, typer.Argument(metavar='INPUT', help=(
     'A bag: a rosbag2 folder, or an .mcap or .db3 file; for points and hand_eye a CSV '
     'file.'))]
-ConfigFile = Annotated[NoPath, typer.Option(
+ConfigFile = Annotated[OptionalPath, typer.Option(
     help='A ROS parameter file, such as config/plate.yaml; without it, the defaults.')]
 Assignments = Annotated[list[str], typer.Option(
     '--set', metavar='KEY=VALUE', help='Set a key of the configuration; may be repeated. Plain '
     'numbers are metres, radians and seconds; 20mm and 0.1deg are understood.')]
-KinematicsFile = Annotated[NoPath, File('--kinematics', help=(
+KinematicsFile = Annotated[OptionalPath, File('--kinematics', help=(
     'A kinematics.yaml, for a bag that holds joint values: the flange poses are those of its '
     'corrected arm.'))]
 Angles = Annotated[str, typer.Option(
@@ -48,9 +48,9 @@ Angles = Annotated[str, typer.Option(
     'abb-quaternion, ur-rotation-vector, staubli-rxryrz or yaskawa-rxryrz.')]
 CalibrationFile = Annotated[Path, File(
     '--calibration', help='The calibration.yaml of this sensor, or its folder.')]
-MeasureConfig = Annotated[NoPath, typer.Option(
+MeasureConfig = Annotated[OptionalPath, typer.Option(
     help='A ROS parameter file; without it, the settings that the calibration was made with.')]
-OutFile = Annotated[NoPath, File(help='Write the result as YAML too.')]
+OutFile = Annotated[OptionalPath, File(help='Write the result as YAML too.')]
 INTERRUPTED_EXIT_CODE = 130
 
 

@@ -1,7 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """The verbs that use a calibration: to measure, scan and find seams; and whether it holds."""
-from itertools import chain
 import math
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
@@ -17,9 +16,9 @@ from handeye_ros.cli.common import (
     KinematicsFile,
     Length,
     MeasureConfig,
-    NoPath,
     one_of,
     open_calibration,
+    OptionalPath,
     OutFile,
     progress_bar,
     read_bag,
@@ -60,12 +59,12 @@ def verify(
         metavar='ROUTINE', help='line, plane, point, sphere, ball_bar, step, square or tooth.')],
     bags: Annotated[list[Path], typer.Argument(metavar='BAG...', help=(
         'Recordings with stops, one of each face or ball, in their order.'))],
-    calibration: CalibrationFile,
+    calibration_file: CalibrationFile,
     config: MeasureConfig = None,
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
     out: OutFile = None,
-    protocol: Annotated[NoPath, File(help=(
+    protocol: Annotated[OptionalPath, File(help=(
         'Write a protocol for the file of an inspector (HTML; print it to PDF).'))] = None,
 ) -> None:
     """
@@ -81,20 +80,21 @@ def verify(
     from handeye_ros.results.calibration_file import file_of
     from handeye_ros.verification import result_file
     from handeye_ros.verification.routines import routine_of, settings_for
-    from handeye_ros.verification.stations import stations_of, stations_of_passes
-    from handeye_ros.verification.verify import verify as verified
+    from handeye_ros.verification.stations import stations_of_passes
+    from handeye_ros.verification.verify import verify as verify_stations
+    from handeye_ros.verification.verify import verify_stops
     if protocol:
         require_html_name(protocol)
     routine = routine_of(name)
-    opened, settings = open_calibration(calibration, config, assignments, kinematics)
+    calibration, settings = open_calibration(calibration_file, config, assignments, kinematics)
     settings = settings_for(routine, settings, len(bags))
     if routine.in_passes:
-        measured, rejects = stations_of_passes(_passes(bags, opened, settings), settings), ()
+        scanned = stations_of_passes(_passes(bags, calibration, settings), settings)
+        result = verify_stations(routine, scanned, calibration)
     else:
-        samples, rejects = zip(*(_stops(bag, opened, settings) for bag in bags), strict=True)
-        measured = stations_of(routine, samples, opened, settings)
-    result = verified(routine, measured, opened, list(chain(*rejects)))
-    content = result_file.plain_values(result, bags, file_of(calibration))
+        stops = [_stops(bag, calibration, settings) for bag in bags]
+        result = verify_stops(routine, stops, calibration, settings)
+    content = result_file.plain_values(result, bags, file_of(calibration_file))
     show(result_file.table(content))
     write_yaml(out, content)
     if protocol:
@@ -115,14 +115,14 @@ def _passes(bags: list[Path], calibration: 'Calibration', config: 'Config'
 
 
 def _stops(bag: Path, calibration: 'Calibration', config: 'Config'
-           ) -> 'tuple[Sequence[Sample], Sequence[Reject]]':
-    """Return the samples of a recording, and its stops without one; print warnings."""
+           ) -> 'list[Sample | Reject]':
+    """Return what the stops of a recording gave; print warnings."""
     recording = read_bag(bag, config)
     warn_of_frame(recording, calibration)
     session = collect_samples(recording, config)
     samples = session.samples
     _warn_of_calibration_samples(bag, [sample.stamp for sample in samples], calibration, config)
-    return samples, session.rejects
+    return [*samples, *session.rejects]
 
 
 def _warn_of_calibration_samples(bag: Path, stamps: 'Sequence[int]', calibration: 'Calibration',
@@ -177,10 +177,10 @@ def check(
 def trend(
     folder: Annotated[Path, typer.Argument(
         metavar='DIR', help='All calibration.yaml below this folder are compared.')],
-    against: Annotated[NoPath, File(
+    against: Annotated[OptionalPath, File(
         help='The calibration.yaml, or its folder, with which each of them is compared; default: '
         'the oldest of them.')] = None,
-    csv: Annotated[NoPath, File(help='Write the calibrations as CSV.')] = None,
+    csv: Annotated[OptionalPath, File(help='Write the calibrations as CSV.')] = None,
 ) -> None:
     """Show how the calibrations below a folder changed with time."""
     from handeye_ros import trend as trends
@@ -199,7 +199,7 @@ def trend(
 @app.command()
 def scan(
     bag: Bag,
-    calibration: CalibrationFile,
+    calibration_file: CalibrationFile,
     out: Annotated[Path, typer.Option(metavar='CLOUD', help='The file to write: .ply or .pcd.')],
     config: MeasureConfig = None,
     assignments: Assignments = [],
@@ -210,19 +210,19 @@ def scan(
         '--range', metavar='NEAR FAR', help='Keep points in this range of the sensor.')
     ] = ('-inf', 'inf'),
     incidence: Annotated[float, typer.Option(
-        min=0.0, max=90.0, help='Keep points that the laser meets at no '
-        'larger angle to the surface normal, as far as a profile shows it (degrees).')] = 90.0,
+        help='Keep points that the laser meets at no larger angle to the surface normal, as far '
+        'as a profile shows it (0 to 90 degrees).')] = 90.0,
     std: Annotated[bool, typer.Option(
         '--std', help='Add the 1 sigma of each point (m): calibration, sensor, robot.')] = False,
 ) -> None:
     """Put profiles into the base frame, as a cloud of points."""
-    from handeye_ros.scanning.cloud import require_format, write_cloud
+    from handeye_ros.scanning.cloud import require_suffix, write_cloud
     from handeye_ros.scanning.scan import Scanner, ScanOptions
-    require_format(out)
-    sensor, settings = open_calibration(calibration, config, assignments, kinematics)
-    scanner = Scanner(sensor, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
+    require_suffix(out)
+    calibration, settings = open_calibration(calibration_file, config, assignments, kinematics)
+    scanner = Scanner(calibration, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
     count = scanner.count
-    with stream_recording(bag, settings, 'reading the poses', sensor) as (
+    with stream_recording(bag, settings, 'reading the poses', calibration) as (
             recording, trajectory, update):
         def pieces() -> 'Iterator[Points]':
             for points in scanner.scan(recording.returns(), trajectory):
@@ -241,10 +241,11 @@ def seam(
         metavar='CLOUD_OR_BAG', help='A .ply or .pcd file, or a bag with --calibration.')],
     out: Annotated[Path, Folder(
         help='Where seam.csv and seam.yaml are written.')] = Path('out/seam'),
-    calibration: Annotated[NoPath, File(
-        help='The calibration.yaml that puts a bag into the base.')] = None,
+    calibration_file: Annotated[OptionalPath, File(
+        '--calibration', help='The calibration.yaml that puts a bag into the base.')] = None,
     config: MeasureConfig = None,
     assignments: Assignments = [],
+    kinematics: KinematicsFile = None,
     pitch: Annotated[str, Length(
         help='Distance between tool frames along the seam (5mm, or metres).')] = '5mm',
     box: Annotated[tuple[str, str, str, str, str, str], typer.Option(
@@ -274,7 +275,7 @@ def seam(
     widest_m = parse_length(widest, '--widest', 0.1, 1e-4)
     pitch_m = parse_length(pitch, '--pitch', 0.1, 1e-5)
     start_m = [parse_length(text, '--start', LARGEST_PLAIN, -1e3) for text in start if any(start)]
-    points, frame = _cloud(path, calibration, config, assignments)
+    points, frame = _cloud(path, calibration_file, config, assignments, kinematics)
     points = points[((points >= limits[::2]) & (points <= limits[1::2])).all(axis=1)]
     with progress_bar('looking for the seam'):
         result = find_seam(points, widest_m, towards, line, start_m or None)
@@ -290,8 +291,8 @@ def seam(
     typer.echo(f'wrote {out.absolute()}')
 
 
-def _cloud(path: Path, calibration: Path | None, config: Path | None, assignments: list[str]
-           ) -> tuple['Array', str]:
+def _cloud(path: Path, calibration_file: Path | None, config: Path | None,
+           assignments: list[str], kinematics: Path | None) -> tuple['Array', str]:
     """Return the points (n, 3) of a cloud or a bag (m), and the id of their frame."""
     from handeye_ros.errors import InputError
     from handeye_ros.scanning.cloud import CLOUD_SUFFIXES, read_cloud
@@ -299,11 +300,11 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
     import numpy as np
     if path.suffix.lower() in CLOUD_SUFFIXES:
         return read_cloud(path), 'base'
-    if calibration is None:
+    if calibration_file is None:
         raise InputError(f'{path} is no .ply or .pcd file; to use it as a bag, give the '
                          'calibration of its sensor: --calibration FILE')
-    sensor, settings = open_calibration(calibration, config, assignments)
-    scanner = Scanner(sensor, settings, ScanOptions(voxel=THINNING_SIZE))
-    with stream_recording(path, settings, 'scanning', sensor) as (recording, trajectory, _):
+    calibration, settings = open_calibration(calibration_file, config, assignments, kinematics)
+    scanner = Scanner(calibration, settings, ScanOptions(voxel=THINNING_SIZE))
+    with stream_recording(path, settings, 'scanning', calibration) as (recording, trajectory, _):
         rows = np.concatenate(list(scanner.scan(recording.returns(), trajectory)))
     return np.column_stack([rows[axis] for axis in 'xyz']).astype(float), scanner.frame

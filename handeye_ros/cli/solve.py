@@ -18,8 +18,8 @@ from handeye_ros.cli.common import (
     Folder,
     Input,
     KinematicsFile,
-    NoPath,
     open_input,
+    OptionalPath,
     OutFile,
     progress_bar,
     show,
@@ -38,7 +38,7 @@ def solve(
     assignments: Assignments = [],
     angles: Angles = '',
     kinematics: KinematicsFile = None,
-    out: Annotated[NoPath, Folder(
+    out: Annotated[OptionalPath, Folder(
         help='Where calibration.yaml is written; if not given, the folder NAME in output_dir, or '
         'in out.')] = None,
     budget: Annotated[bool, typer.Option(
@@ -136,10 +136,11 @@ def samples(
 def report(
     path: Annotated[Path, typer.Argument(metavar='RESULT', help=(
         'A calibration.yaml, or the folder that holds it, or the file of a verification.'))],
-    bag: Annotated[NoPath, typer.Option(
+    bag: Annotated[OptionalPath, typer.Option(
         metavar='BAG', help='The recording or session; if not given, the one that the calibration '
         'names.')] = None,
-    out: Annotated[NoPath, File(help='If not given, report.html beside the calibration.')] = None,
+    out: Annotated[OptionalPath, File(
+        help='If not given, report.html beside the calibration.')] = None,
 ) -> None:
     """Show a calibration or verification in one HTML file."""
     from handeye_ros.output import require_html_name, write_atomically
@@ -173,7 +174,7 @@ def export(
     name: Annotated[str, typer.Option(
         '--format', autocompletion=lambda: list(SAVE_FORMATS),
         help=f'One of {", ".join(SAVE_FORMATS)}.')],
-    out: Annotated[NoPath, File(help=(
+    out: Annotated[OptionalPath, File(help=(
         'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
 ) -> None:
     """Write a saved calibration for other programs."""

@@ -129,7 +129,7 @@ def batch(
                 progress(len(rows) / len(jobs))
         batches.write_table(rows, out)
     except KeyboardInterrupt:
-        done_count = sum(batches.unchanged(job, out) is not None for job in jobs)
+        done_count = sum(batches.earlier_row(job, out) is not None for job in jobs)
         typer.echo(f'{done_count} of {len(jobs)} done; run again to continue', err=True)
         raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
     counts = Counter(map(batches.outcome_of, rows)).items()
@@ -156,7 +156,7 @@ def replay(
 def _scenarios() -> list[str]:
     """Return the names of all that can be simulated."""
     from handeye_ros.simulate import FAULTS, FILE_SCENES, SCENARIOS
-    from handeye_ros.simulate.measuring import MEASURING_CELL
+    from handeye_ros.simulate.artefacts import MEASURING_CELL
     return [*SCENARIOS, *FILE_SCENES, *FAULTS, MEASURING_CELL]
 
 
@@ -199,9 +199,9 @@ def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> 
     from handeye_ros.results.truth import TRUTH_NAME
     from handeye_ros.scanning.cloud import write_cloud
     from handeye_ros.simulate import (
+        artefacts,
         FAULTS,
         FILE_SCENES,
-        measuring,
         SCENARIOS,
         simulate,
         Simulated,
@@ -212,15 +212,15 @@ def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> 
     truth: dict[str, Any] = {
         'made_by': f'handeye_ros {__version__}: handeye simulate {name} --seed {seed}',
         'scenario': name, 'seed': seed}
-    if name == measuring.MEASURING_CELL:
-        recordings, true_values = measuring.measuring_cell(rng)
+    if name == artefacts.MEASURING_CELL:
+        recordings, true_values = artefacts.measuring_cell(rng)
         truth |= true_values
 
         def write_recordings(new_folder: Path) -> None:
             new_folder.mkdir()
             for part, messages in recordings.items():
                 bag_write.write(new_folder / part, messages.profiles, messages.poses, truth=truth)
-            cloud = measuring.preform_cloud(measuring.Preform(), np.random.default_rng(seed))
+            cloud = artefacts.preform_cloud(artefacts.Preform(), np.random.default_rng(seed))
             rows = unstructured_to_structured(cloud.points,
                                               np.dtype([(axis, '<f4') for axis in 'xyz']))
             write_cloud(new_folder / PREFORM_FILE, [rows], 'frame base, metres')

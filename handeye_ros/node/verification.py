@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from handeye_ros.config import Config
 from handeye_ros.data import Calibration, Reject, Sample
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node.state import Attempt
@@ -22,27 +21,12 @@ from handeye_ros.results.table import sample_summary
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.verification.result_file import plain_values, sentence
 from handeye_ros.verification.routines import Routine, routine_of, settings_for
-from handeye_ros.verification.stations import stations_of
-from handeye_ros.verification.verify import Verification, verify
+from handeye_ros.verification.verify import Verification, verify_stops
 
 if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession
 
 VERIFYING = 'the calibration is verified'
-
-
-def verification_of(routine: Routine, parts: Sequence[Sequence[Sample | Reject]],
-                    calibration: Calibration, config: Config) -> Verification:
-    """
-    Return what a routine measures; parts: what the stops at each face or ball gave.
-
-    Raises InputError for settings that do not fit, DataError for too few samples.
-    """
-    config = settings_for(routine, config, len(parts))
-    samples = [[result for result in part if isinstance(result, Sample)] for part in parts]
-    rejects = [result for part in parts for result in part if isinstance(result, Reject)]
-    return verify(routine, stations_of(routine, samples, calibration, config), calibration,
-                  rejects)
 
 
 class LiveVerification:
@@ -137,9 +121,10 @@ class LiveVerification:
         live = self._live
         live.evaluate_all()
         file = live.config.verify.calibration or live.solver.saved
-        return live.run_job(VERIFYING, partial(self._accept, self._parts, file), verification_of,
+        return live.run_job(VERIFYING, partial(self._accept, self._parts, file), verify_stops,
                             self.routine, [[*part.values()] for part in self._parts],
-                            self._calibration(), live.config)
+                            self._calibration(),
+                            settings_for(self.routine, live.config, len(self._parts)))
 
     def _accept(self, parts: Sequence[object], file: str, result: Verification) -> str:
         """

@@ -1,8 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The published algorithms, one file per paper, as their authors wrote them, for comparison.
+The published algorithms, one file per paper, as their authors wrote them.
 
-They take plain arrays, know nothing of the rest of the package and refuse nothing that the
-papers do not refuse; where a print is wrong the docstring says so and what was done.
+Most are for `handeye compare`; but jing2020 is the estimator of the laser tracker, and its fixed
+point and spheres, and A X = X B of cn105021139a, are starts of others. They take plain arrays, and
+of the package know only transforms and errors. Beyond the papers they refuse too few data, and
+data that leave an unknown free; where a print is wrong the docstring says so and what was done.
 """

@@ -11,7 +11,8 @@ What is wrong in print, and what is done here:
 
 - eq. 5 sums over i what carries the index j: P_ci - T_gj P_wi is meant. The norms are summed,
   not their squares.
-- T is no rigid transform when there is noise; `T_camera_base` is the nearest one beside it.
+- T is no rigid transform when there is noise; the nearest rotation is taken, placed so that the
+  mean of all points agrees.
 - four points in one plane have no inverse (eq. 3); such quadruples are left out.
 - eq. 11 says a0 twice; the second is a1. Its plane z = a0 x + a1 y + a2 (eqs. 10 to 14), whose
   normal is o, cannot stand upright; `handeye seam` takes o from the faces of the seam.
@@ -20,7 +21,6 @@ What is wrong in print, and what is done here:
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
 
 from handeye_ros import se3
@@ -32,30 +32,9 @@ FLAT_SHARE = 1e-6
 """Four points are in one plane when |T_w| is below this many cubes of their spread."""
 
 
-@dataclass(frozen=True, eq=False)
-class Result:
+def solve(in_camera: Array, in_base: Array) -> Array:
     """
-    The best quadruple.
-
-    matrix: (4, 4) T_g of eq. 4, base to camera, as it came out
-    T_camera_base: (4, 4) with the nearest rotation, placed so that the mean of all points agrees
-    T_base_camera: its inverse, the eye-to-hand calibration
-    quadruple: the four indices
-    cost: its sum of eq. 5 (metres)
-    costs: (210,) of all, infinite where singular
-    """
-
-    matrix: Array
-    T_camera_base: Array
-    T_base_camera: Array
-    quadruple: tuple[int, int, int, int]
-    cost: float
-    costs: Array
-
-
-def solve(in_camera: Array, in_base: Array) -> Result:
-    """
-    Return the best of all quadruples of the points.
+    Return T_base_camera (4, 4), the eye-to-hand calibration, by the best quadruple of the points.
 
     in_camera, in_base: (n, 3), the same points in both frames (metres), n = 10 in the paper.
     Raises TooFewError, SingularError.
@@ -70,11 +49,7 @@ def solve(in_camera: Array, in_base: Array) -> Result:
     if not regular.any():
         raise SingularError('Wu 2017', 'all points lie in one plane; move one out of it')
     T_g = T_c[regular] @ np.linalg.inv(T_w[regular])
-    costs = np.full(len(quadruples), np.inf)
-    costs[regular] = np.linalg.norm(se3.apply(T_g, in_base) - in_camera, axis=2).sum(axis=1)
-    best = int(np.argmin(costs))
-    matrix = T_g[np.count_nonzero(regular[:best])]
-    a, b, c, d = (int(i) for i in quadruples[best])
-    R, mean = se3.nearest_rotation(matrix[:3, :3]), in_base.mean(axis=0)
-    T = se3.transform(R, matrix[:3, :3] @ mean + matrix[:3, 3] - R @ mean)
-    return Result(matrix, T, se3.inverse(T), (a, b, c, d), float(costs[best]), costs)
+    costs = np.linalg.norm(se3.apply(T_g, in_base) - in_camera, axis=2).sum(axis=1)
+    best = T_g[np.argmin(costs)]
+    R, mean = se3.nearest_rotation(best[:3, :3]), in_base.mean(axis=0)
+    return se3.inverse(se3.transform(R, best[:3, :3] @ mean + best[:3, 3] - R @ mean))

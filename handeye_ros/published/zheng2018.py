@@ -66,6 +66,7 @@ class _Problem:
     a: Array
 
     def offsets(self, x: Array) -> Array:
+        """Return p_i - c (n, 3), the points from the one of the line at parameters x (15,)."""
         return self.A @ x[:9] + self.a - x[9:12]
 
     def along(self, x: Array, D: Array, factor: float) -> list[float]:

@@ -9,7 +9,7 @@ the axes of the sensor; s is the measured point, c the position of the target. S
 one at several positions, have sensor and arm in common; the errors of the arm act through the
 twists of the flange.
 
-Estimate and reported covariance follow docs/estimator.md: the data determine the scale of each
+Estimate and reported covariance follow docs/estimator.md: the data determine the variance of each
 kind of error, its most likely value for the estimate and a conservative one for the covariance.
 """
 from __future__ import annotations
@@ -39,12 +39,12 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 SMOOTH_ERROR_STD = 2e-4  # prior 1 sigma of the remaining error of the robot, each axis (m)
-MINIMUM = 12  # stops
-# iterations of prior scales and noise; relative change below which they end
+FEWEST_STOPS = 12
+# iterations of variances and noise; relative change below which they end
 MOST_ROUNDS, CONVERGED_CHANGE = 6, 0.02
 POOLED_FREEDOM = 4.0  # degrees of freedom by which the noise of all axes counts for each axis
 LEAST_NOISE = 1e-6  # rounding of the values (m)
-LARGEST_SCALE = 1e3  # largest prior scale
+LARGEST_VARIANCE = 1e3  # of a kind of error, relative to its prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class ArmProfiles:
                          linear.jacobian[:, problem.free_columns], linear.wrt_pose,
                          whitening(linear, BLOCKS_AS_NOISE))
 
-    def moved(self, target: Array, step: Array) -> Array:
+    def stepped(self, target: Array, step: Array) -> Array:
         """Return the state of the target after a step (k,)."""
         step = np.append(np.zeros(6), step)
         return self.problem.retracted(Estimate(np.eye(4), target), step).state
@@ -116,7 +116,7 @@ class ArmPoints:
         return Residuals(values.ravel(), np.repeat(np.arange(n), 3),
                          wrt_X_and_target.reshape(3 * n, -1), wrt_pose.reshape(3 * n, 6))
 
-    def moved(self, target: Array, step: Array) -> Array:
+    def stepped(self, target: Array, step: Array) -> Array:
         """Return the position of the target after a step (3,)."""
         return target + step
 
@@ -247,14 +247,14 @@ class ArmFit:
         """Return the least squares with these weights; all errors of the robot are one item."""
         item = np.append(self.station[self.rows], np.full(len(self.errors), len(self.q)))
         return System(lambda fit: Rows(fit.with_priors[0], lambda: fit.with_priors[1]),
-                      ArmFit.moved, item)
+                      ArmFit.stepped, item)
 
-    def moved(self, step: Array) -> ArmFit:
+    def stepped(self, step: Array) -> ArmFit:
         """Return the estimate after a step (u,)."""
         sizes = [6, len(self.arm.values), len(self.smooth),
                  *(residual.wrt_X_and_target.shape[1] - 6 for residual in self.residuals)]
         X_step, arm_step, smooth_step, *target_steps = np.split(step, np.cumsum(sizes)[:-1])
-        targets = tuple(data.moved(target, target_step) for data, target, target_step in zip(
+        targets = tuple(data.stepped(target, target_step) for data, target, target_step in zip(
             self.measured, self.targets, target_steps, strict=True))
         return replace(self, X=se3.perturb(self.X, X_step), targets=targets,
                        arm=replace(self.arm, values=self.arm.values + arm_step),
@@ -265,7 +265,7 @@ class ArmFit:
         return self.system.least_squares(self, iterations=20, converged=1e-4)
 
 
-def noise_and_scales(fit: ArmFit, conservative: bool = False) -> tuple[Array, Array]:
+def noise_and_variances(fit: ArmFit, conservative: bool = False) -> tuple[Array, Array]:
     """
     Return noise (axes,) and variances (g,) of ArmFit as the residuals of a fit show them.
 
@@ -280,7 +280,7 @@ def noise_and_scales(fit: ArmFit, conservative: bool = False) -> tuple[Array, Ar
         counts = np.bincount(fit.kind_numbers).tolist()
         variances = prior_variances(
             covariance / np.outer(stated, stated), fit.errors[order] / stated, counts,
-            variances, np.full(len(variances), LARGEST_SCALE))[int(conservative)]
+            variances, np.full(len(variances), LARGEST_VARIANCE))[int(conservative)]
     (r, J), axis = fit.linear, fit.rows % len(fit.noise)
     redundancy = 1 - np.einsum('mi,mi->m', J @ fit.covariance, J)
     freedom, squares = np.bincount(axis, redundancy), np.bincount(axis, (r * fit.noise[axis]) ** 2)
@@ -292,10 +292,10 @@ def noise_and_scales(fit: ArmFit, conservative: bool = False) -> tuple[Array, Ar
 
 def with_estimated_weights(fit: ArmFit, conservative: bool = False, rounds: int = MOST_ROUNDS
                            ) -> ArmFit:
-    """Return a fit with noise and scales of the priors as it shows them; see noise_and_scales."""
+    """Return a fit with noise and variances as it shows them; see noise_and_variances."""
     for _ in range(rounds):
         before = np.append(fit.noise, fit.variances)
-        noise, variances = noise_and_scales(fit, conservative)
+        noise, variances = noise_and_variances(fit, conservative)
         fit = replace(fit, noise=noise, variances=variances).solved()
         if np.abs(np.log(np.append(noise, variances) / before)).max() < CONVERGED_CHANGE:
             break
@@ -314,7 +314,7 @@ def without_bad_stops(fit: ArmFit) -> ArmFit:
         (r, J), freedom = fit.linear, np.bincount(item)
         left_out = leave_one_out(r, J, fit.covariance, item)
         return np.bincount(item, r * left_out) / freedom, freedom
-    return drop_outliers(stops[fit.used], len(stops), MINIMUM, fitted_to, left_out_squares)
+    return drop_outliers(stops[fit.used], len(stops), FEWEST_STOPS, fitted_to, left_out_squares)
 
 
 def with_arm(fit: ArmFit, arm: Arm) -> ArmFit:
@@ -329,7 +329,7 @@ def arm_covariance(fit: ArmFit, chosen: ArmFit) -> tuple[Array, float]:
 
     And the RMS per axis (m) of the smooth remaining error of the robot, which neighbouring stops
     have in common. Both come from fit, which has all kinds of errors of the arm, with conservative
-    prior scales and the smooth error; the covariance includes how far X and the errors of the arm
+    variances and the smooth error; the covariance includes how far X and the errors of the arm
     are from those of the chosen fit there.
     """
     wide = with_estimated_weights(fit, conservative=True)
@@ -339,7 +339,7 @@ def arm_covariance(fit: ArmFit, chosen: ArmFit) -> tuple[Array, float]:
                    variances=np.append(arm_variances, 1.0))
     for _ in range(2):  # iterations of the noise beside a smooth error
         wide = replace(wide, noise=noise).solved()
-        noise, variances = noise_and_scales(wide, conservative=True)
+        noise, variances = noise_and_variances(wide, conservative=True)
     wide = replace(wide, variances=np.append(arm_variances, variances[-1]))
     in_chosen = chosen.arm.free[wide.arm.free]
     rows = np.append(np.arange(6), 6 + np.flatnonzero(in_chosen))

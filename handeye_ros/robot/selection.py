@@ -30,7 +30,7 @@ from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.robot.estimate import (
     arm_covariance,
     ArmFit,
-    MINIMUM,
+    FEWEST_STOPS,
     with_arm,
     with_estimated_weights,
     without_bad_stops,
@@ -94,15 +94,15 @@ class ArmOutcome:
 
 def require_enough(usable: int) -> None:
     """Raise DataError for fewer stops than the kinematics need."""
-    if usable < MINIMUM:
+    if usable < FEWEST_STOPS:
         raise DataError(f'{usable} usable robot configurations; the kinematics need at least '
-                        f'{MINIMUM}, and 40 are a good number: record more, with all joints '
-                        'moving', reason=UNSOLVED)
+                        f'{FEWEST_STOPS}, and 40 are a good number: record more, with all joints '
+                        'moving')
 
 
 @single_threaded
-def selected_model(fit: ArmFit, q: Array, limit: float, residual_with: Callable[[Array], float]
-                   ) -> ArmOutcome:
+def corrected_arm(fit: ArmFit, q: Array, limit: float, residual_with: Callable[[Array], float]
+                  ) -> ArmOutcome:
     """
     Return the corrected arm and its hand-eye transform by the best model; raises DataError.
 
@@ -111,7 +111,7 @@ def selected_model(fit: ArmFit, q: Array, limit: float, residual_with: Callable[
     with the joint values multiplied by a matrix (joints, joints).
     """
     stated = fit.arm
-    if fit.used.sum() < max(MINIMUM, LEAST_AGREEING * len(q)) or (
+    if fit.used.sum() < max(FEWEST_STOPS, LEAST_AGREEING * len(q)) or (
             fit.residual_rms > HOPELESS_FACTOR * limit):
         raise _contradiction(stated, q, limit, residual_with)
     richest = without_bad_stops(with_arm(fit, stated.freed(GEOMETRY)))
@@ -217,7 +217,7 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
 
 def _contradiction(arm: Arm, q: Array, limit: float, residual_with: Callable[[Array], float]
                    ) -> DataError:
-    """Return the refusal of stops that no arm explains, as selected_model, with its cause."""
+    """Return the refusal of stops that no arm explains, as corrected_arm, with its cause."""
     stated = residual_with(np.eye(len(arm.joints)))
     cause = ('check that the URDF is of this robot, --base and --flange, the sign of each '
              'joint, all units, calibration_type, and that the target is the stated one and fixed')

@@ -6,7 +6,7 @@ The corrected arm from its data: recordings and sessions, or a table.
 They give samples with the joint values of their time; a table has a row for each configuration,
 with the point that the sensor measured there. Both are read (source_of, read_table), give the
 hand-eye transform alone (fit_of_sources, fit_of_rows), then the best model of the arm
-(selected_model), and the answer with its calibration (solve_sources, solve_table).
+(corrected_arm), and the answer with its calibration (solve_sources, solve_table).
 """
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from handeye_ros.robot.estimate import (
     ArmFit,
     ArmPoints,
     ArmProfiles,
-    MINIMUM,
+    FEWEST_STOPS,
     with_estimated_weights,
 )
 from handeye_ros.robot.selection import (
     ArmOutcome,
+    corrected_arm,
     joint_notes,
     require_enough,
-    selected_model,
     UNSOLVED,
 )
 from handeye_ros.sampling.edge_shapes import with_common_edge_shape
@@ -77,33 +77,34 @@ class Source:
     warnings: Sequence[str] = ()
 
 
-def source_of(session: Session, read: Recording, arm: Arm, config: Config,
+def source_of(session: Session, recording: Recording, arm: Arm, config: Config,
               inputs: Sequence[dict[str, str]] = ()) -> Source:
     """
     Return the samples of a session with the joint values of their time.
 
-    read: with the joint values. Raises InputError, DataError.
+    recording: with the joint values. Raises InputError, DataError.
     """
     config = replace(config, kinematics='', pose_source='topic', robot_base_frame=arm.base,
                      robot_effector_frame=arm.flange)
     samples = sorted(session.samples, key=lambda sample: sample.stamp)
     require_samples(samples, session.rejects, target_for(config))
     require_enough(len(samples))
-    assert read.joints is not None
+    assert recording.joints is not None
     # as pipeline.answer_samples prepares them, none dropped
     samples = with_common_edge_shape(samples)
     samples = with_estimated_clocks(samples, config).samples
     problem = problem_of_known_poses(samples, config)
-    q = _joints_at(samples, read, read.joints)
+    q = _joints_at(samples, recording, recording.joints)
     return Source(session, samples, replace(problem, poses=mount_poses(arm.forward(q), config)), q,
-                  inputs, (*read.warnings, *session.warnings, *joint_notes(arm, read.joints)))
+                  inputs, (*recording.warnings, *session.warnings,
+                           *joint_notes(arm, recording.joints)))
 
 
-def _joints_at(samples: Sequence[Sample], read: Recording, joints: Array) -> Array:
-    """Return the joint values (n, joints) at samples, from those (k, joints) of the poses read."""
+def _joints_at(samples: Sequence[Sample], recording: Recording, joints: Array) -> Array:
+    """Return the joint values (n, joints) at samples, from those (k, joints) of a recording."""
     times = np.array([sample.stamp + round(sample.clock_values.offset * 1e9)
                       for sample in samples])
-    stamps, first = np.unique([pose.stamp for pose in read.poses], return_index=True)
+    stamps, first = np.unique([pose.stamp for pose in recording.poses], return_index=True)
     after = np.searchsorted(stamps, times)
     gaps = np.minimum(*(np.abs(stamps[np.clip(after - k, 0, len(stamps) - 1)] - times)
                         for k in (0, 1)))
@@ -157,7 +158,7 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
     inputs: further files.
     """
     try:
-        outcome = selected_model(
+        outcome = corrected_arm(
             fit_of_sources(sources, arm), np.concatenate([source.q for source in sources]),
             sources[0].problem.config.limits.residual,
             lambda joints: max(_median_residual(source, arm, joints) for source in sources))
@@ -248,7 +249,7 @@ def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, list[str
 def solve_rows(rows: PointRows, arm: Arm, limit: float) -> ArmOutcome:
     """Return the corrected arm; limit: the largest valid residual (m); raises DataError."""
     require_enough(len(rows.q))
-    return selected_model(fit_of_rows(rows, arm), rows.q, limit, lambda joints: fit_of_rows(
+    return corrected_arm(fit_of_rows(rows, arm), rows.q, limit, lambda joints: fit_of_rows(
         replace(rows, q=rows.q @ joints.T), arm).residual_rms)
 
 
@@ -262,7 +263,7 @@ def fit_of_rows(rows: PointRows, arm: Arm) -> ArmFit:
     start = ArmFit.of_arm(
         arm, [ArmPoints(rows.q[part], rows.points[part], rows.in_hand) for part in parts], X,
         [np.median(places[part], axis=0) for part in parts], np.full(3, INACCURATE_RMS))
-    adjusted = adjust(start.system, start, MINIMUM)
+    adjusted = adjust(start.system, start, FEWEST_STOPS)
     used = np.isin(np.arange(len(rows.q)), adjusted.used)
     return with_estimated_weights(replace(adjusted.state, used=used).solved())
 

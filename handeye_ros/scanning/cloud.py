@@ -27,7 +27,7 @@ PLY_TYPES = {'char': 'i1', 'uchar': 'u1', 'short': 'i2', 'ushort': 'u2', 'int': 
 LONGEST_HEADER = 1 << 16
 
 
-def require_format(path: Path) -> None:
+def require_suffix(path: Path) -> None:
     """Raise InputError for a file name of another format."""
     if path.suffix.lower() not in CLOUD_SUFFIXES:
         raise InputError(f'{path}: the file name must end with {" or ".join(CLOUD_SUFFIXES)}')
@@ -39,7 +39,7 @@ def write_cloud(path: Path, pieces: Iterable[Points], comment: str = '') -> None
 
     The file appears only when all are written. Raises InputError, UnwritableError.
     """
-    require_format(path)
+    require_suffix(path)
     fields, count = tuple[str, ...](), 0
     with atomic_file(path) as temporary, temporary.open('wb') as stream:
         for points in pieces:
@@ -74,7 +74,7 @@ def read_cloud(path: Path) -> Array:
 
     Raises InputError.
     """
-    require_format(path)
+    require_suffix(path)
     layout = _ply_layout if path.suffix.lower() == '.ply' else _pcd_layout
     try:
         with path.open('rb') as stream:

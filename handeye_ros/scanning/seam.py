@@ -51,7 +51,7 @@ class Seam:
     normals: through the directions out of the part, the mean of those of the sheets
     distances: (k,) of the measured roots of the sections from their curve (m)
     spacing: of the points of the cloud (m)
-    others: number of edges that face each other elsewhere, as another kind of seam
+    other_count: number of edges that face each other elsewhere, as another kind of seam
     """
 
     kind: str
@@ -62,7 +62,7 @@ class Seam:
     normals: Curve
     distances: Array
     spacing: float
-    others: int
+    other_count: int
 
     @property
     def scatter(self) -> float:
@@ -124,7 +124,7 @@ def find_seam(points: Array, widest: float = WIDEST_SEAM,
     off_root = curves['root'].position(sections.lengths) - sections.lines['root']
     seam = Seam(rough.kind, line, sections, curves, curves[line].simplified(),
                 spline(sections.lengths, sections.normals), np.linalg.norm(off_root, axis=1),
-                sheets.spacing, rough.others)
+                sheets.spacing, rough.other_count)
     if seam.scatter > max(LARGEST_SCATTER * sheets.noise, sheets.spacing):
         raise DataError(f'the sections of the seam scatter by {mm(seam.scatter)}, and the points '
                         f'by {mm(sheets.noise)}: this is not a uniform seam; cut it out with '
@@ -214,7 +214,7 @@ def sentences(seam: Seam, frames: ToolFrames) -> list[str]:
     if max(begins, ends) > 1e-6:
         lines.append(f'no frames on the first {begins * 1e3:.1f} mm and the last '
                      f'{ends * 1e3:.1f} mm: the line is too uncertain there')
-    if seam.others:
-        lines.append(f'{seam.others} other edges that face each other (steps, corners) are not '
-                     'taken for the seam; cut one out with --box to have it')
+    if seam.other_count:
+        lines.append(f'{seam.other_count} other edges that face each other (steps, corners) are '
+                     'not taken for the seam; cut one out with --box to have it')
     return lines

@@ -204,13 +204,13 @@ class Course:
     kind: one of SEAM_KINDS
     pairs: (k, 2) indices of points on its two edges that face each other, in order along it
     t: (k,) their lengths along it (m)
-    others: number of other seams, of other kinds
+    other_count: number of other seams, of other kinds
     """
 
     kind: str
     pairs: Pairs
     t: Array
-    others: int
+    other_count: int
 
 
 def course(sheets: Sheets, widest: float, up: Array) -> Course:

@@ -200,7 +200,7 @@ class Scenario:
     All parameters of a recording.
 
     scene: key of scenes.SCENES
-    stations: number at each edge (plate), or in total (sphere: the sum)
+    stations: number at edges p and q of the plate; of other targets their sum counts
     motion: key of scenes.MOTIONS
     tilt: largest tilt about each sensor axis
     shuffled: the order of the stations is random
@@ -330,7 +330,8 @@ MM, UM = 1e-3, 1e-6
 QUICK_RECORDING: dict[str, Any] = {'rate': 6.0, 'delay': 0.0, 'thinning': 10**6}
 BASELINE = Scenario('baseline', sensor=SensorModel(**QUICK_RECORDING),
                     robot=RobotModel(rate=20.0, dwell=0.85, move=0.5))
-BASELINES = _, BALL, _, FLAT, _ = one_of_each(BASELINE, replace(WIDE_SENSOR, **QUICK_RECORDING))
+BASELINES = one_of_each(BASELINE, replace(WIDE_SENSOR, **QUICK_RECORDING))
+BALL = BASELINES[1]
 # x from 0 to 140 mm, range from -25 to +25 mm counted upwards
 OFF_CENTRE: dict[str, Any] = {'range': (0.25, 0.30), 'half_width': 0.2545, 'sampling': 'fan_x',
                               'camera': (0.12, 0.0)}

@@ -57,7 +57,7 @@ class Placements:
 
     T_target_sensor: (n, 4, 4), standard sensor frame
     labels: of each the edge of the plate that is seen (p, q, p2, q2), else the name of the scene
-    points: (n, 2) true edge point or centre of the arc in the sensor plane (m)
+    points: (n, 2) true point of edge or plane, or centre of the arc, in the sensor plane (m)
     """
 
     T_target_sensor: Array

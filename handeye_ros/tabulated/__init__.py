@@ -8,11 +8,11 @@ from pathlib import Path
 from handeye_ros.config import Config
 from handeye_ros.errors import BadValueError, InputError
 from handeye_ros.tabulated.pairs import PointPairs, PosePairs
-from handeye_ros.tabulated.tracker import TrackerSession
+from handeye_ros.tabulated.tracker import TrackerProblem
 from handeye_ros.tabulated.values import TableProblem
 
 FILE_TARGETS: dict[str, type[TableProblem]] = {
-    problem.name: problem for problem in (PointPairs, PosePairs, TrackerSession)}
+    problem.name: problem for problem in (PointPairs, PosePairs, TrackerProblem)}
 
 
 def is_solved_from_files(config: Config) -> bool:

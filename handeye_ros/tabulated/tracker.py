@@ -74,7 +74,7 @@ class Piece(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class TrackerSession(TableProblem):
+class TrackerProblem(TableProblem):
     """
     The points that tracker and profiler measured.
 

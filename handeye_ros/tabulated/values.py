@@ -95,14 +95,14 @@ class TableProblem(ABC):
 
 class Misreading(NamedTuple):
     """
-    The values of a problem in another unit or notation.
+    A problem whose values are read in another unit or notation.
 
     words: what is different, after "with"; remedy: what to do if this is right.
     """
 
     words: str
     remedy: str
-    values: TableProblem
+    problem: TableProblem
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,10 +174,10 @@ def answer_table(problem: TableProblem) -> TableAnswer:
     except DataError as error:
         refusal = error
     explaining = list[tuple[Array, str]]()
-    for words, remedy, values in problem.misreadings:
+    for words, remedy, misread in problem.misreadings:
         with suppress(DataError):
-            values.require_determined()
-            answer = values.estimate()
+            misread.require_determined()
+            answer = misread.estimate()
             if answer.agrees and answer.residual_rms < MISREADING_RMS:
                 explaining.append((answer.X, f'the values contradict each other, but with {words} '
                                    f'they agree to {mm(answer.residual_rms)}: {remedy}'))

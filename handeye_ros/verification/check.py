@@ -49,6 +49,7 @@ from handeye_ros.verification.fit import (
     GroupFit,
     largest_displacement,
     likeliest,
+    ONE_SIDED_95,
     require_stations,
     root_of,
 )
@@ -152,34 +153,36 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
 
 
 def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
-          others: Sequence[Reject] = (), passes: Sequence[int] = ()) -> Check:
+          rejects: Sequence[Reject] = (), passes: Sequence[int] = ()) -> Check:
     """
     Return the check of a calibration by samples of the same target.
 
-    others: the stops that gave no sample; passes: stamps (ns) of those of a sweep, of which the
+    rejects: the stops that gave no sample; passes: stamps (ns) of those of a sweep, of which the
     samples are single profiles. Raises DataError, and InputError for a calibration without a
     target to compare with.
     """
     calibrated = _Calibrated.read(calibration, config)
-    problem = _observed(samples, calibrated, config, others)
+    problem = _observed(samples, calibrated, config, rejects)
 
     def compared_at(stops: Indices) -> GroupFit[_Prediction]:
         prediction = _predicted(problem.subset(stops), calibrated)
         station = prediction.linear.problem.observations.station
         require_stations([len(np.unique(station))])
         # whatever moved, and however the calibration errs
-        moves = [prediction.moved(name)[1] * _move_sigmas(MOVE_SCALES[-1]) for name in MOVABLE]
+        moves = [prediction.undoing(name)[1] * _move_sigmas(MOVE_SCALES[-1]) for name in MOVABLE]
         return GroupFit(prediction, prediction.residuals, np.hstack([prediction.errors, *moves]),
                         stops[station])
 
     prediction, _, contradicting = fit_without_outliers(
         np.unique(problem.observations.station), compared_at)
-    target, sensor = (_moved(prediction, name) for name in MOVABLE)
+    target, sensor = (_cause_of(prediction, name) for name in MOVABLE)
     sentences = {'target': target.sentence, 'sensor': sensor.sentence, 'robot': ROBOT_CHANGED}
-    likelihoods = [target.likelihood, sensor.likelihood, _robot_likelihood(prediction)]
-    evidence = _log_mean(likelihoods) - _log_likelihood(prediction.residuals, prediction.errors)
-    odds = dict(zip(sentences, softmax(likelihoods).tolist(), strict=True))
-    if evidence < math.log(LEAST_EVIDENCE):
+    log_likelihoods = [target.log_likelihood, sensor.log_likelihood,
+                       _robot_log_likelihood(prediction)]
+    log_evidence = _log_mean(log_likelihoods) - _log_likelihood(
+        prediction.residuals, prediction.errors)
+    odds = dict(zip(sentences, softmax(log_likelihoods).tolist(), strict=True))
+    if log_evidence < math.log(LEAST_EVIDENCE):
         verdict, sentence = 'unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
             f'have shown from {_shifts_in_words(target.move, target_frame(config))} on, one of '
@@ -193,14 +196,14 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
                 'calibration is of this sensor, robot and target, and that the target still '
                 'stands there; if it does not, calibrate again', reason='other_cell')
     stamps = passes or sorted([*(sample.stamp for sample in samples),
-                               *(reject.stamp for reject in others)])
+                               *(reject.stamp for reject in rejects)])
     left_out = sorted({bisect_right(stamps, samples[k].stamp) for k in contradicting})
     if left_out:
         what = 'profiles of the passes' if passes else 'stops'
         sentence += f'. Left out, as they contradict the others: {what} {left_out}'
     return Check(
         samples[0].stamp, verdict, sentence, len(prediction.linear.problem.poses),
-        rms(prediction.linear.residuals), math.exp(min(evidence, 700.0)), odds, target.move,
+        rms(prediction.linear.residuals), math.exp(min(log_evidence, 700.0)), odds, target.move,
         sensor.move, sensor.displacement, sensor.std, left_out)
 
 
@@ -248,8 +251,6 @@ class _Calibrated(NamedTuple):
             target, joint = TARGETS[calibration.method], calibration.target['joint']
             parameter_count = len(target.parameter_names)
             state = np.array(joint['state'], dtype=float)
-            if len(state) == 4:  # of a sphere, as version 0.1.0 wrote it: centre and radius
-                state = np.append(se3.transform(np.eye(3), state[:3]), state[3])
             state = state.reshape(16 + parameter_count - len(target.pose_axes))
             covariance = np.array(joint['covariance'], dtype=float).reshape(
                 2 * [6 + parameter_count])
@@ -272,13 +273,13 @@ class _Calibrated(NamedTuple):
 
 
 def _observed(samples: Sequence[Sample], calibrated: _Calibrated, config: Config,
-              others: Sequence[Reject]) -> Problem:
+              rejects: Sequence[Reject]) -> Problem:
     """Return the samples as a problem, with only what they show of the calibrated target."""
     target, estimate = calibrated.target, calibrated.estimate
     observations = target.observe(samples)
     problem = Problem(target, frames.mount_poses_of(samples, config), observations, config,
                       long_errors=True)
-    require_stations([len(np.unique(observations.station))], others)
+    require_stations([len(np.unique(observations.station))], rejects)
     p = problem.points_in_base(estimate.X)
 
     def labelled(groups: Indices) -> Problem:
@@ -314,7 +315,7 @@ class _Prediction:
     residuals: Array
     errors: Array
 
-    def moved(self, name: str, move: Array = NO_MOVE) -> tuple[Array, Array, Array]:
+    def undoing(self, name: str, move: Array = NO_MOVE) -> tuple[Array, Array, Array]:
         """
         Return the white residuals (m,) with a move of the target or the sensor (name) undone.
 
@@ -383,14 +384,14 @@ class _Cause(NamedTuple):
     displacement, std: the largest displacement of a point by this move, and its 1 sigma (m).
     """
 
-    likelihood: float
+    log_likelihood: float
     sentence: str
     move: Move
     displacement: float
     std: float
 
 
-def _moved(prediction: _Prediction, name: str) -> _Cause:
+def _cause_of(prediction: _Prediction, name: str) -> _Cause:
     """
     Return the cause "target" or "sensor" (name): that it moved.
 
@@ -398,13 +399,13 @@ def _moved(prediction: _Prediction, name: str) -> _Cause:
     """
     move, sigmas = NO_MOVE, _move_sigmas(MOVE_SCALES[-1])
     for _ in range(MOST_ITERATIONS):
-        r, D, lever = prediction.moved(name, move)
+        r, D, lever = prediction.undoing(name, move)
         r = r + D @ move  # of no move, in this linearisation
         x, C, _ = likeliest(np.hstack([prediction.errors, D * sigmas]), r)
         move, C = sigmas * x[-6:], C[-6:, -6:] * np.outer(sigmas, sigmas)
-        likelihoods = [_log_likelihood(r, np.hstack([
+        log_likelihoods = [_log_likelihood(r, np.hstack([
             prediction.errors, D * _move_sigmas(scale)])) for scale in MOVE_SCALES]
-        sigmas = _move_sigmas(MOVE_SCALES[int(np.argmax(likelihoods))])
+        sigmas = _move_sigmas(MOVE_SCALES[int(np.argmax(log_likelihoods))])
     shift, turn = np.linalg.norm(move.reshape(2, 3), axis=1).tolist()
     displacement, std = largest_displacement(lever, move, C)
     off, turned = f'{mm(displacement)} ± {mm(2 * std)}', f'{math.degrees(turn):.3f} degrees'
@@ -415,34 +416,34 @@ def _moved(prediction: _Prediction, name: str) -> _Cause:
         f'{what} by {mm(shift)} and {turned}: points are off by up to {off}; calibrate again'
         if name == 'sensor' else
         f'{what} by up to {off} where it was seen, and turned by {turned}; the calibration holds')
-    return _Cause(_log_mean(likelihoods), sentence,
+    return _Cause(_log_mean(log_likelihoods), sentence,
                   Move(shift, turn, *_smallest_shifts(prediction, name)), displacement, std)
 
 
-def _robot_likelihood(prediction: _Prediction) -> float:
+def _robot_log_likelihood(prediction: _Prediction) -> float:
     """Return the log likelihood of a robot whose poses err otherwise, smoothly or each alone."""
     problem, wrt_pose = prediction.linear.problem, prediction.whiten(prediction.linear.wrt_pose)
     smooth = problem.smooth_error_basis
     # the root of four is alike over twice the distance, as one joint's error reaches further
     values, axes = np.linalg.eigh(np.abs(smooth @ smooth.T) ** 0.25)
-    likelihoods = []
+    log_likelihoods = []
     for root in smooth, axes * np.sqrt(np.maximum(values, 0.0)), np.eye(len(problem.poses)):
         of_rows = root[problem.observations.station]
         for scale in MOVE_SCALES:
             by_twists = (wrt_pose * _move_sigmas(scale))[:, :, None] * of_rows[:, None]
-            likelihoods.append(_log_likelihood(prediction.residuals, np.hstack([
+            log_likelihoods.append(_log_likelihood(prediction.residuals, np.hstack([
                 prediction.errors, by_twists.reshape(len(of_rows), -1)])))
-    return _log_mean(likelihoods)
+    return _log_mean(log_likelihoods)
 
 
 def _smallest_shifts(prediction: _Prediction, name: str) -> tuple[list[float], list[list[float]]]:
     """Return shows and axes of the Move of target or sensor (name), the smallest shift first."""
-    _, D, _ = prediction.moved(name)
+    _, D, _ = prediction.undoing(name)
     A = prediction.errors  # a move that they explain as well does not show
     information = D.T @ (D - A @ np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T @ D))
     occam = np.linalg.slogdet(np.eye(6) + information * _move_sigmas(1e-3) ** 2)[1]
     # of the shift for the evidence, which takes several causes and scales; and with 95 %
-    sigmas = np.sqrt(2 * np.log(3 * len(MOVE_SCALES) * LEAST_EVIDENCE) + occam) + 1.64
+    sigmas = np.sqrt(2 * np.log(3 * len(MOVE_SCALES) * LEAST_EVIDENCE) + occam) + ONE_SIDED_95
     values, axes = np.linalg.eigh(information[:3, :3])
     sizes = (sigmas / np.sqrt(np.maximum(values, 1e-300)))[::-1]
     return np.where(sizes < UNSEEN_SHIFT, sizes, np.nan).tolist(), axes.T[::-1].tolist()

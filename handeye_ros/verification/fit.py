@@ -12,7 +12,7 @@ E: its claimed covariance is never part of the measurement's own uncertainty.
 
 The claim is that e is as small as the covariance of the calibration states, beside robot errors of
 unit variance: "claim" is the root of this covariance of e. It is tested by the deviations v of the
-measured values from their nominal ones: their region is v' cov^-1 v, chi square if it is true.
+measured values from their nominal ones: their square v' cov^-1 v is chi square if it is true.
 """
 from __future__ import annotations
 
@@ -55,7 +55,8 @@ import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg
 
-DETECTION_SIGMAS = 3.6  # sigmas: 1.96 + 1.64, an error is seen with 95 % if false alarms are 5 %
+ONE_SIDED_95 = 1.64  # sigmas that a normal value exceeds with 5 %
+DETECTION_SIGMAS = 1.96 + ONE_SIDED_95  # an error is seen with 95 % if false alarms are 5 %
 COVERAGE_FACTOR = 2.0  # coverage factor of expanded uncertainties (GUM: about 95 %)
 DIFFERENCE_STEP = 1e-7  # of numeric derivatives (m, rad)
 REFIT_COUNT = 5  # iterations for the calibration's error
@@ -83,14 +84,14 @@ class StationSet:
     counts: the number of poses of each recording, in order
     are_passes: whether the poses of a recording share the error of the robot; by default each has
         its own
-    surface: the choice between several surfaces in sight, in words
+    surface_note: the choice between several surfaces in sight, in words
     """
 
     problem: Problem
     stamps: NDArray[np.int64]
     counts: tuple[int, ...]
     are_passes: bool = False
-    surface: str = ''
+    surface_note: str = ''
 
     @property
     def observations(self) -> Observations:
@@ -128,25 +129,25 @@ class StationSet:
         stations.require_enough()
         return stations
 
-    def require_enough(self, others: Sequence[Reject] = ()) -> None:
+    def require_enough(self, rejects: Sequence[Reject] = ()) -> None:
         """Raise DataError where a recording has too few usable poses; see require_stations."""
         recording = self.recording_of_pose[np.unique(self.observations.station)]
-        require_stations(np.bincount(recording, minlength=len(self.counts)).tolist(), others)
+        require_stations(np.bincount(recording, minlength=len(self.counts)).tolist(), rejects)
 
 
-def require_stations(usable: Sequence[int], others: Sequence[Reject] = ()) -> None:
+def require_stations(usable: Sequence[int], rejects: Sequence[Reject] = ()) -> None:
     """
     Raise DataError where a recording has fewer than LEAST_STATIONS usable stations.
 
-    usable: their number in each recording; others: the stops that gave no sample.
+    usable: their number in each recording; rejects: the stops that gave no sample.
     """
     least = min(usable)
     if least < LEAST_STATIONS:
         where = f' of recording {usable.index(least) + 1}' if len(usable) > 1 else ''
         raise DataError(
             f'{least} usable stations{where}, fewer than {LEAST_STATIONS}'
-            f'{f" (of the others: {others[0].reason})" if others else ""}: measure more, with the '
-            'sensor turned differently at each')
+            f'{f" (of the others: {rejects[0].reason})" if rejects else ""}: measure more, with '
+            'the sensor turned differently at each')
 
 
 @dataclass(frozen=True)
@@ -211,8 +212,8 @@ class Shape:
                       np.hstack([wrt_mount, np.cross(lever, wrt_mount), wrt_shape]), lever,
                       wrt_base)
 
-    def fitted(self, p: Array, white: Callable[[Array], Whitener] = lambda q: identity,
-               iterations: int = 50) -> Array:
+    def fit_unknowns(self, p: Array, white: Callable[[Array], Whitener] = lambda q: identity,
+                     iterations: int = 50) -> Array:
         """Return the unknowns (k,) that fit points p (m, 3) best; white(q) whitens distances."""
         distance = partial(self.distance, p)
         return System[Array](
@@ -274,10 +275,10 @@ class ShapeFit:
     scatter: of the distances
     distances (m,): of the points from the shape (m)
     distance_stds (m,): their 1 sigma due to sensor and robot (m)
-    region: (v - nominal)' cov^-1 (v - nominal) of the values v with a nominal, cov the sum
-        of their covariances by measurement and calibration
+    squared_deviation: (v - nominal)' cov^-1 (v - nominal) of the values v with a nominal, cov the
+        sum of their covariances by measurement and calibration
     freedom: number of values with a nominal
-    claim_p: probability of a larger region if the calibration's covariance is true
+    claim_p: probability of a larger one if the calibration's covariance is true
     error: of the calibration
     """
 
@@ -285,7 +286,7 @@ class ShapeFit:
     scatter: Scatter
     distances: Array
     distance_stds: Array
-    region: float
+    squared_deviation: float
     freedom: int
     claim_p: float
     error: CalibrationError
@@ -340,7 +341,7 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float
         return Whitening(tuple(group.rows for group in groups), tuple(
             inverse_roots(_covariance(linear, group)) for group in groups))
 
-    q = shape.fitted(problem.points_in_base(X), lambda q: whitening(shape.linear(X, q)))
+    q = shape.fit_unknowns(problem.points_in_base(X), lambda q: whitening(shape.linear(X, q)))
     linear = shape.linear(X, q)
     basis = problem.smooth_error_basis[problem.observations.station]
     by_robot = wrt_smooth(linear.wrt_pose, basis * smooth_std)
@@ -349,7 +350,7 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float
         white_of(linear.residuals), white_of(linear.jacobian[:, 6:]),
         np.hstack([white_of(linear.jacobian[:, :6]), white_of(by_robot)]),
         scipy.linalg.block_diag(root_of(C), np.eye(by_robot.shape[1])))
-    quantities, deviation, deviation_wrt_errors, region = _measured(shape, q, white)
+    quantities, deviation, deviation_wrt_errors, square_of_values = _measured(shape, q, white)
     # what the shape does not take up
     r_left, E_left = (values - white.J @ (white.gain @ values) for values in (white.r, white.E))
     freedom, known = max(len(r_left) - len(q), 1), len(deviation)
@@ -361,8 +362,8 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float
     for group in groups:
         variances[group.rows] += np.einsum('nii->ni', _covariance(linear, group))
     fit = ShapeFit(
-        quantities, scatter, linear.residuals, np.sqrt(variances), region, known,
-        float(chi2_sf(region, known)) if known else 1.0, _calibration_error(
+        quantities, scatter, linear.residuals, np.sqrt(variances), square_of_values, known,
+        float(chi2_sf(square_of_values, known)) if known else 1.0, _calibration_error(
             np.vstack([E_left, -deviation_wrt_errors]), np.append(r_left, deviation),
             freedom + known, linear))
     # the test for outliers leaves shape and calibration free
@@ -376,8 +377,9 @@ def _calibration_error(A: Array, b: Array, conditions: int, linear: Linear) -> C
     """
     Return the error of the calibration that distances and nominal values show.
 
-    A, b: (n, 6 + s), (n,) what the shape leaves of white distances and deviations from nominal is
-    b = A e + noise, with the errors e of calibration and robot; conditions: what is left of n.
+    b (n,): the white distances and the white deviations from nominal, without what the shape takes
+    up: b = A e + noise, with the errors e of calibration and robot; A: (n, 6 + s). conditions: n
+    without the number of unknowns that the shape takes up.
     """
     information = np.append(LARGEST_ERROR ** -2.0, np.ones(A.shape[1] - 6))
     errors, covariance, square = likeliest(A, b, information)
@@ -420,8 +422,8 @@ def _measured(shape: Shape, q: Array, white: _WhiteDistances
     """
     Return the measured quantities of a shape q (k,), and how the v with a nominal value deviate.
 
-    That is the white deviations (v,), their derivatives (v, 6 + s) by e, and the region of a
-    ShapeFit.
+    That is the white deviations (v,), their derivatives (v, 6 + s) by e, and the
+    squared_deviation of a ShapeFit.
     """
     certificate = shape.stations.problem.config.verify.certificate  # U of nominal lengths
     values, wrt_shape = shape.values(q), derivatives(shape.values, q)
@@ -437,13 +439,14 @@ def _measured(shape: Shape, q: Array, white: _WhiteDistances
     deviation, block = (values - nominal)[known], np.ix_(known, known)
     whiten = np.linalg.inv(np.linalg.cholesky(covariance[block]))  # the smooth error is an error
     covariance += by_smooth @ by_smooth.T
-    region = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
+    total = (covariance + claimed)[block]
+    squared_deviation = float(deviation @ np.linalg.solve(total, deviation))
     covariance[unseen, unseen] = np.inf
     stds, claimed_stds = (np.sqrt(np.maximum(np.diag(C), 0.0)) for C in (covariance, claimed))
     quantities = (replace(quantity, value=float(value), std=float(std), claimed=float(claimed_std))
                   for quantity, value, std, claimed_std in zip(
                       shape.quantities, values, stds, claimed_stds, strict=True))
-    return tuple(quantities), whiten @ deviation, whiten @ wrt_errors[known], region
+    return tuple(quantities), whiten @ deviation, whiten @ wrt_errors[known], squared_deviation
 
 
 def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, float]:
@@ -492,18 +495,19 @@ def root_of(C: Array) -> Array:
     return np.asarray(vectors * np.sqrt(np.maximum(value, 0.0)))
 
 
-def fit_without_outliers(groups: Indices, fitted: Callable[[Indices], GroupFit[Result]]
+def fit_without_outliers(groups: Indices, fit_groups: Callable[[Indices], GroupFit[Result]]
                          ) -> tuple[Result, dict[int, float], list[int]]:
     """
     Return the fit of the groups that agree, the p-value of each group, and those left out.
 
-    None is left out where it would be too many, or where too few would be left.
+    fit_groups: of some of them. The p-value of a group left out is that of the last fit in which
+    it took part. None is left out where it would be too many, or where too few would be left.
     """
     p_values, most = dict[int, float](), int(MOST_OUTLIERS * len(groups))
 
     def of_groups(_: object, used: Indices, dropped: dict[int, float]
                   ) -> tuple[Result, Array, Indices, list[int]]:
-        fit = fitted(used)
+        fit = fit_groups(used)
         squares, freedom = _left_out_squares(fit, used)
         of_used = chi2_sf(squares * freedom, freedom)
         p_values.update(zip(used.tolist(), of_used.tolist(), strict=True))

@@ -26,8 +26,8 @@ from handeye_ros.verification.verify import decision, formatted, Verification
 from rich.table import Table
 
 FORMAT = 'handeye_ros/verification/1'
-TABLE_COLUMNS = ('measured', 'nominal', 'deviation', 'U (k = 2)', 'claimed, 1 sigma',
-                 'ISO 14253-1')
+TABLE_COLUMNS = ('measured', 'nominal', 'deviation', f'U (k = {COVERAGE_FACTOR:g})',
+                 'claimed, 1 sigma', 'ISO 14253-1')
 # Rows of a figure alone, of the scatter or of the whole: name, key, unit.
 FIGURE_ROWS = (('mean distance from the fit', 'mean', 'm'), ('its standard deviation', 'std', 'm'),
                ('its maximum', 'maximum', 'm'), ('its RMS', 'rms', 'm'),
@@ -51,7 +51,7 @@ def plain_values(verification: Verification, inputs: Iterable[object] = (),
     del values['fit']
     return {'format': FORMAT, 'version': __version__, 'k': COVERAGE_FACTOR, **values,
             'scatter': asdict(fit.scatter), 'smallest_error': fit.error.detectable,
-            'weakest_direction': fit.error.weakest_direction, 'region': fit.region,
+            'weakest_direction': fit.error.weakest_direction, 'region': fit.squared_deviation,
             'freedom': fit.freedom, 'claim_p': fit.claim_p, 'inputs': list(map(str, inputs)),
             'calibration_file': input_values(calibration_file) if calibration_file else {},
             'created': datetime.now(UTC).isoformat(timespec='seconds')}

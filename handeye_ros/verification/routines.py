@@ -17,13 +17,17 @@ import numpy as np
 
 
 def line(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
-    """Return a straight line; kinds 0 and 1 are its two distances."""
+    """
+    Return a straight line; kinds 0 and 1 are its two distances.
+
+    Its q (4,) are two offsets (m) and two slopes, across the first direction of the points.
+    """
     p, kind = stations.problem.points_in_base(X), stations.observations.kind
     middle = p.mean(axis=0)
     frame = np.linalg.svd(p - middle)[2].T
 
     def distance(p: Array, q: Array) -> Array:
-        offsets, slopes = q[:2], q[2:]  # of the line across its first direction
+        offsets, slopes = q[:2], q[2:]
         local = (p - middle) @ frame
         away = local[:, 1:] - offsets - local[:, :1] * slopes
         return np.asarray(np.where(kind == 0, away[:, 0], away[:, 1]))
@@ -32,7 +36,11 @@ def line(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
 
 
 def point(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
-    """Return one point; kinds 0 to 2 are its distances along x, y and z."""
+    """
+    Return one point; kinds 0 to 2 are its distances along x, y and z.
+
+    Its q (3,) is its place relative to the middle of the points (m).
+    """
     kind = stations.observations.kind[:, None]
     middle = stations.problem.points_in_base(X).mean(axis=0)
 
@@ -50,8 +58,8 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     Return a plane for each recording; those of one block are parallel.
 
     A block begins with a recording without a nominal length; its heights are measured, or the
-    angle of two blocks of one face. The unknowns are two tilts of each block, and one height of
-    each plane over the middle of its points.
+    angle of two blocks of one face. Their q (2 blocks + planes,) are two slopes of each block,
+    then the height of each plane over the middle of its points (m).
     """
     p, count = stations.problem.points_in_base(X), len(stations.counts)
     recording = stations.recording_of_point
@@ -68,8 +76,8 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
 
     def normals_and_heights(q: Array) -> tuple[Array, Array]:
         """Return the normal (count, 3) of each plane, and its height (count,) over its middle."""
-        tilts, heights = q[:2 * blocks].reshape(blocks, 2), q[2 * blocks:]
-        n = frames[:, :, 2] + np.einsum('kij,kj->ki', frames[:, :, :2], tilts)
+        slopes, heights = q[:2 * blocks].reshape(blocks, 2), q[2 * blocks:]
+        n = frames[:, :, 2] + np.einsum('kij,kj->ki', frames[:, :, :2], slopes)
         return (n / np.linalg.norm(n, axis=1)[:, None])[block], heights
 
     def distance(p: Array, q: Array) -> Array:
@@ -95,7 +103,11 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
 
 
 def spheres(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
-    """Return one sphere of each recording; measured: radii, and distances of the centres."""
+    """
+    Return one sphere of each recording; measured: radii, and distances of the centres.
+
+    Their q (4 count,) are centre and radius of one after the other (m).
+    """
     p, count = stations.problem.points_in_base(X), len(stations.counts)
     recording = stations.recording_of_point
     start = np.concatenate([fit_round(p[recording == k]) for k in range(count)])
@@ -121,25 +133,25 @@ class Routine:
     """
     One way to verify a calibration.
 
-    says: what it measures
+    measures: what, in words
     target: the target.type whose features the stations give; empty where points are taken in
         passes, while the robot moves
     recording_counts: for each valid number of verify.lengths the possible numbers of recordings,
         ascending
     shape: what is fitted to the stations, with the sensor plane at X (4, 4) in the mount
-    form: what the scatter of each face, ball or axis is called in the result; empty: not told
-    symbol: the characteristic that it is
+    form_name: what the scatter of each face, ball or axis is called in the result; empty: not told
+    form_symbol: the characteristic that it is
     edge_distances: into how many distances an edge point counts, two from a line or three from a
         point; 0: the points count as in a calibration
     """
 
     name: str
-    says: str
+    measures: str
     target: str
     recording_counts: Mapping[int, Sequence[int]]
     shape: Callable[[StationSet, Array, VerifyConfig], Shape]
-    form: str = ''
-    symbol: str = ''
+    form_name: str = ''
+    form_symbol: str = ''
     edge_distances: int = 0
 
     @property
@@ -159,7 +171,7 @@ class Routine:
         return config if self.in_passes else with_values(config, {
             'target.type': self.target, 'method': 'auto', 'target.radius': config.verify.radius})
 
-    def scatter(self, stations: StationSet, distances: Array) -> Iterator[Quantity]:
+    def form_errors(self, stations: StationSet, distances: Array) -> Iterator[Quantity]:
         """
         Yield the scatter of distances (m,) of each face or ball: highest less lowest point.
 
@@ -167,12 +179,13 @@ class Routine:
         """
         by_axis = self.edge_distances == 3
         part = stations.observations.kind if by_axis else stations.recording_of_point
-        for k in range(int(part.max()) + 1 if self.form else 0):
+        for k in range(int(part.max()) + 1 if self.form_name else 0):
             values = distances[part == k]
             size = float(3 * values.std(ddof=1) if by_axis else np.ptp(values))
-            name = f'{self.form} {"xyz"[k]}' if by_axis else f'{self.form} {k + 1}, noise included'
-            yield Quantity(name, size, size / math.sqrt(2 * max(len(values) - 1, 1)),
-                           characteristic=self.symbol)
+            of_part = 'xyz'[k] if by_axis else f'{k + 1}, noise included'
+            std = size / math.sqrt(2 * max(len(values) - 1, 1))
+            yield Quantity(f'{self.form_name} {of_part}', size, std,
+                           characteristic=self.form_symbol)
 
 
 ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (

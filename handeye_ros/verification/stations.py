@@ -68,7 +68,7 @@ def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibr
                        is_face=target.kinds == ('face',))
     return StationSet(
         problem, np.array([sample.stamp for sample in samples], dtype=np.int64),
-        tuple(map(len, shown)), surface='; '.join(
+        tuple(map(len, shown)), surface_note='; '.join(
             f'recording {k}: {choice}' for k, choice in enumerate(choices, 1) if choice))
 
 

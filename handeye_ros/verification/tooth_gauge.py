@@ -51,7 +51,7 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
             break
         obs = replace(stations.observations, kind=face).select(on_gauge)
         shape = _shape(stations.with_observations(obs), frame, pitch, height, tooth[on_gauge], q)
-        q = shape.fitted(p[on_gauge], iterations=1)
+        q = shape.fit_unknowns(p[on_gauge], iterations=1)
     top, valley, *flanks = np.bincount(face[on_gauge], minlength=4) / len(p)
     least = float(min(top + valley, sum(flanks)))
     if on_gauge.mean() < LEAST_ON_GAUGE or least < LEAST_FACE:

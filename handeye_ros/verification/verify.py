@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import math
 
 from handeye_ros import output
-from handeye_ros.config import VerifyConfig
-from handeye_ros.data import Calibration, Reject
+from handeye_ros.config import Config, VerifyConfig
+from handeye_ros.data import Calibration, Reject, Sample
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.least_squares import FALSE_ALARM
 from handeye_ros.frames import T_sensor_plane
@@ -24,15 +24,16 @@ from handeye_ros.verification.fit import (
     DETECTION_SIGMAS,
     fit_shape,
     fit_without_outliers,
+    ONE_SIDED_95,
     Quantity,
     refit_shape,
     ShapeFit,
     StationSet,
 )
 from handeye_ros.verification.routines import Routine
+from handeye_ros.verification.stations import stations_of
 import numpy as np
 
-ONE_SIDED_95 = 1.64
 SIGNIFICANCE = 0.01  # level of the tests of a calibration error
 INCONSISTENT_P = 1e-3  # level of the test that the points agree
 UNEXPLAINED_P = 1e-6  # below this p no error of the calibration explains the points
@@ -79,7 +80,8 @@ class Verification:
     reasons: sentences
     tolerance (m), angle_tolerance (rad): as configured
     stations: number of stops used, of a sweep of profiles
-    quantities: those of the fit, and the scatter of each face or ball
+    quantities: those of the fit, the scatter of each face or ball, and the error of the
+        calibration that the points suggest, as the largest displacement of one of them
     surface: the choice between several in sight
     says: what the routine measures, in words
     recorded: when (ISO 8601; empty: unknown)
@@ -105,16 +107,16 @@ class Verification:
 
 
 def verify(routine: Routine, stations: StationSet, calibration: Calibration,
-           others: Sequence[Reject] = ()) -> Verification:
+           rejects: Sequence[Reject] = ()) -> Verification:
     """
     Return the result of a routine: its fit, and the verdict on the calibration.
 
     stations: of the recordings in the order that the routine expects, with the settings verify.*
-    of the artefact; others: the stops that gave no sample. Raises DataError, and InputError where
+    of the artefact; rejects: the stops that gave no sample. Raises DataError, and InputError where
     two recordings are one.
     """
-    stations.require_enough(others)
-    config, limits = stations.problem.config, stations.problem.config.verify
+    stations.require_enough(rejects)
+    config, stated = stations.problem.config, stations.problem.config.verify
     stops = np.column_stack([stations.stamps, stations.problem.poses.reshape(-1, 16)])
     if len(np.unique(stops, axis=0)) < len(stops):
         raise InputError('two recordings hold the same stops: give one recording of each face, '
@@ -123,25 +125,39 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
     smooth_std = float(calibration.target.get('robot_position_error', 0.0))
     (shape, fit), p, dropped = fit_without_outliers(
         np.unique(stations.group_of_point), lambda groups: fit_shape(
-            routine.shape(stations.of_groups(groups), X, limits), X,
+            routine.shape(stations.of_groups(groups), X, stated), X,
             calibration.covariance, smooth_std))
     if max(fit.scatter.p, fit.error.p_explained) < UNEXPLAINED_P and not routine.in_passes:
         freed = refit_shape(shape, X, calibration.covariance, smooth_std)
-        if freed.error.p_explained < UNEXPLAINED_P and freed.scatter.maximum > limits.tolerance:
+        if freed.error.p_explained < UNEXPLAINED_P and freed.scatter.maximum > stated.tolerance:
             raise DataError(
                 f'this is not what "{routine.name}" measures: no small error of the calibration '
                 f'brings all points closer than {mm(freed.scatter.maximum)} to its shape. Check '
                 'that the calibration is of this sensor, which object was under it, that the '
                 'object did not move, that nothing else was in view (verify.near), and, of a '
                 'sweep, that the clocks are as they were (handeye check)')
-    quantities = (*fit.quantities, *routine.scatter(shape.stations, fit.distances))
+    quantities = (*fit.quantities, *routine.form_errors(shape.stations, fit.distances), Quantity(
+        'likeliest error of the calibration', fit.error.largest, fit.error.largest_std))
     per_station = _station_results(stations, shape.stations, fit, p, dropped)
-    verdict, reasons = _decide(fit, quantities, per_station, limits, smooth_std)
+    verdict, reasons = _decide(fit, quantities, per_station, stated, smooth_std)
     return Verification(
-        routine.name, calibration.name, verdict, reasons, limits.tolerance, limits.angle_tolerance,
+        routine.name, calibration.name, verdict, reasons, stated.tolerance, stated.angle_tolerance,
         len(np.unique(shape.stations.observations.station)), quantities, fit, per_station,
-        stations.surface, routine.says, output.time_of(int(stations.stamps.min())),
-        limits.certificate, dict(config.record))
+        stations.surface_note, routine.measures, output.time_of(int(stations.stamps.min())),
+        stated.certificate, dict(config.record))
+
+
+def verify_stops(routine: Routine, recordings: Sequence[Sequence[Sample | Reject]],
+                 calibration: Calibration, config: Config) -> Verification:
+    """
+    Return the result of a routine by what the stops of each recording, a face or ball, gave.
+
+    config: the settings_for the routine. Raises as verify does.
+    """
+    samples = [[stop for stop in stops if isinstance(stop, Sample)] for stops in recordings]
+    rejects = [stop for stops in recordings for stop in stops if isinstance(stop, Reject)]
+    return verify(routine, stations_of(routine, samples, calibration, config), calibration,
+                  rejects)
 
 
 def _station_results(stations: StationSet, used: StationSet, fit: ShapeFit,
@@ -170,7 +186,7 @@ def _station_results(stations: StationSet, used: StationSet, fit: ShapeFit,
 
 
 def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[StationResult],
-            limits: VerifyConfig, smooth_std: float) -> tuple[str, tuple[str, ...]]:
+            stated: VerifyConfig, smooth_std: float) -> tuple[str, tuple[str, ...]]:
     """
     Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences.
 
@@ -180,7 +196,7 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Sta
 
     def remedy(size: float, largest: float) -> str:
         """Return what makes a size that is too large, but not hopelessly so, small enough."""
-        if DETECTION_SIGMAS * smooth_std > limits.tolerance:
+        if DETECTION_SIGMAS * smooth_std > stated.tolerance:
             return (f': the smooth error of the robot that the calibration found '
                     f'({mm(smooth_std)}) hides less')
         return '' if size >= 10 * largest else (
@@ -189,17 +205,17 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Sta
 
     # the shape fits, but not in its size
     other_size = fit.error.p_explained < UNEXPLAINED_P < fit.scatter.p
-    findings = [*_values_off(quantities, limits, remedy),
-                *_points_off(fit, results, limits, other_size)]
+    findings = [*_values_off(quantities, stated, remedy),
+                *_points_off(fit, results, stated, other_size)]
     failed, undecided = ([sentence for outcome, sentence in findings if outcome == wanted]
                          for wanted in (VIOLATES, UNDECIDED))
     verdict = 'fail' if failed else 'undecided' if undecided else 'pass'
-    if not failed and fit.error.detectable > limits.tolerance:
+    if not failed and fit.error.detectable > stated.tolerance:
         verdict = 'insensitive'
         undecided.insert(0, (
             'this decides nothing: an error of the calibration would show only from '
             f'{mm(fit.error.detectable)} on ({fit.error.weakest_direction}), and the tolerance is '
-            f'{mm(limits.tolerance)}{remedy(fit.error.detectable, limits.tolerance)}'))
+            f'{mm(stated.tolerance)}{remedy(fit.error.detectable, stated.tolerance)}'))
     return verdict, tuple(dict.fromkeys(
         [*failed, *undecided, *_notes(fit, other_size, results)]))
 
@@ -218,7 +234,7 @@ def formatted(value: float | None, unit: str) -> str:
     return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{math.degrees(value):.4f} degrees'
 
 
-def _values_off(quantities: Sequence[Quantity], limits: VerifyConfig,
+def _values_off(quantities: Sequence[Quantity], stated: VerifyConfig,
                 remedy: Callable[[float, float], str]) -> Iterator[tuple[str, str]]:
     """
     Yield the decisions on the values with a nominal, each with a sentence.
@@ -227,7 +243,7 @@ def _values_off(quantities: Sequence[Quantity], limits: VerifyConfig,
     """
     for q in quantities:
         if q.error is not None:
-            tolerance = limits.tolerance if q.unit == 'm' else limits.angle_tolerance
+            tolerance = stated.tolerance if q.unit == 'm' else stated.angle_tolerance
             off, U = (formatted(value, q.unit) for value in (q.error, q.expanded))
             outcome = decision(q.error, q.expanded, tolerance)
             yield outcome, f'{q.name} is off by {off} ± {U} (k = {COVERAGE_FACTOR:g})' if (
@@ -237,21 +253,21 @@ def _values_off(quantities: Sequence[Quantity], limits: VerifyConfig,
                 f'{remedy(q.expanded, tolerance - abs(q.error))}')
 
 
-def _points_off(fit: ShapeFit, results: Sequence[StationResult], limits: VerifyConfig,
+def _points_off(fit: ShapeFit, results: Sequence[StationResult], stated: VerifyConfig,
                 other_size: bool) -> Iterator[tuple[str, str]]:
     """
     Yield the decisions on points and calibration that do not conform, each with a sentence.
 
     other_size: whether another size of the artefact explains an error of the calibration as well.
     """
-    outside = [s for s in results if s.used and COVERAGE_FACTOR * s.std <= limits.tolerance
-               and s.distance - COVERAGE_FACTOR * s.std > limits.tolerance]
+    outside = [s for s in results if s.used and COVERAGE_FACTOR * s.std <= stated.tolerance
+               and s.distance - COVERAGE_FACTOR * s.std > stated.tolerance]
     if outside:
         worst = max(outside, key=lambda s: s.distance)
         yield VIOLATES, (f'points of {len(outside)} of {len(results)} stops lie up to '
                          f'{mm(worst.distance)} from the fit (the worst: {worst.name})')
     size, std = fit.error.largest, fit.error.largest_std
-    outcome = decision(size, ONE_SIDED_95 * std, limits.tolerance)
+    outcome = decision(size, ONE_SIDED_95 * std, stated.tolerance)
     error = (f'an error of the calibration of {mm(size)} ± {mm(COVERAGE_FACTOR * std)} '
              f'(k = {COVERAGE_FACTOR:g})')
     if fit.error.p_chance <= SIGNIFICANCE and outcome == VIOLATES and not other_size:

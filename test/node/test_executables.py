@@ -84,6 +84,7 @@ def test_a_service_without_a_home_is_told_what_to_set(monkeypatch: pytest.Monkey
         pass
 
 
+@pytest.mark.thorough
 def test_the_demo_of_the_readme_ends_with_the_answer_and_its_report(tmp_path: Path) -> None:
     run = run_python(ROOT / 'tools/demo.py', '--bag', ROOT / 'bags/plate', '--config', PLATE,
                      '--out', tmp_path, '--rate', 8, cwd=tmp_path, timeout=PATIENCE)

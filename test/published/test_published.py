@@ -5,13 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import combinations
 from math import comb
+from operator import itemgetter
 
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import SingularError, TooFewError
 from handeye_ros.published import chen2023, jing2020, wu2017, zheng2018
 from handeye_ros.published import cn105021139a as patent
+from handeye_ros.simulate.tables import points_in_two_frames
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -44,33 +47,33 @@ def pairs(seed: int, noise: float = 0.0) -> tuple[Array, Array, Array]:
     """Return T_camera_base and ten points in camera and base (metres)."""
     rng = np.random.default_rng(seed)
     T = se3.transform(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-1, 1, 3))
-    base = rng.uniform(-0.15, 0.15, (10, 3)) + [0.6, 0.1, 0.3]
-    return T, se3.apply(T, base) + noise * rng.normal(size=(10, 3)), base
+    return T, *points_in_two_frames(rng, se3.inverse(T), noise)
 
 
 def test_wu_takes_the_best_of_all_210_quadruples() -> None:
     _, camera, base = pairs(1, 3e-5)
-    solution = wu2017.solve(camera, base)
-    assert len(solution.costs) == comb(10, 4) == 210
-    assert np.isfinite(solution.costs).all()
-    assert solution.cost == solution.costs.min()
-    four = list(solution.quadruple)
-    np.testing.assert_allclose(se3.apply(solution.matrix, base)[four], camera[four], atol=1e-9)
-    by_eq_4 = (np.vstack([camera[four].T, np.ones(4)])
-               @ np.linalg.inv(np.vstack([base[four].T, np.ones(4)])))
-    np.testing.assert_allclose(solution.matrix, by_eq_4, atol=1e-9)
-    by_eq_5 = sum(np.linalg.norm(c - (by_eq_4 @ np.append(w, 1.0))[:3])
-                  for c, w in zip(camera, base, strict=True))
-    assert solution.cost == pytest.approx(by_eq_5)
+    to_camera = []  # by eq. 4, and what it costs by eq. 5
+    for four in map(list, combinations(range(10), 4)):
+        T = (np.vstack([camera[four].T, np.ones(4)])
+             @ np.linalg.inv(np.vstack([base[four].T, np.ones(4)])))
+        cost = sum(np.linalg.norm(c - (T @ np.append(w, 1.0))[:3])
+                   for c, w in zip(camera, base, strict=True))
+        to_camera.append((cost, T))
+    assert len(to_camera) == comb(10, 4) == 210
+    _, best = min(to_camera, key=itemgetter(0))
+    T_camera_base = se3.inverse(wu2017.solve(camera, base))
+    np.testing.assert_allclose(
+        T_camera_base[:3, :3], se3.nearest_rotation(best[:3, :3]), atol=1e-9)
+    middle = base.mean(axis=0)[None]
+    np.testing.assert_allclose(se3.apply(T_camera_base, middle), se3.apply(best, middle),
+                               atol=1e-9)
 
 
 def test_four_points_in_one_plane_are_left_out() -> None:
     T, _, base = pairs(2)
     base[:9, 2] = 0.3
-    solution = wu2017.solve(se3.apply(T, base), base)
-    assert np.isinf(solution.costs).sum() == comb(9, 4)
-    assert 9 in solution.quadruple
-    assert np.abs(se3.difference(solution.T_camera_base, T)).max() < 1e-6
+    T_base_camera = wu2017.solve(se3.apply(T, base), base)
+    assert np.abs(se3.difference(T_base_camera, se3.inverse(T))).max() < 1e-6
     base[9, 2] = 0.3
     with pytest.raises(SingularError, match='one plane'):
         wu2017.solve(se3.apply(T, base), base)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 import re
 
+from calibrations import calibration_at
 from cells import ONE_IN_1000, squared_error
 from command import assert_refused, bench_of, handeye, ROOT, succeeds
 from handeye_ros import pipeline, se3
@@ -14,7 +15,7 @@ from handeye_ros.bags.bag import read
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.results.calibration_file import read_calibration
+from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.robot import sources
 from handeye_ros.robot.selection import joint_notes
 from handeye_ros.robot.sources import solve_rows
@@ -224,6 +225,10 @@ def test_profiles_and_joint_states_of_a_bag_correct_the_arm(tmp_path):
     assert match and float(match[1]) > 50, 'the arm is told apart from a station that is wrong'
     solved = read_calibration(tmp_path / 'again/calibration.yaml')
     np.testing.assert_allclose(solved.T_flange_sensor, calibration.T_flange_sensor, atol=2e-5)
+    write_calibration(calibration_at(np.eye(4)), tmp_path / 'of_poses.yaml')
+    run = handeye('seam', ROOT / 'bags/plate', '--calibration', 'of_poses.yaml', '--kinematics',
+                  'out', cwd=tmp_path)
+    assert_refused(run, 2, 'has no topic /joint_states')
 
 
 def test_the_truth_of_a_corrected_arm_is_of_its_own_flange(tmp_path):

@@ -15,7 +15,7 @@ from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.scanning.cloud import write_cloud
 from handeye_ros.scanning.curves import spline
 from handeye_ros.scanning.seam import find_seam, sentences, tool_frames
-from handeye_ros.simulate.measuring import Preform, preform_cloud, PreformCloud
+from handeye_ros.simulate.artefacts import Preform, preform_cloud, PreformCloud
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
-import importlib.util
+from importlib import import_module
 import io
 from pathlib import Path
 import shutil
@@ -26,11 +26,8 @@ PATIENCE = 150.0  # s until something that does not happen fails the test
 
 def bench_of(name: str) -> Any:
     """Return the module of a bench."""
-    spec = importlib.util.spec_from_file_location(f'bench_{name}', ROOT / f'bench/{name}.py')
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # for its dataclasses
-    spec.loader.exec_module(module)
-    return module
+    with mock.patch.object(sys, 'path', [str(ROOT / 'bench'), *sys.path]):
+        return import_module(name)
 
 
 @contextmanager

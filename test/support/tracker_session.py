@@ -6,19 +6,13 @@ from __future__ import annotations
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.published import jing2020
+from handeye_ros.simulate.tables import arm, BALL_RADIUS, H0, H1, SWEEP_ANGLE
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-H0, H1, Q30, RADIUS = 0.02543, 0.031, 0.00298, 0.01905
+Q30 = 0.00298
 T_flange_sensor = se3.transform(Rotation.from_euler('xyz', [89.2, 0.9, -1.3], True).as_matrix(),
                                 np.array([0.057, -0.11, 0.049]))
-
-
-def link(turn: float, q3: float) -> Array:
-    """Return frame 3 (4, 4) in the frame of joint 1 (turn in degrees, q3 in metres)."""
-    R = (Rotation.from_euler('z', turn, degrees=True)
-         * Rotation.from_euler('x', np.pi / 2)).as_matrix()
-    return se3.transform(R, R[:, 2] * q3)
 
 
 def block(rng: np.random.Generator, skew: float) -> tuple[Array, tuple[Array, Array], Array]:
@@ -42,7 +36,7 @@ def ball_profiles(ball: Array, steps: Array, along: Array) -> Array:
     rows = []
     for step in steps:
         centre = ball - step * along
-        room = RADIUS ** 2 - centre[1] ** 2
+        room = BALL_RADIUS ** 2 - centre[1] ** 2
         for angle in np.deg2rad(np.linspace(-60, 60, 21)) if room > 0 else ():
             rows.append([centre[0] + np.sqrt(room) * np.sin(angle),
                          centre[2] - np.sqrt(room) * np.cos(angle), step + Q30])
@@ -56,15 +50,17 @@ def session(seed: int, tracker_noise: float = 0.0, sensor_noise: float = 0.0,
     T_tracker_arm = se3.transform(Rotation.from_euler('xyz', [3, -4, 50], True).as_matrix(),
                                   np.array([3.0, 1.7, -0.6]))
     reflector = np.array([[0.02, H0 + H1, 0.25]])
-    arc = np.array([se3.apply(link(t, 0.0), reflector)[0] for t in np.linspace(-60, 60, 40)])
-    line = np.array([se3.apply(link(12, q), reflector)[0] for q in np.linspace(-0.1, 0.1, 30)])
+    arc = np.array([se3.apply(arm(turn, 0.0), reflector)[0]
+                    for turn in np.deg2rad(np.linspace(-60, 60, 40))])
+    line = np.array([se3.apply(arm(SWEEP_ANGLE, q), reflector)[0]
+                     for q in np.linspace(-0.1, 0.1, 30)])
     ridge, normals, ball = block(rng, skew)
     along = T_flange_sensor[2, :3]
     x = np.linspace(0.002, 0.018, 10)
     steps = np.linspace(-0.06, 0.06, 41)
     faces = [face_profiles(n, ridge, ridge[0] + s * x, steps[20:], along)
              for n, s in zip(normals, (-1, 1), strict=True)]
-    T_tracker_sensor = T_tracker_arm @ link(12, Q30) @ T_flange_sensor
+    T_tracker_sensor = T_tracker_arm @ arm(SWEEP_ANGLE, Q30) @ T_flange_sensor
     spots = [se3.apply(T_tracker_sensor, jing2020.swept(f[::6], Q30, along)) for f in faces]
     truth = [se3.apply(T_tracker_arm, arc), se3.apply(T_tracker_arm, line),
              se3.apply(T_tracker_sensor, ball[None]), *spots]

@@ -9,8 +9,7 @@ from calibrations import calibration_at
 from command import bench_of
 from handeye_ros.config import Config
 from handeye_ros.verification.routines import ROUTINES
-from handeye_ros.verification.stations import stations_of
-from handeye_ros.verification.verify import verify
+from handeye_ros.verification.verify import verify_stops
 import numpy as np
 
 bench = bench_of('verify')
@@ -33,4 +32,4 @@ def assess(name, artefact, calibration, config=None, **stated):
     config = replace(config, verify=replace(config.verify, **{
         'lengths': artefact.lengths, 'radius': bench.RADIUS if 'ball' in name else 0.0,
         'reference': artefact.reference, 'aim': bench.AIM if name == 'point' else 0.0} | stated))
-    return verify(routine, stations_of(routine, artefact.bags, calibration, config), calibration)
+    return verify_stops(routine, artefact.bags, calibration, config)

@@ -10,10 +10,17 @@ from handeye_ros import se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
+from handeye_ros.frames import mount_poses
 from handeye_ros.published import jing2020
-from handeye_ros.simulate.measured import BALL_RADIUS, laser_tracker, SimulatedFiles
+from handeye_ros.simulate.tables import (
+    BALL_RADIUS,
+    laser_tracker,
+    points_in_two_frames,
+    poses_of_target,
+    SimulatedFiles,
+)
 from handeye_ros.tabulated.pairs import PointPairs, PosePairs
-from handeye_ros.tabulated.tracker import Piece, sweep_from, SWEPT_PARTS, TrackerSession
+from handeye_ros.tabulated.tracker import Piece, sweep_from, SWEPT_PARTS, TrackerProblem
 from handeye_ros.tabulated.values import answer_table, TableAnswer
 import numpy as np
 import pytest
@@ -34,8 +41,7 @@ def pairs(seed: int, count: int = 10, wrong: int = 0) -> tuple[Array, PointPairs
     """Return T_base_camera and points in both frames, the first ones wrong."""
     rng = np.random.default_rng(seed)
     T = se3.transform(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-1, 1, 3))
-    base = rng.uniform(-0.15, 0.15, (count, 3)) + [0.6, 0.1, 0.3]
-    camera = se3.apply(se3.inverse(T), base) + 3e-5 * rng.normal(size=(count, 3))
+    camera, base = points_in_two_frames(rng, T, count=count)
     camera[:wrong] += 5e-3 * rng.normal(size=(wrong, 3))
     return T, PointPairs(ON_BASE, camera, base)
 
@@ -73,20 +79,10 @@ def test_points_in_another_order_are_refused() -> None:
 def views(seed: int, robot: tuple[float, float], count: int = 12, on_base: bool = False
           ) -> tuple[Array, Array, PosePairs]:
     """Return X, Z and the views, with noise of the robot (m, rad) and the camera."""
-    rng = np.random.default_rng(seed)
-    X = se3.transform(Rotation.random(random_state=rng).as_matrix(), 0.1 * rng.normal(size=3))
-    Z = se3.transform(Rotation.random(random_state=rng).as_matrix(), np.array([0.7, 0.1, 0.2]))
-    turns = Rotation.from_euler('xyz', rng.uniform(-1, 1, (count, 3)) * [30, 30, 60], degrees=True)
-    seen = se3.transform(turns.as_matrix() @ np.diag([1.0, -1.0, -1.0]),
-                         rng.uniform([-0.05, -0.05, 0.2], [0.05, 0.05, 0.3], (count, 3)))
-    T = Z @ se3.inverse(seen) @ se3.inverse(X)
-    T = (se3.inverse(disturbed(se3.inverse(T), robot, rng)) if on_base
-         else disturbed(T, robot, rng))
-    return X, Z, PosePairs(ON_BASE if on_base else IN_HAND, disturbed(seen, (1e-4, 1e-3), rng), T)
-
-
-def disturbed(T: Array, noise: tuple[float, float], rng: np.random.Generator) -> Array:
-    return se3.perturb(T, np.repeat(noise, 3) * rng.normal(size=(len(T), 6)))
+    config = ON_BASE if on_base else IN_HAND
+    X, Z, flange, seen = poses_of_target(np.random.default_rng(seed), robot,
+                                         eye_on_base=on_base, count=count)
+    return X, Z, PosePairs(config, seen, mount_poses(flange, config))
 
 
 @pytest.mark.parametrize(('on_base', 'count'), [(False, 20), (True, 20), (False, 5)])
@@ -123,7 +119,7 @@ def tracked(measured: jing2020.Readings) -> TableAnswer:
     pieces = [Piece(row, part, point[None])
               for part, points in measured.parts.items() if part != 'ball'
               for row, point in enumerate(points)]
-    return answer_table(TrackerSession(config, pieces, measured.parts['ball'][0], measured.q30))
+    return answer_table(TrackerProblem(config, pieces, measured.parts['ball'][0], measured.q30))
 
 
 def test_the_tracker_without_noise_finds_the_truth() -> None:

@@ -22,7 +22,7 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.results import calibration_file
 from handeye_ros.results.truth import errors_against, true_transform
-from handeye_ros.simulate import FILE_SCENES, measured
+from handeye_ros.simulate import FILE_SCENES, tables
 from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.tables import Table
 from handeye_ros.tabulated import FILE_TARGETS
@@ -56,11 +56,11 @@ def given(name: str, folder: Path) -> tuple[object, ...]:
 
 PERFECT = SensorModel(columns=640, rate=10.0, noise=1e-9, mixed=0.0, lost=0.0, lost_at_edge=0.0,
                       outliers=0.0, rim_bias=0.0)
-EXACT: dict[str, Callable[[np.random.Generator], measured.SimulatedFiles]] = {
-    'points': lambda rng: measured.points(rng, 0.0, 4),
-    'hand_eye': lambda rng: measured.hand_eye(rng, noise=0.0, count=5),
-    'hand_eye_on_base': lambda rng: measured.hand_eye(rng, True, 0.0),
-    'tracker': lambda rng: measured.laser_tracker(rng, PERFECT, 0.0, 0.0)}
+EXACT: dict[str, Callable[[np.random.Generator], tables.SimulatedFiles]] = {
+    'points': lambda rng: tables.points(rng, 0.0, 4),
+    'hand_eye': lambda rng: tables.hand_eye(rng, noise=0.0, count=5),
+    'hand_eye_on_base': lambda rng: tables.hand_eye(rng, True, 0.0),
+    'tracker': lambda rng: tables.laser_tracker(rng, PERFECT, 0.0, 0.0)}
 
 
 def read_configured(name: str, folder: Path) -> TableProblem:
@@ -307,7 +307,7 @@ def test_the_notation_of_a_controller_is_named(
 @pytest.mark.parametrize('seed', [8, 12, 19])
 def test_one_orientation_is_no_misreading(seed: int, handeye: Run, tmp_path: Path) -> None:
     # angles in the other unit are as noisy as small turns
-    cell = measured.hand_eye(np.random.default_rng(seed), noise=4.0, tilts=(0.0, 0.0, 0.0))
+    cell = tables.hand_eye(np.random.default_rng(seed), noise=4.0, tilts=(0.0, 0.0, 0.0))
     (tmp_path / 'poses.csv').write_text(cell.tables['poses.csv'])
     T = Table(tmp_path / 'poses.csv').poses('flange')
     abc = Rotation.from_matrix(T[:, :3, :3]).as_euler('ZYX', degrees=True)
@@ -321,7 +321,7 @@ def test_one_orientation_is_no_misreading(seed: int, handeye: Run, tmp_path: Pat
 
 @pytest.mark.parametrize('eye_on_base', [False, True])
 def test_turns_about_one_axis_are_refused(eye_on_base: bool, handeye: Run, tmp_path: Path) -> None:
-    cell = measured.hand_eye(np.random.default_rng(0), eye_on_base, tilts=(0.0, 0.0, 60.0))
+    cell = tables.hand_eye(np.random.default_rng(0), eye_on_base, tilts=(0.0, 0.0, 60.0))
     (tmp_path / 'poses.csv').write_text(cell.tables['poses.csv'])
     name = 'hand_eye_on_base' if eye_on_base else 'hand_eye'
     refused(handeye('solve', *given(name, tmp_path)), 3, 'all poses share one rotation axis',

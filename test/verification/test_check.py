@@ -57,12 +57,15 @@ def check_cell(calibrated, kind, count=8, moved=(0.0, 0.0, 0.0), **scenario):
 
 
 @pytest.mark.parametrize('change', bench.TRUTH)
-def test_what_changed_is_named_and_nothing_else(calibrated, change):
+def test_what_changed_is_named_and_mostly_nothing_else(calibrated, change):
     verdicts = [(kind, check_after(calibrated, kind, change, seed).verdict)
                 for kind in bench.TARGETS for seed in range(3)]
-    right = [bench.TRUTH[change] in verdict.split(' or ') for _, verdict in verdicts]
-    least = {'unchanged': 1.0, 'joint 0.05': 0.8}.get(change, 0.95)  # as the bench measures
-    assert sum(right) >= least * len(verdicts), verdicts
+    named = [bench.TRUTH[change] in verdict.split(' or ') for _, verdict in verdicts]
+    alone = [bench.TRUTH[change] == verdict for _, verdict in verdicts]
+    least_named, least_alone = {  # as the bench measures
+        'unchanged': (1.0, 1.0), 'target': (0.95, 0.8), 'sensor': (0.95, 0.8),
+        'joint 0.05': (0.8, 0.5), 'joint 0.2': (0.95, 0.95)}[change]
+    assert np.mean(named) >= least_named and np.mean(alone) >= least_alone, verdicts
 
 
 def test_a_stop_that_is_left_out_has_its_number_among_all_stops(calibrated):
@@ -172,14 +175,6 @@ def test_faults_that_the_cell_had_before_are_no_change(fault):
 def with_state(calibration, state):
     joint = {**calibration.target['joint'], 'state': state}
     return replace(calibration, target={**calibration.target, 'joint': joint})
-
-
-def test_a_sphere_that_an_earlier_version_wrote_is_compared_with(calibrated):
-    scenario, config, calibration, X, T = calibrated['sphere']
-    samples = bench.samples(scenario, 8, X, T, np.random.default_rng(3))
-    state = calibration.target['joint']['state']
-    earlier = with_state(calibration, [*state[3:12:4], state[16]])  # centre and radius
-    assert check(samples, earlier, config).sentence == check(samples, calibration, config).sentence
 
 
 FAR = se3.perturb(np.eye(4), np.array([0.1, 0.05, 0.0, 0.0, 0.0, 1.0]))  # another sensor's place

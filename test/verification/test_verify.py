@@ -16,8 +16,9 @@ from handeye_ros.output import yaml_text
 from handeye_ros.simulate.robot import pose_error
 from handeye_ros.simulate.scenario import PlateTarget, SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
-from handeye_ros.verification.result_file import plain_values, protocol
+from handeye_ros.verification.result_file import plain_values, protocol, sentence
 from handeye_ros.verification.routines import routine_of, ROUTINES, settings_for
+from handeye_ros.verification.stations import stations_of
 from handeye_ros.verification.verify import verify
 import numpy as np
 import pytest
@@ -82,12 +83,11 @@ def test_of_stops_that_share_no_surface_all_pieces_take_part():
     nearer = replace(face, centre=face.centre - [0, 0.02], points=face.points - [0, 0.02])
     two = replace(artefact, bags=((replace(first, features=(face, nearer)), *others),))
     moves = {3: [2e-2, 0, 1e-2, 0.05, 0, 0], 4: [0, -3e-2, 5e-2, 0, 0.05, 0]}
-    try:  # so far from a plane, rounding decides which of the two is said
-        verdict = assess('plane', with_poses(two, moves), calibration).verdict
-    except DataError as refusal:
-        assert 'this is not what "plane" measures' in str(refusal)
-    else:
-        assert verdict == 'fail'
+    for artefact, pieces in (two, 1), (with_poses(two, moves), 2):
+        stations = stations_of(ROUTINES['plane'], artefact.bags, calibration,
+                               Config(noise=bench.NOISE))
+        of_two, of_one, *_ = np.bincount(stations.observations.station)
+        assert of_two == pieces * of_one
 
 
 def test_a_region_without_the_artefact_is_named():
@@ -134,6 +134,20 @@ def test_errors_of_the_artefact_are_measured(name, change, number, error):
     assert verification.verdict == 'fail'
     assert verification.quantities[number].error == pytest.approx(error, abs=1e-4)
     assert verification.quantities[number].name in verification.reasons[0]
+
+
+@pytest.mark.parametrize('name', ['step', 'ball_bar', 'line'])
+def test_the_result_tells_by_how_much_a_calibration_is_wrong(name):
+    artefact, calibration = measure(name)
+    for off in (np.array([1e-3, 0, 0, 0, 0, 0]), np.array([0, 0, -1e-3, 0, 0, 0])):
+        wrong = replace(calibration, T_flange_sensor=se3.perturb(artefact.T_flange_sensor, off))
+        content = plain_values(assess(name, artefact, wrong))
+        error = content['quantities'][-1]
+        assert error['name'] == 'likeliest error of the calibration'
+        assert 0.0 < error['std'] < 1e-4
+        assert abs(error['value'] - 1e-3) < 3 * error['std']
+        assert f'likeliest error of the calibration {1e3 * error["value"]:.4f} mm ± ' in sentence(
+            content)
 
 
 def test_a_ball_of_another_size_does_not_blame_the_calibration():
@@ -346,7 +360,7 @@ def test_of_points_without_noise_none_is_an_outlier():
     calibration = bench.calibration(artefact.T_flange_sensor, np.diag(bench.STD ** 2))
     verification = teeth(artefact, calibration)
     assert verification.verdict == 'pass'
-    assert max(abs(q.error) for q in verification.quantities) < 1e-6
+    assert max(abs(q.error) for q in verification.fit.quantities) < 1e-6
     assert verification.fit.scatter.points > 0.5 * len(artefact.passes) * 960
 
 

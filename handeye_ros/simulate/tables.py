@@ -24,6 +24,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 TABLE_DIGITS = 9  # after the point in the tables
+MIDDLE = (0.6, 0.1, 0.3)  # of the points of a tool in the base (m)
+ROBOT_STDS, CAMERA_STDS = (3e-5, 1e-4), (1e-4, 1e-3)  # 1 sigma of poses, per axis (m, rad)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,47 +54,66 @@ class SimulatedFiles:
                 'noise': self.noise, 'settings': self.settings}
 
 
+def points_in_two_frames(rng: np.random.Generator, T_base_camera: Array, noise: float = 3e-5,
+                         count: int = 10, middle: Sequence[float] = MIDDLE
+                         ) -> tuple[Array, Array]:
+    """
+    Return points (count, 3) in the camera, which measures them with noise, and in the base (m).
+
+    noise: 1 sigma per axis (m); middle: of the points in the base (m).
+    """
+    base = rng.uniform(-0.15, 0.15, (count, 3)) + middle
+    camera = se3.apply(se3.inverse(T_base_camera), base)
+    return camera + noise * rng.normal(size=base.shape), base
+
+
 def points(rng: np.random.Generator, noise: float = 3e-5, count: int = 10) -> SimulatedFiles:
     """Return the tip of a tool at several positions, 0.5 m from a camera beside the robot."""
     R = Rotation.random(random_state=rng).as_matrix()
-    middle, reach = np.array([0.6, 0.1, 0.3]), np.array([0.0, 0.0, 0.5])
-    X = se3.transform(R, middle - R @ reach)
-    base = rng.uniform(-0.15, 0.15, (count, 3)) + middle
-    camera = se3.apply(se3.inverse(X), base) + noise * rng.normal(size=base.shape)
+    X = se3.transform(R, MIDDLE - R @ [0.0, 0.0, 0.5])
     header = [f'{frame}_{axis} [mm]' for frame in ('camera', 'base') for axis in 'xyz']
-    text = csv_text(header, (1e3 * np.hstack([camera, base])).round(TABLE_DIGITS))
-    return SimulatedFiles({'points.csv': text}, X, {'point': noise},
+    rows = 1e3 * np.hstack(points_in_two_frames(rng, X, noise, count))
+    return SimulatedFiles({'points.csv': csv_text(header, rows.round(TABLE_DIGITS))}, X,
+                          {'point': noise},
                           {'target.type': 'points', 'calibration_type': 'eye_on_base'})
 
 
-def hand_eye(rng: np.random.Generator, eye_on_base: bool = False, noise: float = 1.0,
-             count: int = 12, tilts: Sequence[float] = (30.0, 30.0, 60.0)) -> SimulatedFiles:
+def poses_of_target(rng: np.random.Generator, robot: Sequence[float] = ROBOT_STDS,
+                    camera: Sequence[float] = CAMERA_STDS, eye_on_base: bool = False,
+                    count: int = 12, tilts: Sequence[float] = (30.0, 30.0, 60.0)
+                    ) -> tuple[Array, Array, Array, Array]:
     """
-    Return poses of the robot, and of a target that is seen by a camera, and faces it.
+    Return X, Z, T_base_flange and T_camera_target of a camera that a target faces.
 
-    noise: a factor; tilts: the largest about each axis of the camera (degrees).
+    X: (4, 4) of the camera in its mount; Z: (4, 4) of the target where it is fixed; the poses
+    (count, 4, 4) with noise; robot, camera: of translation and rotation, 1 sigma per axis (m,
+    rad); tilts: the largest about each axis of the camera (degrees).
     """
-    near, far = (Rotation.random(random_state=rng).as_matrix() for _ in range(2))
-    T_near = se3.transform(near, rng.normal(scale=0.1, size=3))
-    T_far = se3.transform(far, np.array([0.7, 0.1, 0.2]))
-    X, Z = (T_far, T_near) if eye_on_base else (T_near, T_far)
+    near = se3.transform(Rotation.random(random_state=rng).as_matrix(), 0.1 * rng.normal(size=3))
+    far = se3.transform(Rotation.random(random_state=rng).as_matrix(), np.array([0.7, 0.1, 0.2]))
+    X, Z = (far, near) if eye_on_base else (near, far)
     turns = Rotation.from_euler('xyz', rng.uniform(-1, 1, (count, 3)) * tilts, degrees=True)
     views = se3.transform(turns.as_matrix() @ np.diag([1.0, -1.0, -1.0]),
                           rng.uniform([-0.05, -0.05, 0.2], [0.05, 0.05, 0.3], (count, 3)))
     T_fixed_mount = Z @ se3.inverse(views) @ se3.inverse(X)
-    poses = se3.inverse(T_fixed_mount) if eye_on_base else T_fixed_mount
-    robot, target = (3e-5 * noise, 1e-4 * noise), (1e-4 * noise, 1e-3 * noise)
-    columns = []
-    for T, sigma in ((poses, robot), (views, target)):
-        error = np.hstack(list(rng.normal(size=(2, count, 3)) * np.array(sigma)[:, None, None]))
-        T = se3.perturb(T, error)
-        columns += [1e3 * T[:, :3, 3], se3.quaternion(T)]
+    T_base_flange = se3.inverse(T_fixed_mount) if eye_on_base else T_fixed_mount
+    flange, seen = (se3.perturb(T, np.repeat(stds, 3) * rng.normal(size=(count, 6)))
+                    for T, stds in ((T_base_flange, robot), (views, camera)))
+    return X, Z, flange, seen
+
+
+def hand_eye(rng: np.random.Generator, eye_on_base: bool = False, noise: float = 1.0,
+             count: int = 12, tilts: Sequence[float] = (30.0, 30.0, 60.0)) -> SimulatedFiles:
+    """Return a table of `poses_of_target`; noise: a factor."""
+    robot, camera = ([noise * std for std in stds] for stds in (ROBOT_STDS, CAMERA_STDS))
+    X, _, *lists = poses_of_target(rng, robot, camera, eye_on_base, count, tilts)
+    columns = [column for T in lists for column in (1e3 * T[:, :3, 3], se3.quaternion(T))]
     header = [f'{name}_{column}' for name in ('flange', 'target')
               for column in ('x [mm]', 'y [mm]', 'z [mm]', 'qx', 'qy', 'qz', 'qw')]
     names = ('robot_translation', 'robot_rotation', 'target_translation', 'target_rotation')
     table = csv_text(header, np.hstack(columns).round(TABLE_DIGITS))
     return SimulatedFiles({'poses.csv': table}, X,
-                          dict(zip(names, (*robot, *target), strict=True)),
+                          dict(zip(names, (*robot, *camera), strict=True)),
                           {'target.type': 'hand_eye', 'calibration_type': (
                               'eye_on_base' if eye_on_base else 'eye_in_hand')})
 
