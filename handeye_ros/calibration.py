@@ -32,7 +32,7 @@ from handeye_ros.estimation.blocks import LINE_BEND, with_columns
 from handeye_ros.estimation.posterior import Posterior
 from handeye_ros.estimation.problem import Estimate, mapped, Problem
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.frames import direction_in_words, mount_frame, T_sensor_plane
+from handeye_ros.frames import mount_frame, T_sensor_plane, weakest_position
 import numpy as np
 from numpy.typing import NDArray
 
@@ -87,9 +87,9 @@ def assemble_calibration(config: Config, method: str, sensor_frame: str, T_flang
     version and config.
     """
     parent, used = mount_frame(config), sum(report.used for report in reports)
-    std, direction = se3.worst_translation(covariance)
+    weakest, std = weakest_position(covariance, parent)
     quality = Quality(used, len(reports) - used, residual_rms, holdout_rms,
-                      f'position along {direction_in_words(direction, parent)} (m)', std)
+                      f'{weakest} (m)', std)
     return Calibration(
         config.calibration_name, method, parent, sensor_frame, T_flange_sensor,
         covariance, target, quality, tuple(reports),

@@ -31,9 +31,10 @@ from handeye_ros.errors import (
 )
 import yaml
 
-METRES = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3, 'um': 1e-6, 'in': 0.0254}
-RADIANS = {'rad': 1.0, 'mrad': 1e-3, 'deg': math.pi / 180, 'degrees': math.pi / 180}
-SECONDS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6}
+# factors of units, by the SI unit that they give; '' is of a plain number
+UNITS = {'m': {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3, 'um': 1e-6, 'in': 0.0254},
+         'rad': {'rad': 1.0, 'mrad': 1e-3, 'deg': math.pi / 180, 'degrees': math.pi / 180},
+         's': {'s': 1.0, 'ms': 1e-3, 'us': 1e-6}, '': {'': 1.0}}
 WITH_UNIT = re.compile(r'(?<![\w.])([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) *([a-z]+)(?![\w.])')
 MICRO = re.compile('[\u00b5\u03bc]')  # of µm, in the two ways that it is written
 NOT_SET = math.nan  # default of a number that changes an answer by its full size: it has none
@@ -612,10 +613,9 @@ def in_si(text: str, unit: str) -> str:
     """
     Return a text with its numbers that have a unit, as 20mm, converted; all else is as before.
 
-    unit: m, rad or s, into which they are converted; of another one none is.
+    unit: m, rad or s, into which they are converted; '': none is.
     """
-    factors = {'m': METRES, 'rad': RADIANS, 's': SECONDS}.get(unit, {})
-    text = MICRO.sub('u', text) if factors else text
+    factors, text = UNITS[unit], MICRO.sub('u', text) if unit else text
     return WITH_UNIT.sub(lambda match: repr(float(match[1]) * factors[match[2]])
                          if match[2] in factors else match[0], text)
 

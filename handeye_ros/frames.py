@@ -63,6 +63,12 @@ def direction_in_words(direction: Array, frame: str) -> str:
     return f'the direction ({text}) of {frame}'
 
 
+def weakest_position(covariance: Array, frame: str) -> tuple[str, float]:
+    """Return in words where a transform with a covariance (6, 6) is least certain, and 1 sigma."""
+    std, direction = se3.worst_translation(covariance)
+    return f'position along {direction_in_words(direction, frame)}', std
+
+
 def axes_across(direction: Array, frame: str) -> str:
     """Return in words the two axes of a frame with the largest angles to a direction (3,)."""
     names = [name for _, name in sorted(zip(np.abs(direction), 'xyz', strict=True))]

@@ -20,14 +20,13 @@ from pathlib import Path
 import re
 
 from handeye_ros import se3
-from handeye_ros.config import METRES, MICRO, RADIANS
+from handeye_ros.config import MICRO, UNITS
 from handeye_ros.data import Array, QUATERNION_TOLERANCE
 from handeye_ros.errors import InputError, nearest, UnknownNameError
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-LENGTH, ANGLE, NUMBER = 'length', 'angle', 'number'
-UNITS = {LENGTH: METRES, ANGLE: RADIANS, NUMBER: {'': 1.0}}
+LENGTH, ANGLE, NUMBER = 'm', 'rad', ''  # kinds of columns, by their SI unit
 SPELLINGS = {'degree': 'deg', '°': 'deg', 'radian': 'rad', 'radians': 'rad', 'metre': 'm',
              'metres': 'm', 'meter': 'm', 'meters': 'm', 'millimetres': 'mm',
              'millimeters': 'mm'}

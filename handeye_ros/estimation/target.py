@@ -113,6 +113,7 @@ class Target(ABC):
         """Return value and 1 sigma of the parameters that are known, by name: no unknowns."""
         return {}
 
+    @abstractmethod
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:
         """
@@ -120,11 +121,10 @@ class Target(ABC):
 
         p: (m, 3) in the base; state: (s,).
         """
-        return observations
 
+    @abstractmethod
     def shows_several(self, observations: Observations) -> bool:
         """Return whether they may be of alike surfaces, so that a wrong estimate may fit well."""
-        return False
 
     @abstractmethod
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
@@ -140,14 +140,14 @@ class Target(ABC):
         """Return in words where observations lie that are not on the target, '' if unknown."""
         return ''
 
+    @abstractmethod
     def blocks(self, linear: Linear) -> Iterable[ParameterBlock]:
         """Return the blocks of nuisance parameters of its own (see blocks.py)."""
-        return ()
 
+    @abstractmethod
     def feature_errors(self, linear: Linear) -> Array:
         """
         Return derivatives (m, 1) of the residuals by a unit-variance error of each feature.
 
         They replace the blocks during the search.
         """
-        return np.zeros((len(linear.residuals), 1))

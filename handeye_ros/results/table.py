@@ -15,11 +15,11 @@ from handeye_ros.data import (
     Array,
     BudgetTerm,
     Calibration,
-    Quality,
     Reject,
     Sample,
 )
 from handeye_ros.errors import count_of, without_numbers
+from handeye_ros.frames import weakest_position
 from handeye_ros.results.truth import Errors
 import numpy as np
 from rich import box
@@ -128,7 +128,7 @@ def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
     yield 'residual', f'{quality.residual_rms * 1e3:.3f} mm RMS'
     yield 'left out', f'{quality.holdout_rms * 1e3:.3f} mm RMS (each sample predicted from ' \
                       'the others)'
-    yield 'weakest', weakest(quality)
+    yield 'weakest', weakest(calibration)
     yield 'samples', f'{quality.samples_used} used, {quality.samples_rejected} rejected'
     causes = defaultdict[str, list[str]](list)
     for sample in calibration.samples:
@@ -149,10 +149,10 @@ def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
             yield key.removeprefix(RECORD_PREFIX).replace('_', ' '), str(text)
 
 
-def weakest(quality: Quality) -> str:
-    """Return the weakest direction in words."""
-    direction = quality.weakest_direction.removesuffix(' (m)')
-    return f'{direction}: {quality.weakest_std * 1e3:.3f} mm (1 sigma)'
+def weakest(calibration: Calibration) -> str:
+    """Return where the position is least certain, in words."""
+    words, std = weakest_position(calibration.covariance, calibration.parent_frame)
+    return f'{words}: {std * 1e3:.3f} mm (1 sigma)'
 
 
 def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -20,7 +20,7 @@ from handeye_ros.bags.bag import Recording
 from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.refusals import require_certain, require_samples
-from handeye_ros.config import Config
+from handeye_ros.config import Config, UNITS
 from handeye_ros.data import Array, Calibration, Indices, NS, Sample, SEED
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.least_squares import adjust
@@ -47,7 +47,7 @@ from handeye_ros.robot.selection import (
 from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import with_estimated_clocks
-from handeye_ros.tables import ANGLE, LENGTH, Table, UNITS
+from handeye_ros.tables import ANGLE, LENGTH, Table
 from handeye_ros.targets import problem_of_known_poses, target_for
 from handeye_ros.targets.profile_target import xyz
 import numpy as np
