@@ -49,8 +49,7 @@ def click(browser: Any, selector: str) -> None:
 
 def press(browser: Any, selector: str, message: str) -> str:
     """Click, and return what the page then says."""
-    browser.execute_script("document.getElementById('message').textContent = ''; "
-                           'shown.message = undefined')
+    browser.execute_script("document.getElementById('message').textContent = ''")
     click(browser, selector)
     wait(browser, f"document.getElementById('message').textContent.includes({message!r})",
          f'"{message}", not "{words(browser, "message")}"')
@@ -126,7 +125,7 @@ def calibrated(browser: Any, tmp_path: Path) -> int:
 def undone(browser: Any, count: int) -> None:
     """Undo: it asks before it removes what another browser has taken; no is no."""
     browser.refresh()  # it is another browser to the page
-    wait(browser, f"typeof lines === 'object' && {LINES} === {count}", 'all samples again')
+    wait(browser, f'{LINES} === {count}', 'all samples again')
     click(browser, '#undo')
     wait(browser, "document.getElementById('question').textContent.endsWith('Remove it?')",
          'the question')
@@ -182,7 +181,6 @@ def test_a_verification_by_clicking(tmp_path: Path, client: Client) -> None:
             f'page.port:={port}', '-p', f'verify.calibration:={right}'):
         client.connect()
         browser.get(f'http://127.0.0.1:{port}/')
-        wait(browser, "typeof latest === 'object' && latest", 'the page')
         wait(browser, "document.getElementById('set-verify.routine')", 'the settings')
         browser.execute_script(
             "for (const [key, value] of [['routine', 'sphere'], ['radius', '0.04']]) {"
