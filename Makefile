@@ -22,8 +22,8 @@ export OPENBLAS_NUM_THREADS := 1
 # What the ROS wheels set for a process of theirs must not reach another environment's.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-# Tests of nodes mostly wait for each other, so there are two workers to a processor.
-WORKERS := $$((2 * $$(nproc)))
+# Tests of nodes mostly wait for each other, so there are three workers to two processors.
+WORKERS := $$((3 * $$(nproc) / 2))
 # whose kernels OpenBLAS uses; also tried before a release: PROCESSORS='Haswell Zen SkylakeX'
 PROCESSORS ?= Haswell
 

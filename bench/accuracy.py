@@ -23,7 +23,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Sample
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.posterior import posterior_at
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
 import numpy as np
 from scipy.stats import chi2

@@ -45,13 +45,13 @@ from handeye_ros.data import EdgePoint, Feature, Profile, Sample
 from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import robust_solution, with_systematic_errors
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses_of
 from handeye_ros.guidance.advice import advise
-from handeye_ros.guidance.view import extremes, learn_view, Move, View, view_levers
+from handeye_ros.guidance.view import AdvisedMove, extremes, learn_view, View, view_levers
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.truth import errors_against, field_points
-from handeye_ros.sampling.edge_shapes import with_common_shape
+from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.features import combined_features
 from handeye_ros.sampling.session import duplicate_pose
 from handeye_ros.sampling.stops import Stop
@@ -264,7 +264,7 @@ def advised(cell: World, solution: Solution | None) -> Callable[[], np.ndarray |
     return near
 
 
-def moved(cell: World, move: Move, away: float) -> np.ndarray:
+def moved(cell: World, move: AdvisedMove, away: float) -> np.ndarray:
     """Return the pose after a move by the look of the laser."""
     rng, first = cell.rng, cell.samples[0].T_base_flange @ cell.T_flange_sensor
     shift = rng.normal(size=3) * 3e-3 * away
@@ -379,7 +379,7 @@ def solved(cell: World) -> Solution | None:
 
     From the last one, once it is known to KNOWN_WELL; without the search for other answers.
     """
-    target, samples = targets.target_for(cell.config), with_common_shape(cell.samples)
+    target, samples = targets.target_for(cell.config), with_common_edge_shape(cell.samples)
     if len(samples) < target.min_samples:
         return None
     problem = Problem(target, mount_poses_of(samples, cell.config), target.observe(samples),

@@ -5,6 +5,7 @@ What `handeye verify` and `handeye check` say, over seeds.
 
 usage: .venv/bin/python bench/verify.py [--rendered] [--first SEED] [SEEDS] [ROUTINE...]
        .venv/bin/python bench/verify.py --check [--first SEED] [SEEDS] [TARGET...]
+       .venv/bin/python bench/verify.py --unchanged [--first SEED] [SEEDS] [FAULT...]
 
 For each of SEEDS (default 200) a calibration is drawn with its stated covariance (0.03 mm and
 0.01 degrees, 1 sigma of each axis) and measures a simulated artefact with the robot and sensor of
@@ -21,6 +22,10 @@ with the sensor moved on the flange (0.3 mm and 0.1 degrees), and with joint 5 o
 off by 0.05 and by 0.2 degrees. "right": the cause is named, alone or with others that the stops
 cannot tell from it; "alone": and no other; "missed": nothing seems to have changed.
 
+--unchanged: recordings of the cells of bench/physics.py with twice as many stops, of which every
+second calibrates and the others check: what is said of a cell that is as it was, whatever its
+faults are. FAULT: a part of its name.
+
 An artefact is some targets at known poses in one frame: each gives a bag, by one sensor and robot.
 """
 from __future__ import annotations
@@ -35,7 +40,9 @@ from typing import Any, TypeAlias
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, NoiseConfig, VerifyConfig, with_values
 from handeye_ros.data import Array, Calibration, EdgePoint, FaceLine, Quality, Sample
+from handeye_ros.errors import DataError
 from handeye_ros.sampling.trajectory import trajectory_of
+from handeye_ros.simulate import FAULTS, settings, simulate
 from handeye_ros.simulate import robot as robots
 from handeye_ros.simulate.measuring import draw_pose, Gauge, Messages, rendered, scan_gauge
 from handeye_ros.simulate.robot import pose_error
@@ -400,10 +407,32 @@ def check_all(kinds: list[str], seeds: range) -> None:
                   f'{verdicts["unchanged"] / len(seeds):7.0%}  {dict(verdicts)}', flush=True)
 
 
+def unchanged_cells(faults: list[str], seeds: range) -> None:
+    """Print what is said of cells that are as they were when half of the stops calibrated."""
+    for name in (name for name in FAULTS if any(fault in name for fault in faults)):
+        verdicts = Counter(verdict_of_halves(FAULTS[name], seed) for seed in seeds)
+        print(f'{name:32} {dict(verdicts.most_common())}', flush=True)
+
+
+def verdict_of_halves(scenario: Scenario, seed: int) -> str:
+    """Return what the second half of a recording's stops says of the first half's calibration."""
+    first, second = scenario.stations
+    recording = simulate(replace(scenario, stations=(2 * first, 2 * second)),
+                         np.random.default_rng(seed))
+    config = with_values(Config(), settings(scenario))
+    samples = pipeline.gather(recording.profiles, recording.poses, config).samples
+    try:
+        calibration = pipeline.solve(samples[::2], [], config, 'laser')
+        return check(samples[1::2], calibration, config).verdict
+    except DataError:
+        return 'refused'
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument('--rendered', action='store_true')
     parser.add_argument('--check', action='store_true')
+    parser.add_argument('--unchanged', action='store_true')
     parser.add_argument('--first', type=int, default=0)
     parser.add_argument('seeds', type=int, nargs='?', default=200)
     parser.add_argument('names', nargs='*')
@@ -411,6 +440,9 @@ def main() -> None:
     seeds = range(given.first, given.first + given.seeds)
     if given.check:
         check_all(given.names or list(TARGETS), seeds)
+        return
+    if given.unchanged:
+        unchanged_cells(given.names or [''], seeds)
         return
     routines = given.names or list(SCENES)
     print(f'{"":9} within  wrong fails  smallest_error [mm]  verdicts of the right calibration')

@@ -24,7 +24,7 @@ from handeye_ros.data import Array
 from handeye_ros.errors import InputError, nearest, unusable_file
 from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.noise import TURN_LENGTH
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.results.file_values import require_format, transform_from
 import numpy as np
 from numpy.typing import NDArray

@@ -264,10 +264,9 @@ def run(job: Job, out: Path, verb: Verb) -> JobRow:
         errors.write(f'error: {type(error).__name__}: {error}')
     write_atomically(unfinished / 'output.txt', printed.getvalue() + errors.getvalue())
     lines = errors.getvalue().splitlines()
-    cause = next((line for line in lines if line.startswith('error:')), '')
+    cause = next((line[7:] for line in lines if line.lower().startswith('error: ')), '')
     row = {'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': code,
-           'cause': cause.removeprefix('error: '),
-           'warnings': sum(line.startswith('warning:') for line in lines),
+           'cause': cause, 'warnings': sum(line.startswith('warning:') for line in lines),
            'seconds': round(time.perf_counter() - start, 3), **_figures_in(unfinished)}
     write_atomically(unfinished / JOB_FILE, json.dumps({'state': state, 'row': row}, indent=1))
     shutil.rmtree(folder, ignore_errors=True)
@@ -304,7 +303,7 @@ def outcome_of(row: JobRow) -> str:
     """Return the result of a job in one word."""
     if row['exit_code'] == 0:
         return 'warning' if row.get('warnings') else 'pass'
-    return {1: 'failed or changed', 2: 'unreadable', 3: 'refused'}.get(row['exit_code'], 'crashed')
+    return {1: 'failed or changed', 2: 'unusable', 3: 'refused'}.get(row['exit_code'], 'crashed')
 
 
 def write_table(rows: Sequence[JobRow], out: Path) -> None:

@@ -31,8 +31,8 @@ from handeye_ros.data import (
 from handeye_ros.estimation.blocks import LINE_BEND, with_columns
 from handeye_ros.estimation.posterior import Posterior
 from handeye_ros.estimation.problem import Estimate, mapped, Problem
-from handeye_ros.estimation.solve import Solution
-from handeye_ros.frames import mount_frame, name_direction, T_sensor_plane
+from handeye_ros.estimation.solution import Solution
+from handeye_ros.frames import direction_in_words, mount_frame, T_sensor_plane
 import numpy as np
 from numpy.typing import NDArray
 
@@ -89,7 +89,7 @@ def assemble_calibration(config: Config, method: str, sensor_frame: str, T_flang
     parent, used = mount_frame(config), sum(report.used for report in reports)
     std, direction = se3.worst_translation(covariance)
     quality = Quality(used, len(reports) - used, residual_rms, holdout_rms,
-                      f'position along {name_direction(direction, parent)} (m)', std)
+                      f'position along {direction_in_words(direction, parent)} (m)', std)
     return Calibration(
         config.calibration_name, method, parent, sensor_frame, T_flange_sensor,
         covariance, target, quality, tuple(reports),
@@ -113,7 +113,7 @@ def _described_target(solution: Solution, config: Config) -> dict[str, Any]:
 
 def _joint(solution: Solution) -> dict[str, Any]:
     """
-    Return the values for a later check: target state, joint covariance, variance factor.
+    Return the values for a later check: target state, joint covariance, factors of the noise.
 
     The covariance (6 + k, 6 + k) is of the errors of the transform and of the target's parameters
     as the data show them, so that errors in common cancel.
@@ -124,7 +124,7 @@ def _joint(solution: Solution) -> dict[str, Any]:
     u = posterior.unknowns
     covariance[np.ix_(free, free)] = posterior.covariance[:u, :u]
     return {'state': solution.estimate.state.tolist(), 'covariance': covariance.ravel().tolist(),
-            'variance_factor': posterior.variance_factor}
+            'variance_factors': solution.for_report.noise.variance_factors.tolist()}
 
 
 def edges_used(problem: Problem) -> list[str]:
@@ -148,7 +148,7 @@ def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
     measured = measured_points(used, problem)
     if fold is None:
         fold = np.arange(n) % min(n, MOST_FOLDS)
-    estimates, poses = solution.posterior.predictions(fold)
+    estimates, poses = solution.posterior.estimates_without(fold)
     T = poses @ np.array([estimate.X for estimate in estimates])[fold]
     p = mapped(measured.points, T[measured.station])
     fold_of_point, left_out = fold[measured.station], np.empty(len(p))
@@ -172,9 +172,9 @@ class MeasuredPoints:
     """
     All measured points of the used samples, represented by the target's observations.
 
-    points: (k, 2) of the sensor plane
-    kind: (k,)
-    station: (k,) the problem's
+    points: (k, 2) of the sensor plane (m)
+    kind: (k,) index of the condition in the target's kinds
+    station: (k,) index of the problem's station
     """
 
     points: Array
@@ -214,13 +214,13 @@ class BlockEstimate:
     """
     The first parameter of a block of nuisance parameters: its value and 1 sigma.
 
-    contradiction: of the value from the data alone, without the prior, with the stated one, in
+    sigmas_off_stated: of the value from the data alone, without the prior, with the stated one, in
     sigmas of both; significance: of the value from the data alone, in its sigmas.
     """
 
     value: float
     std: float
-    contradiction: float
+    sigmas_off_stated: float
     significance: float
 
 
@@ -266,7 +266,7 @@ def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
 
 def notes_of(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the remarks on an answer in words: clocks, laser, target, edges, surfaces."""
-    yield from offset_notes(solution)
+    yield from clock_notes(solution)
     bend = block_estimates(solution.for_report).get(LINE_BEND)
     if bend and abs(bend.significance) > SURE_SIGMAS and abs(bend.value) > SMALLEST_BEND:
         yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
@@ -289,7 +289,7 @@ def notes_of(solution: Solution, config: Config) -> Iterator[str]:
                f'other surfaces too than the {target.name} that was used in all of them')
 
 
-def offset_notes(solution: Solution) -> Iterator[str]:
+def clock_notes(solution: Solution) -> Iterator[str]:
     """Yield the notes on the time offset and the drift of the clocks."""
     offset, drift = (clock_estimate(solution, name) for name in (TIME_OFFSET, CLOCK_DRIFT))
     if offset is None:
@@ -329,7 +329,7 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
             contradicts = abs(value - stated) > std
         else:
             stated, std = value - estimates[name].value, reported[name].std
-            contradicts = abs(reported[name].contradiction) > NOTED_SIGMAS
+            contradicts = abs(reported[name].sigmas_off_stated) > NOTED_SIGMAS
         if contradicts:
             unit, scale = ('degrees', math.degrees(1)) if 'angle' in name else ('mm', 1e3)
             yield (f'the {name.replace("_", " ")} of the target is {value * scale:.3f} +- '

@@ -74,7 +74,7 @@ class ComparedStations:
         return len(self.samples)
 
     @property
-    def T_sensor_values(self) -> Array:
+    def T_sensor_plane(self) -> Array:
         """Return the sensor plane (4, 4), in which X and field are, in the sensor."""
         return T_sensor_plane(self.config)
 
@@ -305,10 +305,10 @@ def _comparison(target: str, solve_own: Callable[[], OwnAnswer], count: int,
         if folds and estimator.refit:
             figures |= _left_out(data, estimator, min(folds, len(data)), progress)
         if T_true is not None:
-            errors = errors_against(X, T_true @ data.T_sensor_values, data.field())
+            errors = errors_against(X, T_true @ data.T_sensor_plane, data.field())
             figures |= {f'error_{name}': value for name, value in asdict(errors).items()}
         return Row(estimator.name, {**figures, 'seconds': seconds},
-                   X @ se3.inverse(data.T_sensor_values))
+                   X @ se3.inverse(data.T_sensor_plane))
 
     seconds = time.perf_counter() - start
     rows = [Row(own_method.name, {'seconds': seconds}, failure=str(refusal)) if refusal else

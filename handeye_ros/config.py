@@ -458,11 +458,11 @@ def flatten(config: Config) -> dict[str, Any]:
     """Return the values of a configuration by dotted key, but those not set; tuples as lists."""
     values = {p.key: attrgetter(p.key)(config) for p in parameters()}
     values = {key: value for key, value in values.items() if value == value}  # not NOT_SET
-    values |= recorded(config)
+    values |= record_texts(config)
     return {key: list(v) if isinstance(v, tuple) else v for key, v in values.items()}
 
 
-def recorded(config: Config) -> dict[str, str]:
+def record_texts(config: Config) -> dict[str, str]:
     """Return the free texts of a configuration by dotted key."""
     return {f'{RECORD_PREFIX}{name}': text for name, text in config.record}
 

@@ -1,6 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Frozen values that pass between the stages (docs/contract.md): SI units, stamps in ns."""
+"""
+Frozen values that pass between the stages (docs/contract.md): SI units, stamps in ns.
+
+And what all stages compute with: RMS, robust spread, the order of columns.
+"""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -37,7 +41,7 @@ def robust_std(deviations: Array) -> float:
     return float(SIGMA_OF_MEDIAN * np.median(np.abs(deviations)))
 
 
-def in_order(x: Array, is_return: NDArray[np.bool_]) -> Indices | slice:
+def column_order(x: Array, is_return: NDArray[np.bool_]) -> Indices | slice:
     """
     Return the columns of a profile in order along its line, as indices into its columns.
 
@@ -91,7 +95,7 @@ class Profile:
         Points in the origin become NaN: drivers publish the origin for missing returns.
         """
         points = np.where((self.points == 0).all(axis=1, keepdims=True), np.nan, self.points)
-        columns = in_order(points[:, 0], np.isfinite(points[:, 0]))
+        columns = column_order(points[:, 0], np.isfinite(points[:, 0]))
         return replace(self, points=points[columns], intensity=(
             None if self.intensity is None else self.intensity[columns]))
 
@@ -225,8 +229,8 @@ class EdgePoint:
     std_across: 1 sigma across it
     ending: of ENDINGS: 'step', 'shadow' (a step whose foot is hidden), 'roof' (its wall is seen),
         'gap' (nothing beyond it) or 'open' (the driver does not say)
-    drop: (2,) from the point down to where the plate was last seen, for a rounded or bevelled edge
-        without a visible wall, else 0
+    to_lowest: (2,) from the point down to where the plate was last seen, of a rounded or bevelled
+        edge without a visible wall, else 0
     shape_log_odds: (k + 1,) log likelihoods of roundings with k radii and of a bevel, 0 for the
         best, empty without a bend
     arc_offset: (2,) from the point to where its rounding is located best, if it is one
@@ -240,7 +244,7 @@ class EdgePoint:
     std: float
     std_across: float
     ending: str = 'step'
-    drop: Array = field(default_factory=lambda: np.zeros(2))
+    to_lowest: Array = field(default_factory=lambda: np.zeros(2))
     shape_log_odds: Array = field(default_factory=lambda: np.empty(0))
     arc_offset: Array = field(default_factory=lambda: np.zeros(2))
     arc_std: float = 0.0

@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The parents of all refusals, and those that several stages share; each builds its own message.
+The parents of all refusals, those that several stages share, and numbers in words.
 
 A message says what is wrong, why it matters or how it was seen, and what to do. The exit
 code is that of the command line: 2 for wrong usage or unreadable input, 3 for data that

@@ -41,8 +41,8 @@ def T_sensor_plane(config: Config) -> Array:
 
     Identity for the usual profile.axes [x, z].
     """
-    along, across = unit_vectors(config.profile.axes).T
-    return se3.transform(np.column_stack([along, np.cross(across, along), across]), np.zeros(3))
+    x, z = unit_vectors(config.profile.axes).T
+    return se3.transform(np.column_stack([x, np.cross(z, x), z]), np.zeros(3))
 
 
 def unit_vectors(names: Sequence[str]) -> Array:
@@ -53,7 +53,7 @@ def unit_vectors(names: Sequence[str]) -> Array:
     return axes
 
 
-def name_direction(direction: Array, frame: str) -> str:
+def direction_in_words(direction: Array, frame: str) -> str:
     """Return a direction (3,) in words: the nearest axis if within 15 degrees, else numbers."""
     axis = int(np.argmax(np.abs(direction)))
     away = np.degrees(np.arccos(min(1.0, abs(direction[axis]) / np.linalg.norm(direction))))
@@ -69,7 +69,7 @@ def axes_across(direction: Array, frame: str) -> str:
     return f'{frame} {" or ".join(sorted(names[:2]))}'
 
 
-def wrong_sensor(frame: str, sensor: str) -> str:
+def sensor_warning(frame: str, sensor: str) -> str:
     """Return a warning if profiles are of another frame than a calibration's sensor, else ''."""
     if frame in ('', sensor):
         return ''

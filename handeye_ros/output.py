@@ -36,7 +36,7 @@ def time_of(stamp: int) -> str:
     return datetime.fromtimestamp(stamp * 1e-9, UTC).isoformat(timespec='seconds')
 
 
-def html_file(path: Path) -> None:
+def require_html_name(path: Path) -> None:
     """Raise BadValueError for the name of a page that has the ending of another kind of file."""
     if path.suffix.lower() not in ('.html', '.htm'):
         raise BadValueError('the file of the page', str(path), 'a name that ends with .html (a '

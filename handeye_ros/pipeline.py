@@ -20,7 +20,7 @@ from handeye_ros.arm import with_arm_errors
 from handeye_ros.calibration import calibration_of
 from handeye_ros.checks.causes import require_agreement, with_known_cause
 from handeye_ros.checks.clocks import require_steady_clocks
-from handeye_ros.checks.hypotheses import Fit
+from handeye_ros.checks.hypotheses import Explanation
 from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.checks.refusals import (
     missing_motion,
@@ -36,8 +36,8 @@ from handeye_ros.checks.refusals import (
 )
 from handeye_ros.checks.stated_lengths import (
     require_one_scale,
-    with_free_shape_if_needed,
-    with_free_size_if_needed,
+    with_free_lengths_if_needed,
+    with_free_measure_if_needed,
 )
 from handeye_ros.checks.surfaces import NotOfTargetError
 from handeye_ros.config import Config
@@ -55,9 +55,9 @@ from handeye_ros.data import (
 from handeye_ros.errors import DataError, require_type
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.search import robust_solution, with_systematic_errors
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_frame, mount_poses_of
-from handeye_ros.sampling.edge_shapes import with_common_shape
+from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import with_estimated_clocks
 import numpy as np
@@ -167,11 +167,11 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
     samples = sorted(samples, key=lambda sample: sample.stamp)
     target, rng = targets.target_for(config), np.random.default_rng(SEED)
     solution, calibration, refusal, samples_agree = None, None, None, False
-    baseline = Fit(())  # how well the samples fit as configured: nothing is known yet
+    baseline = Explanation(())  # how well the samples fit as configured: nothing is known yet
     try:
         # 1. Edges: move each edge point to where face and wall meet, by the rounding or bevel that
         # all stops have in common.
-        samples = with_common_shape(samples)
+        samples = with_common_edge_shape(samples)
         # 2. Preconditions: refuse a sensor with the frame of the robot, samples that are few or of
         # another target, and poses that do not turn about two axes.
         require_distinct_frame(frame_id, config)
@@ -185,15 +185,15 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         problem = synced.problem or targets.problem_of_known_poses(samples, config)
         solution = robust_solution(problem, rng, subsets=True, start=synced.estimate)
         # 5. Shape of the target: estimate it where only this makes the samples agree.
-        solution = with_free_shape_if_needed(problem, solution, rng, synced.estimate)
+        solution = with_free_measure_if_needed(problem, solution, rng, synced.estimate)
         # 6. Consistency: refuse samples that contradict each other, or fit decisively better under
         # another assumption (a hypothesis), which the refusal names.
-        baseline = Fit.of_solutions([sample.stamp for sample in samples], solution)
+        baseline = Explanation.of_solutions([sample.stamp for sample in samples], solution)
         require_agreement(samples, solution, baseline)
         # 7. Refinement: least squares with all systematic errors as nuisance parameters, their
         # scales and the noise estimated; outlier rejection again; lengths of the target where they
         # are stated wrongly. Refuse clocks that jumped, and lengths that differ in scale.
-        solution = with_free_size_if_needed(with_systematic_errors(solution))
+        solution = with_free_lengths_if_needed(with_systematic_errors(solution))
         require_steady_clocks(solution)
         require_one_scale(solution)
         samples_agree = True

@@ -20,7 +20,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, ClockValues, Sample
 from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.estimation.search import reassigned
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.calibration_file import config_of
@@ -28,7 +28,7 @@ from handeye_ros.results.file_values import input_values
 from handeye_ros.results.report import SolvedRecording
 from handeye_ros.results.scene import Agreement, StopSnapshot
 from handeye_ros.results.table import figures_table, sample_summary
-from handeye_ros.sampling.edge_shapes import common_shape, EdgeShape, with_common_shape
+from handeye_ros.sampling.edge_shapes import common_shape, EdgeShape, with_common_edge_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
@@ -154,7 +154,7 @@ def _residuals_of_unused(samples: Sequence[Sample], shape: EdgeShape, clock_valu
     shape: of the edges of those used; clock_values: of a moving robot, as the solution has
     estimated them.
     """
-    stations = with_common_shape(passes_expanded(samples), shape)
+    stations = with_common_edge_shape(passes_expanded(samples), shape)
     sample_of_station = np.repeat(np.arange(len(samples)),
                                   [len(sample.station_samples) for sample in samples])
     if any(station.moving for station in stations):

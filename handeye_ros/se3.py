@@ -180,7 +180,7 @@ def mean_pose(T: Array) -> Array:
 
 
 def turns_from_mean(T: Array) -> Array:
-    """Return the rotation vectors (n, 3), in rad, of (n, 4, 4) transforms from their mean."""
+    """Return the rotation vectors (n, 3), rad, from the mean of transforms, in its own axes."""
     rotations = _rotations(T[:, :3, :3])
     return cast(Array, (rotations.mean().inv() * rotations).as_rotvec())
 

@@ -156,7 +156,7 @@ class Table:
         for row in np.flatnonzero(~(np.abs(values) <= LARGEST_VALUE))[:1]:
             raise TableError(self.path, f'row {row + 1}: {name} is ' + (
                 f'{texts[row]}, which is beyond all measure' if np.isfinite(values[row]) else
-                f'"{texts[row]}", expected a number'))
+                f'"{texts[row]}", expected a number, with a point before its decimals'))
         return values
 
 

@@ -104,7 +104,7 @@ def table(entries: Sequence[Entry]) -> Table:
         shift, turn = np.split(entry.difference, 2)
         least = min(entry.p_first, entry.p_before)
         rows.append((
-            entry.recorded, *(f'{metres * 1e3:.3f}' for metres in shift),
+            entry.recorded or str(entry.path), *(f'{metres * 1e3:.3f}' for metres in shift),
             f'{np.degrees(np.linalg.norm(turn)):.4f}', f'{entry.p_first:.3g}',
             f'{entry.p_before:.3g}',
             'CHANGED' if least < CHANGED_P else 'watch' if least < WATCH_P else ''))

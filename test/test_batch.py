@@ -40,6 +40,9 @@ def pretended(words: list[str]) -> int:
         os._exit(9)
     if text == 'crash':
         raise ZeroDivisionError('a fault')
+    if text == 'misuse':
+        print('Usage: handeye solve\n\nError: No such option: --x', file=sys.stderr)
+        return 2
     if text == 'refuse':
         print('error: no target was seen within 3.1 mm', file=sys.stderr)
         return 3
@@ -53,16 +56,18 @@ def pretended(words: list[str]) -> int:
 
 def test_each_job_costs_itself_and_is_computed_once(tmp_path):
     texts = {f'good{k}': f'laser {k}e-3' for k in range(6)}
-    texts |= {'killing': 'kill', 'crashing': 'crash', 'refused': 'refuse'}
+    texts |= {'killing': 'kill', 'crashing': 'crash', 'refused': 'refuse',
+              'misused': 'misuse'}
     for name, text in texts.items():
         (tmp_path / f'{name}.mcap').write_text(text)
     out, jobs = tmp_path / 'out', jobs_of([str(tmp_path)], SOLVE)
     assert [job.label for job in jobs] == sorted(texts)
     rows = {row['label']: row for row in results_of(jobs, out, pretended)}
     assert {name: row['exit_code'] for name, row in rows.items() if row['exit_code']} == {
-        'killing': CRASH_EXIT_CODE, 'crashing': CRASH_EXIT_CODE, 'refused': 3}
+        'killing': CRASH_EXIT_CODE, 'crashing': CRASH_EXIT_CODE, 'refused': 3, 'misused': 2}
     assert rows['crashing']['cause'] == 'ZeroDivisionError: a fault'
     assert 'worker' in rows['killing']['cause'].lower()
+    assert rows['misused']['cause'] == 'No such option: --x'
     assert rows['good5']['x'] == 5e-3 and rows['good5']['qw'] == 1.0
     assert rows['good5']['std_x'] == CALIBRATION.covariance[0, 0] ** 0.5
     assert rows['good5']['residual_rms'] == CALIBRATION.quality.residual_rms

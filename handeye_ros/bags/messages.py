@@ -18,7 +18,7 @@ from typing import Any
 
 from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE, TF_TYPE
 from handeye_ros.config import ProfileConfig
-from handeye_ros.data import Array, in_order, NS, Profile, RawProfile, rms, TimedPose
+from handeye_ros.data import Array, column_order, NS, Profile, RawProfile, rms, TimedPose
 from handeye_ros.errors import UnusableMessageError
 import numpy as np
 from numpy.typing import NDArray
@@ -197,7 +197,7 @@ def profile_from_cloud(cloud: Any, config: ProfileConfig) -> Profile:
     points, is_return = _points(cloud, config)
     _require_axes(points[is_return, :2], config)
     x = points[:, 0]
-    columns = in_order(np.where(np.abs(x) <= LARGEST_COORDINATE, x, np.nan), is_return)
+    columns = column_order(np.where(np.abs(x) <= LARGEST_COORDINATE, x, np.nan), is_return)
     points, is_return = points[columns], is_return[columns]
     out_of_plane = np.nan_to_num(points[is_return, 2].mean()) if is_return.any() else 0.0
     return Profile(*stamp_and_frame(cloud), np.where(is_return[:, None], points[:, :2], np.nan),

@@ -16,16 +16,16 @@ import math
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.conventions import convention_hypotheses, orientations_scatter
 from handeye_ros.checks.hypotheses import (
-    Fit,
+    Explanation,
     Hypothesis,
     MANY_TRIED,
     refuse_by_best,
 )
 from handeye_ros.checks.moved import move_hypotheses
 from handeye_ros.checks.refusals import (
-    contradiction,
     FEW_TURNS,
     missing_motion,
+    refusal_of_misfit,
     require_certain,
     rms_turns_and_axes,
     UnexplainedError,
@@ -36,7 +36,7 @@ from handeye_ros.checks.surfaces import require_one_surface
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
 from handeye_ros.errors import DataError, mm
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.sampling.session import Session
 
 # variance factors, blocks as noise, above which the other range sign is tried; and (3 sigma) other
@@ -44,15 +44,16 @@ from handeye_ros.sampling.session import Session
 SIGN_TRIED, CONVENTION_TRIED = 0.6, 9.0
 
 
-def require_agreement(samples: Sequence[Sample], solution: Solution, baseline: Fit) -> None:
+def require_agreement(samples: Sequence[Sample], solution: Solution, baseline: Explanation
+                      ) -> None:
     """
     Raise DataError for a solution that the samples contradict, or another assumption explains.
 
     samples: of the stations of the problem, in order; baseline: the fit of the solution.
     """
-    problem, refusal = solution.full_problem, contradiction(solution)
+    problem, refusal = solution.full_problem, refusal_of_misfit(solution)
     config, poses = problem.config, problem.poses
-    doubt = math.inf if refusal else solution.posterior.variance_factor
+    doubt = math.inf if refusal else solution.posterior.square_per_freedom
     # the opposite sign of the range, and known errors in the conventions of the poses
     hypotheses = list[Hypothesis]()
     if doubt > SIGN_TRIED or solution.fully_used < len(poses):
@@ -79,7 +80,7 @@ def require_agreement(samples: Sequence[Sample], solution: Solution, baseline: F
         refuse_by_best(baseline, scale_hypothesis(solution, baseline.stamps), tried)
 
 
-def with_known_cause(refusal: DataError, baseline: Fit, session: Session, config: Config
+def with_known_cause(refusal: DataError, baseline: Explanation, session: Session, config: Config
                      ) -> DataError:
     """
     Return a refusal, or the one of the setting, surface or clocks that explain the stops better.

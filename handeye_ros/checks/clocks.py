@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from handeye_ros import se3
 from handeye_ros.calibration import clock_estimate
 from handeye_ros.checks.hypotheses import (
-    fit_of_samples,
+    explain_samples,
     Hypothesis,
     refuse_by_best,
     stops_to_explain,
@@ -24,8 +24,8 @@ from handeye_ros.checks.hypotheses import (
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, CLOCK_DRIFT, NS, Profile, Sample
 from handeye_ros.errors import BadValueError, DataError, FeatureError
-from handeye_ros.estimation.solve import Solution
-from handeye_ros.sampling.edge_shapes import with_common_shape
+from handeye_ros.estimation.solution import Solution
+from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.features import combined_features
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import decoded, Stop
@@ -54,8 +54,8 @@ def require_same_clock(session: Session, config: Config) -> None:
     """Raise DataError (clocks_differ) where the samples of stops fit poses of another time."""
     rests = _rests(session, config)
     if rests:
-        samples = with_common_shape(session.samples)
-        baseline = fit_of_samples(samples, config, [sample.stamp for sample in samples])
+        samples = with_common_edge_shape(session.samples)
+        baseline = explain_samples(samples, config, [sample.stamp for sample in samples])
         refuse_by_best(baseline, _delay_hypotheses(rests, config))
 
 
@@ -94,7 +94,8 @@ def _delay_hypotheses(rests: Sequence[_Rest], config: Config) -> Iterator[Hypoth
         with suppress(BadValueError):  # it may be out of the range of the key
             with_values(config, {'time_offset': offset})
             setting = f'set time_offset to {offset:.1f} (it is {config.time_offset:g}), or '
-        yield Hypothesis(fit_of_samples(with_common_shape(samples), config, stamps), DataError(
+        samples = with_common_edge_shape(samples)
+        yield Hypothesis(explain_samples(samples, config, stamps), DataError(
             'the samples do not fit the poses of their time, but as if the profiles were '
             f'{abs(delay):.1f} s {"late" if delay > 0 else "early"}: the clocks of sensor and '
             f'robot differ; {setting}give both the same clock', reason='clocks_differ'))

@@ -14,9 +14,9 @@ from functools import partial
 
 from handeye_ros import se3
 from handeye_ros.checks.hypotheses import (
-    Fit,
-    fit_of_problem,
-    fit_of_samples,
+    explain_problem,
+    explain_samples,
+    Explanation,
     Hypothesis,
 )
 from handeye_ros.data import Array, Sample
@@ -29,7 +29,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 
-def convention_hypotheses(samples: Sequence[Sample], problem: Problem, baseline: Fit
+def convention_hypotheses(samples: Sequence[Sample], problem: Problem, baseline: Explanation
                           ) -> Iterator[Hypothesis]:
     """
     Yield the hypotheses that the poses have a known error.
@@ -45,12 +45,12 @@ def convention_hypotheses(samples: Sequence[Sample], problem: Problem, baseline:
         poses = se3.from_quaternion(trajectory.values[:, :3], trajectory.values[:, 3:])
     stamps = [sample.stamp for sample in samples]
 
-    def fit_with(T: Array) -> Fit:
+    def fit_with(T: Array) -> Explanation:
         if not trajectory:
-            return fit_of_problem(replace(problem, poses=mount_poses(T, config)), stamps)
+            return explain_problem(replace(problem, poses=mount_poses(T, config)), stamps)
         corrected = replace(trajectory, values=np.column_stack([T[:, :3, 3], se3.quaternion(T)]))
-        return fit_of_samples([replace(sample, trajectory=corrected) for sample in samples],
-                              config, stamps, clocks=True)
+        return explain_samples([replace(sample, trajectory=corrected) for sample in samples],
+                               config, stamps, clocks=True)
 
     for name, undone, advice in CONVENTION_ERRORS:
         for fit in map(fit_with, undone(poses)):

@@ -3,7 +3,7 @@
 """
 The engine of all named causes: the same stops, fitted again under one changed assumption.
 
-A `Fit` is how well one set of assumptions explains some stops. A `Hypothesis` is such a fit with
+An `Explanation` is how well one set of assumptions explains some stops. A `Hypothesis` is one with
 the refusal that names what was changed. `refuse_by_best` compares hypotheses with the fit as
 configured, and raises the refusal of the best one if it explains the stops decisively better.
 
@@ -32,7 +32,7 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import CONVINCING_SQUARE, quick_solution, robust_solution
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.sweep import with_estimated_clocks
@@ -52,14 +52,14 @@ SMALLEST_EXPLAINED_SHARE = 0.9
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Explanation:
     """
     How well one set of assumptions explains some stops.
 
     stamps: of the samples of all stops that are to be explained; of a sweep, of profiles
     solutions: one of all stops, or one for each of two parts of the recording; none where nothing
         fits
-    left_out_squares: (2,) q of (13), in sigmas and in metres, of each explained stop by its stamp
+    left_out_squares: (2,) q of (13), in sigmas and in m^2, of each explained stop by its stamp
     """
 
     stamps: Sequence[int]
@@ -67,14 +67,14 @@ class Fit:
     left_out_squares: Mapping[int, Array] = field(default_factory=dict)
 
     @classmethod
-    def of_solutions(cls, stamps: Sequence[int], *solutions: Solution) -> Fit:
+    def of_solutions(cls, stamps: Sequence[int], *solutions: Solution) -> Explanation:
         """Return the fit by solutions whose stations, one after the other, are the stops."""
         squares = np.vstack([_left_out_squares(solution) for solution in solutions])
         return cls(stamps, solutions, {stamp: q for stamp, q in zip(stamps, squares, strict=True)
                                        if np.isfinite(q[0])})
 
     @property
-    def variance_factor(self) -> float:
+    def square_per_freedom(self) -> float:
         """Return the squared whitened residual of all solutions per degree of freedom."""
         freedom = sum(solution.posterior.degrees_of_freedom for solution in self.solutions)
         return sum(each.posterior.sum_of_squares for each in self.solutions) / max(freedom, 1)
@@ -88,7 +88,7 @@ class Fit:
     def agrees(self) -> bool:
         """Return whether most stops fit, about as well as the configured noise predicts."""
         most = (1 - LARGEST_DROPPED_SHARE) * len(self.stamps)
-        return bool(self.redundancy > 0 and self.variance_factor < CONVINCING_SQUARE
+        return bool(self.redundancy > 0 and self.square_per_freedom < CONVINCING_SQUARE
                     and len(self.left_out_squares) > most)
 
     @property
@@ -108,7 +108,7 @@ class Fit:
             solution.posterior.residual_rms <= solution.posterior.expected_rms
             for solution in self.solutions)
 
-    def evidence_over(self, baseline: Fit) -> float:
+    def evidence_over(self, baseline: Explanation) -> float:
         """Return twice the log of the odds, by the stops of this fit, for it against another."""
         explained_before = len(baseline.left_out_squares.keys() & self.stamps)
         if not self.solutions or (len(self.left_out_squares)
@@ -125,7 +125,7 @@ class Fit:
         return min(stops_deviance(before[:, unit], conditions)
                    - stops_deviance(after[:, unit], conditions) for unit in range(2))
 
-    def comparison_in_words(self, baseline: Fit, change: str) -> str:
+    def comparison_in_words(self, baseline: Explanation, change: str) -> str:
         """Return in words what fits as configured, and what with a change."""
         return (f'as set, {baseline._in_words(self.stamps)}; '
                 f'with {change}, {self._in_words(self.stamps)}')
@@ -159,33 +159,34 @@ def stops_to_explain(session: Session) -> list[Stop]:
             if not stop.final_reason and not session.excludes(stop)]
 
 
-def fit_of_problem(problem: Problem, stamps: Sequence[int], all_starts: bool = False) -> Fit:
+def explain_problem(problem: Problem, stamps: Sequence[int], all_starts: bool = False
+                    ) -> Explanation:
     """
-    Return the fit of a problem whose stations are the stops.
+    Return the explanation by a problem whose stations are the stops.
 
     all_starts: as in a solve, not only the first two.
     """
     solution = (robust_solution(problem, np.random.default_rng(0), subsets=True)
                 if all_starts else quick_solution(problem))
-    return Fit.of_solutions(stamps, solution) if solution else Fit(stamps)
+    return Explanation.of_solutions(stamps, solution) if solution else Explanation(stamps)
 
 
-def fit_of_samples(samples: Sequence[Sample], config: Config, stamps: Sequence[int],
-                   all_starts: bool = False, clocks: bool = False) -> Fit:
+def explain_samples(samples: Sequence[Sample], config: Config, stamps: Sequence[int],
+                    all_starts: bool = False, clocks: bool = False) -> Explanation:
     """
-    Return the fit of samples of some of the stops; see fit_of_problem.
+    Return the explanation by the samples of some of the stops; see explain_problem.
 
     clocks: of a sweep, search them anew, as these samples show them.
     """
     if len(samples) < target_for(config).min_samples:
-        return Fit(stamps)
+        return Explanation(stamps)
     if clocks:
         try:
             samples = with_estimated_clocks(samples, config).samples
         except DataError:  # the poses are of other times
-            return Fit(stamps)
-    fit = fit_of_problem(problem_of_known_poses(samples, config),
-                         [sample.stamp for sample in samples], all_starts)
+            return Explanation(stamps)
+    fit = explain_problem(problem_of_known_poses(samples, config),
+                          [sample.stamp for sample in samples], all_starts)
     return replace(fit, stamps=stamps)
 
 
@@ -208,12 +209,12 @@ class Hypothesis:
     changes: how many assumptions it changes
     """
 
-    fit: Fit
+    fit: Explanation
     refusal: DataError
     changes: int = 1
 
 
-def refuse_by_best(baseline: Fit, hypotheses: Iterable[Hypothesis], tried: int = MANY_TRIED
+def refuse_by_best(baseline: Explanation, hypotheses: Iterable[Hypothesis], tried: int = MANY_TRIED
                    ) -> None:
     """
     Raise the refusal of the hypothesis that explains the stops best, if it is decisively better.

@@ -21,8 +21,8 @@ import math
 from handeye_ros import se3
 from handeye_ros.checks.hypotheses import (
     DECISIVE_EVIDENCE,
+    Explanation,
     FALSE_CAUSE_PROBABILITY,
-    Fit,
     Hypothesis,
 )
 from handeye_ros.data import Array, rms
@@ -33,7 +33,7 @@ from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise
 from handeye_ros.estimation.posterior import Posterior, posterior_at
 from handeye_ros.estimation.problem import Estimate, Linear, Problem
 from handeye_ros.estimation.search import quick_solution, reassigned
-from handeye_ros.estimation.solve import (
+from handeye_ros.estimation.solution import (
     cover,
     Solution,
     with_noise_reestimated,
@@ -72,7 +72,7 @@ def move_hypotheses(problem: Problem, stamps: Sequence[int]) -> Iterator[Hypothe
         first, second = (quick_solution(problem.subset(part))
                          for part in np.split(np.arange(n), [station]))
         if first and second and (_same_transform(first, second) or _same_target(first, second)):
-            yield Hypothesis(Fit.of_solutions(stamps, first, second),
+            yield Hypothesis(Explanation.of_solutions(stamps, first, second),
                              _moved_between(first, second))
 
 
@@ -96,7 +96,7 @@ def _moved_between(first: Solution, second: Solution) -> DataError:
 
 def _same_transform(first: Solution, second: Solution) -> bool:
     """Return whether two parts may have the same transform: then the target moved between them."""
-    covariance = sum(part.transform_covariance * max(part.posterior.variance_factor, 1.0)
+    covariance = sum(part.transform_covariance * max(part.posterior.square_per_freedom, 1.0)
                      for part in (first, second))
     delta = se3.difference(second.estimate.X, first.estimate.X)
     return bool(delta @ np.linalg.solve(covariance, delta) < chi2_isf(FALSE_CAUSE_PROBABILITY, 6))
@@ -121,7 +121,7 @@ def _same_target(first: Solution, second: Solution) -> bool:
     r = np.concatenate([posteriors[0].prefit_residuals, second_at.prefit_residuals])
     joint = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
     increase = joint @ joint - posteriors[0].sum_of_squares - posteriors[1].sum_of_squares
-    factor = max(*(posterior.variance_factor for posterior in posteriors), 1.0)
+    factor = max(*(posterior.square_per_freedom for posterior in posteriors), 1.0)
     return bool(increase < factor * chi2_isf(FALSE_CAUSE_PROBABILITY, posteriors[0].unknowns - 6))
 
 
@@ -213,7 +213,11 @@ class _Move:
 
     @cached_property
     def step(self) -> Array:
-        """Return the translation (m) and rotation vector (rad) of the move, (6,)."""
+        """
+        Return the translation (m) and rotation vector (rad) of the move, (6,).
+
+        Of the sensor in the axes of the mount, of the target in those of the base; see _levers.
+        """
         values = {block.name: self.moved.nuisance[columns] * block.std
                   for block, columns in with_columns(self.moved.blocks)}
         return np.concatenate([values['translation'], values['rotation']])
@@ -327,7 +331,12 @@ def _wrt_moves(linear: Linear) -> Array:
 
 
 def _levers(linear: Linear) -> tuple[Array, Array]:
-    """Return the points (m, 3) from what a sensor, and a target, turns about when it moves."""
+    """
+    Return the points (m, 3) from what a sensor, and a target, turns about when it moves.
+
+    Of the sensor from its origin, in the axes of the mount; of the target from the middle of the
+    points, in the axes of the base.
+    """
     p = linear.problem.points_in_base(linear.estimate.X)
     return linear.lever, p - p.mean(axis=0)
 

@@ -17,8 +17,8 @@ from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import count_of, DataError, degrees, mm
 from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.noise import EDGE_FACTOR
-from handeye_ros.estimation.solve import Solution
-from handeye_ros.frames import axes_across, mount_frame, name_direction
+from handeye_ros.estimation.solution import Solution
+from handeye_ros.frames import axes_across, direction_in_words, mount_frame
 from handeye_ros.se3 import (
     mapped_covariance,
     turns_from_mean,
@@ -108,8 +108,8 @@ def require_rotations(poses: Array, frame: str, lost: str) -> None:
             'the tool by 15 degrees or more about two axes', reason='one_orientation')
     if turns[1] < SMALLEST_TURN:
         raise DataError(
-            f'all poses share one rotation axis ({name_direction(axes[0], frame)}; they turn by '
-            f'{np.degrees(turns[0]):.1f} degrees RMS about it): {lost}; tilt the tool by 15 '
+            f'all poses share one rotation axis ({direction_in_words(axes[0], frame)}; they turn '
+            f'by {np.degrees(turns[0]):.1f} degrees RMS about it): {lost}; tilt the tool by 15 '
             f'degrees or more about {axes_across(axes[0], frame)}', reason='one_axis')
 
 
@@ -123,7 +123,7 @@ def rms_turns_and_axes(poses: Array) -> tuple[Array, Array]:
     return np.sqrt(np.maximum(squares[::-1], 0.0)), axes.T[::-1]
 
 
-def contradiction(solution: Solution) -> UnexplainedError | None:
+def refusal_of_misfit(solution: Solution) -> UnexplainedError | None:
     """Return the refusal of a solution that its samples contradict, None where they agree."""
     limits, rms = solution.full_problem.config.limits, solution.posterior.residual_rms
     dropped = solution.dropped_squares
@@ -142,7 +142,7 @@ def contradiction(solution: Solution) -> UnexplainedError | None:
             'target', reason='misfit')
     times = rms / solution.posterior.expected_rms
     if times > limits.scatter or (
-            solution.posterior.variance_factor > MISFIT_FACTOR and times > MISFIT_TIMES):
+            solution.posterior.square_per_freedom > MISFIT_FACTOR and times > MISFIT_TIMES):
         beyond = f' (limits.scatter is {limits.scatter:g})' if times > limits.scatter else ''
         return UnexplainedError(
             f'the residuals of {mm(rms)} RMS are {times:.1f} times what the configured noise '
@@ -174,7 +174,7 @@ def require_tested(solution: Solution) -> None:
     per_sample = int(solution.posterior.ranks.max())
     missing = needed(dropped + 1) - (redundancy - per_sample)
     others_wrong_too = (solution.probability_wrong > SURELY_WRONG_P and dropped > 1
-                        and solution.full_problem.ambiguous)
+                        and solution.full_problem.shows_several)
     if others_wrong_too or (solution.probability_wrong > LARGEST_P_WRONG and missing > 0):
         raise UnexplainedError(
             f'these {used} samples contradict each other: either the robot is less accurate than '
@@ -214,7 +214,7 @@ def require_certain(covariance: Array, config: Config, advice: str, seen: Array 
         if not std <= limit:
             how = f'uncertain by {with_unit(std)} (1 sigma; ' if std < 1 else 'not determined ('
             raise DataError(
-                f'the {what} {name_direction(direction, mount_frame(config))} is {how}limits.'
+                f'the {what} {direction_in_words(direction, mount_frame(config))} is {how}limits.'
                 f'{key} is {with_unit(limit)}): {advice}', reason='uncertain')
 
 
@@ -233,8 +233,8 @@ def missing_motion(solution: Solution, config: Config) -> str:
     if turns[1] > FEW_TURNS:
         return SHOW_ALL_OF_THE_VIEW
     return (f'the poses turn by only {degrees(turns[1])} RMS about '
-            f'{name_direction(axes[1], frame)}; tilt the tool about this axis by 15 degrees or '
-            'more to both sides')
+            f'{direction_in_words(axes[1], frame)}; tilt the tool about this axis by 15 degrees '
+            'or more to both sides')
 
 
 def require_edges(solution: Solution) -> None:

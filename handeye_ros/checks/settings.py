@@ -13,12 +13,17 @@ from dataclasses import replace
 from itertools import permutations
 
 from handeye_ros import targets
-from handeye_ros.checks.hypotheses import Fit, fit_of_samples, Hypothesis, stops_to_explain
+from handeye_ros.checks.hypotheses import (
+    explain_samples,
+    Explanation,
+    Hypothesis,
+    stops_to_explain,
+)
 from handeye_ros.checks.refusals import UnexplainedError
 from handeye_ros.config import Config, flipped_range, TargetConfig, with_assignments
 from handeye_ros.data import EdgePoint, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.sampling.edge_shapes import with_common_shape
+from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import evenly, Stop
@@ -28,7 +33,8 @@ RANGE_SIGN, TARGET_TYPE = 'profile.range_sign', 'target.type'
 Values = tuple[tuple[str, str], ...]  # of settings, by their keys
 
 
-def setting_hypotheses(session: Session, config: Config, baseline: Fit) -> Iterator[Hypothesis]:
+def setting_hypotheses(session: Session, config: Config, baseline: Explanation
+                       ) -> Iterator[Hypothesis]:
     """Yield the hypotheses that other settings explain the stops of a session."""
     stops = evenly(stops_to_explain(session), MOST_STOPS)
     stamps = [stop.result.stamp for stop in stops]
@@ -39,15 +45,15 @@ def setting_hypotheses(session: Session, config: Config, baseline: Fit) -> Itera
     def samples_as(changed: Config, profiles: int) -> list[Sample]:
         results = [result_of(replace(stop, profiles=stop.profiles[:profiles]), changed)
                    for stop in few_profiles]
-        return with_common_shape([replace(result, stamp=stamp) for result, stamp in zip(
+        return with_common_edge_shape([replace(result, stamp=stamp) for result, stamp in zip(
             results, stamps, strict=True) if isinstance(result, Sample)])
 
-    fits = dict[Values, Fit]()  # those that leave no doubt
+    fits = dict[Values, Explanation]()  # those that leave no doubt
     for values in _likely_changes(config):
         changed = with_settings(config, dict(values))
         if 2 * len(samples_as(changed, profiles=1)) < len(stops):
             continue  # most show nothing: read no more of them
-        fit = fit_of_samples(samples_as(changed, MOST_PROFILES), changed, stamps)
+        fit = explain_samples(samples_as(changed, MOST_PROFILES), changed, stamps)
         if changed.target.type == 'plane':  # it does not explain the edges that are seen now
             fit = replace(fit, left_out_squares={
                 stamp: q for stamp, q in fit.left_out_squares.items() if stamp not in show_edge})
@@ -63,8 +69,8 @@ def setting_hypotheses(session: Session, config: Config, baseline: Fit) -> Itera
             and other.redundancy > fit.redundancy]), len(values))
 
 
-def settings_refusal(values: Mapping[str, str], baseline: Fit, fit: Fit,
-                     other_types: Sequence[Fit] = ()) -> DataError:
+def settings_refusal(values: Mapping[str, str], baseline: Explanation, fit: Explanation,
+                     other_types: Sequence[Explanation] = ()) -> DataError:
     """
     Return the refusal that names the values of settings with which the stops fit.
 
@@ -82,7 +88,7 @@ def settings_refusal(values: Mapping[str, str], baseline: Fit, fit: Fit,
     return DataError(f'{fit.comparison_in_words(baseline, named)}: set {to}', reason='settings')
 
 
-def sign_hypothesis(samples: Sequence[Sample], config: Config, baseline: Fit, clocks: bool
+def sign_hypothesis(samples: Sequence[Sample], config: Config, baseline: Explanation, clocks: bool
                     ) -> Hypothesis:
     """
     Return the hypothesis that the range counts the other way, by features of the samples.
@@ -92,10 +98,10 @@ def sign_hypothesis(samples: Sequence[Sample], config: Config, baseline: Fit, cl
     samples are in doubt too.
     """
     flipped = flipped_range(config)
-    flipped_samples = with_common_shape([replace(sample, features=sample.flipped)
-                                         for sample in samples if sample.flipped])
+    flipped_samples = with_common_edge_shape([replace(sample, features=sample.flipped)
+                                              for sample in samples if sample.flipped])
     stamps = [sample.stamp for sample in samples if sample.flipped is not None]
-    fit = fit_of_samples(flipped_samples, flipped, stamps, clocks=clocks)
+    fit = explain_samples(flipped_samples, flipped, stamps, clocks=clocks)
     values = {RANGE_SIGN: str(flipped.profile.range_sign)}
     if fit.within_noise:
         return Hypothesis(fit, settings_refusal(values, baseline, fit))

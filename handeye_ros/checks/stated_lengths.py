@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from handeye_ros.calibration import block_estimates, BlockEstimate, NOTED_SIGMAS
-from handeye_ros.checks.hypotheses import Fit, fit_of_problem, Hypothesis
+from handeye_ros.checks.hypotheses import explain_problem, Explanation, Hypothesis
 from handeye_ros.checks.moved import require_no_sure_move
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import scale_twists
@@ -22,7 +22,7 @@ from handeye_ros.estimation.search import (
     robust_solution,
     with_systematic_errors,
 )
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
 import numpy as np
 
@@ -31,8 +31,8 @@ FREED_FROM_SIGMAS = 2.5  # an estimated length is used; it costs little where th
 SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
 
 
-def with_free_shape_if_needed(problem: Problem, solution: Solution, rng: np.random.Generator,
-                              start: Estimate | None = None) -> Solution:
+def with_free_measure_if_needed(problem: Problem, solution: Solution, rng: np.random.Generator,
+                                start: Estimate | None = None) -> Solution:
     """
     Return the solution with a stated shape free, if only that makes the stations agree.
 
@@ -40,9 +40,9 @@ def with_free_shape_if_needed(problem: Problem, solution: Solution, rng: np.rand
     one to use, if given.
     """
     target, config = problem.target, problem.config
-    free_config = replace(config, target=replace(config.target, **target.free_shape))
+    free_config = replace(config, target=replace(config.target, **target.free_measure))
     fits = not (solution.dropped_squares or len(solution.stations_without_edges)
-                or solution.posterior.variance_factor > CONVINCING_SQUARE)
+                or solution.posterior.square_per_freedom > CONVINCING_SQUARE)
     if fits or free_config == config:
         return solution
     free = robust_solution(replace(problem, config=free_config), rng, start=start)
@@ -51,14 +51,14 @@ def with_free_shape_if_needed(problem: Problem, solution: Solution, rng: np.rand
     if abs(target.measures(free.estimate.state)[shape] - stated) > 0.5 * stated:
         return solution  # another target
     n = len(problem.poses)
-    free_fit, stated_fit = (Fit.of_solutions(range(n), each) for each in (free, solution))
+    free_fit, stated_fit = (Explanation.of_solutions(range(n), each) for each in (free, solution))
     # if a free shape explains more stations, the refinement can decide about the shape
     explains_more = free_fit.believable and free.fully_used - solution.fully_used > 0.1 * n
     better = explains_more or free_fit.evidence_over(stated_fit) > VERY_STRONG_EVIDENCE
     return free if better else solution
 
 
-def with_free_size_if_needed(solution: Solution) -> Solution:
+def with_free_lengths_if_needed(solution: Solution) -> Solution:
     """
     Return the refined solution with the target's lengths estimated, if the stated are wrong.
 
@@ -66,7 +66,7 @@ def with_free_size_if_needed(solution: Solution) -> Solution:
     are estimated too where such a scale is seen with the stated lengths alone.
     """
     target, config = solution.problem.target, solution.full_problem.config
-    free_config = replace(config, target=replace(config.target, **target.loose_lengths))
+    free_config = replace(config, target=replace(config.target, **target.free_lengths))
     stated, loose = map(target.stated_values, (config, free_config))
     lengths = [name for name, (_, std) in loose.items() if std > stated[name][1]]
     if not lengths:
@@ -82,7 +82,7 @@ def with_free_size_if_needed(solution: Solution) -> Solution:
 
 def _shows_scale(estimates: Mapping[str, BlockEstimate]) -> bool:
     """Return whether a scale error of the robot is seen; estimates: by the names of blocks."""
-    scale = estimates.get('scale')
+    scale = estimates.get('robot_scale')
     return scale is not None and abs(scale.value) > FREED_FROM_SIGMAS * scale.std
 
 
@@ -102,8 +102,8 @@ def scale_hypothesis(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypo
     if SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
         T = problem.robot_poses.copy()
         T[:, :3, 3] /= 1 + scale
-        fit = fit_of_problem(replace(problem, poses=mount_poses(T, problem.config)), stamps)
-        std = float(covariance[0, 0] * fit.variance_factor) ** 0.5
+        fit = explain_problem(replace(problem, poses=mount_poses(T, problem.config)), stamps)
+        std = float(covariance[0, 0] * fit.square_per_freedom) ** 0.5
         yield Hypothesis(fit, _scales_differ(abs(scale), std))
 
 
@@ -113,8 +113,8 @@ def require_one_scale(solution: Solution) -> None:
 
     Raises DataError: scale, or moved where the evidence for a move is decisive.
     """
-    scale = block_estimates(solution.for_report).get('scale')
-    if scale and abs(scale.contradiction) > NOTED_SIGMAS and abs(scale.value) > max(
+    scale = block_estimates(solution.for_report).get('robot_scale')
+    if scale and abs(scale.sigmas_off_stated) > NOTED_SIGMAS and abs(scale.value) > max(
             SMALLEST_SCALE_ERROR, NOTED_SIGMAS * scale.std):
         require_no_sure_move(solution)
         raise _scales_differ(abs(scale.value), scale.std)

@@ -15,13 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from handeye_ros.checks.hypotheses import fit_of_samples, stops_to_explain
+from handeye_ros.checks.hypotheses import explain_samples, stops_to_explain
 from handeye_ros.checks.settings import with_few_profiles, with_settings
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine, Reject, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.frames import mount_poses
-from handeye_ros.sampling.edge_shapes import with_common_shape
+from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
@@ -100,8 +100,8 @@ def _heights_over_plane(stops: NDArray[np.object_], config: Config
     """
     as_plane = with_settings(config, {'target.type': 'plane'})
     results = [result_of(with_few_profiles(stop, config), as_plane) for stop in stops]
-    fit = fit_of_samples([result for result in results if isinstance(result, Sample)], as_plane,
-                         [result.stamp for result in results], all_starts=True)
+    fit = explain_samples([result for result in results if isinstance(result, Sample)], as_plane,
+                          [result.stamp for result in results], all_starts=True)
     if not fit.believable or not fit.within_noise:
         return np.full(len(stops), np.nan), [], 0
     estimate = fit.solutions[0].estimate
@@ -138,9 +138,9 @@ def _is_near(heights: Array, level: Array | float) -> NDArray[np.bool_]:
 
 def _agree_on_target(stops: NDArray[np.object_], config: Config) -> bool:
     """Return whether stops, however few, agree on the target as configured."""
-    samples = with_common_shape([stop.sample for stop in stops])
-    return fit_of_samples(samples, config, [sample.stamp for sample in samples],
-                          all_starts=True).agrees
+    samples = with_common_edge_shape([stop.sample for stop in stops])
+    return explain_samples(samples, config, [sample.stamp for sample in samples],
+                           all_starts=True).agrees
 
 
 def _surface_in_words(heights: Array) -> str:

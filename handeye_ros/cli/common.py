@@ -120,9 +120,9 @@ def open_calibration(file: Path, config: Path | None, assignments: list[str],
                      kinematics: Path | None = None) -> 'tuple[Calibration, Config]':
     """Return a calibration, and the settings to measure with it; raises InputError."""
     from handeye_ros.config import load
-    from handeye_ros.results.calibration_file import file_of, read_calibration, use_config
+    from handeye_ros.results.calibration_file import config_to_measure, file_of, read_calibration
     calibration = read_calibration(file_of(file))
-    settings = use_config(calibration, load(config) if config else None)
+    settings = config_to_measure(calibration, load(config) if config else None)
     return calibration, configuration(None, assignments, settings, kinematics=kinematics)
 
 
@@ -149,9 +149,9 @@ def collect_samples(recording: 'Recording', settings: 'Config') -> 'Session':
 
 def warn_of_frame(recording: 'Recording', calibration: 'Calibration') -> None:
     """Warn where the profiles are of another frame than the sensor of a calibration."""
-    from handeye_ros.frames import wrong_sensor
+    from handeye_ros.frames import sensor_warning
     frame = next((profile.frame_id for profile in recording.profiles), '')
-    warn(wrong_sensor(frame, calibration.child_frame))
+    warn(sensor_warning(frame, calibration.child_frame))
 
 
 @contextmanager

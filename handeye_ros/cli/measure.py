@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from handeye_ros.verification.check import Check
 
 NOT_AS_WANTED = 1  # exit code: measured, and not passed, or changed
+SAME_STAMP = 100_000  # ns: profiles are further apart, and an offset estimated anew is nearer
 LARGEST_PLAIN = 10.0  # a position without a unit that is larger was meant in mm: refused
 THINNING_SIZE = 2e-4  # m: edge of the cubes of which each keeps one point
 PATH_LINES = ('auto', 'centre', 'root', 'first', 'second')  # that the path of a tool may follow
@@ -76,14 +77,14 @@ def verify(
     --set verify.lengths=[200mm] --set verify.tolerance=0.3mm; docs/measure.md tells which of them
     a routine needs.
     """
-    from handeye_ros.output import html_file, write_atomically
+    from handeye_ros.output import require_html_name, write_atomically
     from handeye_ros.results.calibration_file import file_of
     from handeye_ros.verification import result_file
     from handeye_ros.verification.routines import routine_of, settings_for
     from handeye_ros.verification.stations import stations_of, stations_of_passes
     from handeye_ros.verification.verify import verify as verified
     if protocol:
-        html_file(protocol)
+        require_html_name(protocol)
     routine = routine_of(name)
     opened, settings = open_calibration(calibration, config, assignments, kinematics)
     settings = settings_for(routine, settings, len(bags))
@@ -119,14 +120,19 @@ def _stops(bag: Path, calibration: 'Calibration', config: 'Config'
     recording = read_bag(bag, config)
     warn_of_frame(recording, calibration)
     session = collect_samples(recording, config)
-    _warn_of_calibration_samples(bag, [sample.stamp for sample in session.samples], calibration)
+    _warn_of_calibration_samples(bag, [sample.stamp for sample in session.samples], calibration,
+                                 config)
     return session.samples, session.rejects
 
 
-def _warn_of_calibration_samples(bag: Path, stamps: 'Sequence[int]', calibration: 'Calibration'
-                                 ) -> None:
+def _warn_of_calibration_samples(bag: Path, stamps: 'Sequence[int]', calibration: 'Calibration',
+                                 config: 'Config') -> None:
     """Warn where the samples with these stamps (ns) are those that a calibration was made of."""
-    if not {report.stamp for report in calibration.samples if report.used}.isdisjoint(stamps):
+    from handeye_ros.results.calibration_file import config_of
+    import numpy as np
+    later = config.time_offset - config_of(calibration).time_offset
+    own = [report.stamp + round(later * 1e9) for report in calibration.samples if report.used]
+    if (np.abs(np.subtract.outer(stamps, own)) < SAME_STAMP).any():
         warn(f'{bag} holds stations that the calibration was made of: they agree with it too '
              'well; measure at others')
 
@@ -155,7 +161,7 @@ def check(
         warn_of_frame(recording, calibration)
         with progress_bar('comparing'):
             result = check_recording(recording.profiles, recording.poses, calibration, settings)
-        _warn_of_calibration_samples(bag, [result.stamp], calibration)
+        _warn_of_calibration_samples(bag, [result.stamp], calibration, settings)
         checks.append((str(bag), result))
         since = None if result.verdict == 'unchanged' else since or bag
         typer.echo(f'{bag} ({result.stations} stations): {result.verdict.upper()}: '

@@ -83,7 +83,7 @@ def solve(
     if causes:
         show(causes)
     if T_true is not None:
-        T_plane = opened.table.T_sensor_values if opened.table else T_sensor_plane(settings)
+        T_plane = opened.table.T_sensor_plane if opened.table else T_sensor_plane(settings)
         errors = errors_against(calibration.T_flange_sensor @ T_plane, T_true @ T_plane,
                                 opened.table.field() if opened.table else None)
         region = opened.table.field_text if opened.table else 'the field of view'
@@ -142,14 +142,14 @@ def report(
     out: Annotated[NoPath, File(help='If not given, report.html beside the calibration.')] = None,
 ) -> None:
     """Show a calibration or verification in one HTML file."""
-    from handeye_ros.output import html_file, write_atomically
+    from handeye_ros.output import require_html_name, write_atomically
     from handeye_ros.results import exports
     from handeye_ros.results.calibration_file import file_of, read_calibration
-    from handeye_ros.results.report import contradiction, html
+    from handeye_ros.results.report import disagreement, html
     from handeye_ros.review import solved_recording
     from handeye_ros.verification.result_file import protocol_of
     if out:
-        html_file(out)
+        require_html_name(out)
     text = protocol_of(path) if path.is_file() else None
     if text is not None:
         page = path.with_suffix('.html')
@@ -158,7 +158,7 @@ def report(
         page, calibration = file.parent / exports.REPORT_FILE, read_calibration(file)
         with progress_bar('finding the stops'):
             shown = solved_recording(calibration, bag, file.parent)
-        warn(contradiction(calibration, shown))
+        warn(disagreement(calibration, shown))
         with progress_bar('writing the report'):
             text = html(calibration, shown)
     page = (out or page).expanduser().absolute()

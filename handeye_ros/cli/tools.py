@@ -25,7 +25,7 @@ from handeye_ros.cli.common import (
     show,
     warn,
 )
-from handeye_ros.errors import NoRosError, UnknownNameError
+from handeye_ros.errors import count_of, NoRosError, UnknownNameError
 import typer
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def batch(
     with write_errors_for(out):
         out.mkdir(parents=True, exist_ok=True)
     try:
-        with progress_bar(f'{len(jobs)} recordings') as progress:
+        with progress_bar(count_of(len(jobs), 'recording')) as progress:
             for row in batches.results_of(jobs, out, run_verb, scheduler):
                 rows.append(row)
                 progress(len(rows) / len(jobs))
@@ -134,8 +134,9 @@ def batch(
         raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
     counts = Counter(map(batches.outcome_of, rows)).items()
     computed = sum(row['computed'] for row in rows)
-    typer.echo(f'{len(rows)} recordings: {", ".join(f"{count} {name}" for name, count in counts)};'
-               f' {computed} computed, the others unchanged; wrote {out}')
+    outcomes = ', '.join(f'{count} {name}' for name, count in counts)
+    typer.echo(f'{count_of(len(rows), "recording")}: {outcomes}; {computed} computed, the others '
+               f'unchanged; wrote {out}')
 
 
 @app.command()

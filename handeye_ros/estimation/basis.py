@@ -77,11 +77,11 @@ def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
     view minus the best fit over the points (m, 2). The field of view is 1.25 times the bounding
     box of these points, which are means of bins and lie inside it.
     """
-    across = np.linspace(-1.25, 1.25, 11)
+    ticks = np.linspace(-1.25, 1.25, 11)
     over_view, over_points = (
         np.linalg.lstsq(_rigid(places), np.kron(np.eye(2), polynomials(u, v, degrees)),
                         rcond=None)[0]
-        for places, (u, v) in ((grid_over(points, across), grid(across).T),
+        for places, (u, v) in ((grid_over(points, ticks), grid(ticks).T),
                                (points, map(_normalised, points.T))))
     motions = (over_view - over_points).reshape(3, 2, -1)
     return [motion.reshape(3, -1) for motion in _by_degree(motions, degrees)]
@@ -115,15 +115,15 @@ def line_span(points: Array) -> tuple[float, float]:
     return float(middle), max(float(half), 1e-9)
 
 
-def grid_over(points: Array, across: Sequence[float] | Array) -> Array:
+def grid_over(points: Array, ticks: Sequence[float] | Array) -> Array:
     """Return a grid (k, 2) over the bounding box of points (m, 2), scaled to -1 to 1."""
     low, high = points.min(axis=0), points.max(axis=0)
-    return np.asarray((low + high) / 2 + grid(across) * (high - low) / 2)
+    return np.asarray((low + high) / 2 + grid(ticks) * (high - low) / 2)
 
 
-def grid(across: Sequence[float] | Array) -> Array:
+def grid(ticks: Sequence[float] | Array) -> Array:
     """Return all pairs (k, 2) of some coordinates."""
-    return np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2)
+    return np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
 
 
 def _rigid(points: Array) -> Array:

@@ -124,7 +124,7 @@ def scale_twists(problem: Problem) -> Array:
 def robot_scale(linear: Linear) -> Blocks:
     """Yield the block of one scale error of all lengths of the robot."""
     std, twists = linear.problem.config.noise.robot_scale, scale_twists(linear.problem)
-    yield ParameterBlock('scale', linear.wrt_twists(twists) * std, std, twists,
+    yield ParameterBlock('robot_scale', linear.wrt_twists(twists) * std, std, twists,
                          reported_as='scale', origin=1.0)
 
 
@@ -160,6 +160,7 @@ def robot_smooth(linear: Linear) -> Blocks:
 
 
 def _motions_of_smooth(linear: Linear) -> Array:
+    """Return best-fit motions (6, k) by the robot's smooth errors, of unit size; see best_fit."""
     problem, field = linear.problem, grid_over(linear.problem.observations.points, (-1, 0, 1))
     motions = motions_by_poses(problem.poses, linear.estimate.X, field,
                                problem.config.in_hand)
@@ -201,6 +202,7 @@ def sensor_distortion(linear: Linear) -> Blocks:
 
 
 def _motions_of_degree(i: int, linear: Linear) -> Array:
+    """Return best-fit motions (6, k) by the distortion of one degree, of unit size."""
     motions = field_motions(linear.problem.observations.points, DEGREES)
     return np.asarray(plane_motions(linear.estimate.X) @ motions[i])
 

@@ -19,7 +19,7 @@ from handeye_ros.estimation.blocks import with_columns
 from handeye_ros.estimation.least_squares import chi2_sf
 from handeye_ros.estimation.noise import covariance_parts, Noise, POSE_FACTOR
 from handeye_ros.estimation.posterior import Posterior, posterior_at
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 import numpy as np
 
 POSE_ERROR = np.repeat([1e-3, 3e-3], 3)  # 1 sigma of a wrong station's pose error (m, rad)
@@ -100,7 +100,7 @@ def budget(solution: Solution) -> list[BudgetTerm]:
     White noise of sensor and poses, and each block by its name, are the exact parts of C in (5) at
     the scales for the report: whitened noise of covariance V gives (C A')V(C A')', and the
     parameters of a block, with the prior information 1/tau^2, give C_xn C_nx / tau^2. Then what
-    (8), (10) and a corrected arm add to it.
+    (8), (10) and a corrected arm add to it. `best-fit transform` is what (9) changes: the rest.
     """
     reported = solution.for_report
     parts = _parts_of_noise(reported)

@@ -6,7 +6,7 @@ The least squares of the estimators, over items of data, and which items are out
 An item is what is right or wrong as a whole: a station, a row of a table, a pair of poses. It has
 one or several residuals (rows of the system) with one weight.
 
-`System.least_squares` is Levenberg-Marquardt. `graduated` reaches a fit from a rough start in
+`System.least_squares` is Levenberg-Marquardt. `graduated_fit` reaches a fit from a rough start in
 spite of outliers, (11) (graduated non-convexity, Yang et al. 2020, RA-L 5:1127). `drop_outliers`
 then drops the items that the others do not predict, by leave-one-out residuals, (12). `adjust`
 does all three for a table. In an inverse, a direction that the data do not show keeps a large,
@@ -158,7 +158,7 @@ def _damped_steps(J: Array, r: Array, damping: Array) -> Array:
     return np.asarray(-step / norms)
 
 
-def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array], S]) -> S:
+def graduated_fit(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array], S]) -> S:
     """
     Return the state that graduated non-convexity reaches from a start, (11).
 
@@ -320,7 +320,7 @@ def adjust(system: System[S], start: S, fewest: int) -> Adjusted[S]:
         freedom = fit.residuals.shape[1]
         return mean_squares / shared_variance_factor(mean_squares, freedom), freedom
 
-    robust = graduated(start, squares, system.few_weighted_steps)
+    robust = graduated_fit(start, squares, system.few_weighted_steps)
     q = squares(robust)
     limit = max(GROSS_SQUARE * max(1.0, typical_square(q)), np.sort(q)[:fewest][-1])
     return drop_outliers(np.flatnonzero(q <= limit), n, fewest, fitted, left_out_squares)

@@ -39,7 +39,7 @@ REPORT_PRIOR = _log_half_t(3.0, 0.8)
 # Of one parameter, which says little about a scale: 1.7 times. Not a Cauchy prior: a sigma would
 # grow by half or more as samples are added that fit (see estimator.md).
 SINGLE_REPORT_PRIOR = _log_half_t(2.0, 0.8)
-# For the estimate: zero, unless the data show something.
+# For the estimate: zero, unless the data show something (of the report: conservative scales).
 MAP_PRIOR = _log_half_t(1.0, 0.01)
 
 # Places of the variance factors: of the own errors of faces and arcs, and of edges; of distortion
@@ -53,7 +53,7 @@ class Noise:
     Factors on the configured variances in (3), and the scales of blocks.
 
     variance_factors: (5,), see FACE_FACTOR
-    block_variances: tau^2 of each block by name
+    block_variances: tau^2 of blocks by name; 1 of those not named
     blocks_as_noise: whether blocks count as errors of each station
     """
 

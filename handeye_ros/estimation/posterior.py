@@ -228,7 +228,7 @@ class Posterior:
         return float(r @ r + self.step ** 2 @ self.prior_information)
 
     @property
-    def variance_factor(self) -> float:
+    def square_per_freedom(self) -> float:
         """Return the squared whitened residual per degree of freedom."""
         return self.sum_of_squares / max(self.degrees_of_freedom, 1)
 
@@ -273,7 +273,7 @@ class Posterior:
 
     def corrected_poses(self, nuisance: Array | None = None) -> Array:
         """
-        Return the poses (n, 4, 4) without the estimated errors of the robot.
+        Return the poses (n, 4, 4) of the mount without the estimated errors of the robot.
 
         nuisance: (n, q) parameters of the blocks at each pose, None: as estimated.
         """
@@ -309,7 +309,7 @@ class Posterior:
         """Return whether no direction of the unknowns is free: 1 sigma of 1 m or 1 rad."""
         return bool(np.linalg.eigvalsh(self.covariance)[-1] <= 1.0)
 
-    def predictions(self, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
+    def estimates_without(self, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
         """
         Return the estimate without each fold of stations, to first order.
 

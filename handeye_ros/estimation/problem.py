@@ -216,9 +216,9 @@ class Problem:
         return np.stack([R * x, R * z, R]).transpose(0, 3, 1, 2).reshape(9, -1)
 
     @cached_property
-    def ambiguous(self) -> bool:
+    def shows_several(self) -> bool:
         """Return whether stations show several similar surfaces; only one is the target."""
-        return self.target.ambiguous(self.observations)
+        return self.target.shows_several(self.observations)
 
     @property
     def needs_more_starts(self) -> bool:
@@ -355,7 +355,7 @@ def linearise(problem: Problem, estimate: Estimate) -> Linear:
     """
     Return residuals and derivatives r, J at an estimate, (2).
 
-    Or at several estimates at once, X (n, 4, 4) and state (n, s), where the target allows that.
+    Or at several estimates at once, X (n, 4, 4) and state (n, s); of a plate only at one.
     """
     obs, X = problem.observations, estimate.X
     R, a = problem.mounts_of_rows

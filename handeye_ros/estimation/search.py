@@ -27,7 +27,7 @@ from handeye_ros.data import Array, SEED
 from handeye_ros.estimation.covariance import with_possibly_wrong_station
 from handeye_ros.estimation.least_squares import (
     drop_outliers,
-    graduated,
+    graduated_fit,
     GROSS_SQUARE,
     many_least_squares,
     Rows,
@@ -46,7 +46,7 @@ from handeye_ros.estimation.problem import (
     UNUSED,
     without_edges,
 )
-from handeye_ros.estimation.solve import converged_fit, posteriors_at, Solution
+from handeye_ros.estimation.solution import converged_fit, posteriors_of_fit, Solution
 import numpy as np
 from numpy.typing import NDArray
 
@@ -95,7 +95,7 @@ def without_outliers(problem: Problem, robust: Linear) -> Solution:
     do not predict.
     """
     # least squares could move to a fit between the target and another surface
-    limit = LARGEST_SQUARE if problem.ambiguous else GROSS_SQUARE
+    limit = LARGEST_SQUARE if problem.shows_several else GROSS_SQUARE
     squares, fewest = station_squares(problem, robust), problem.target.min_samples
     is_near = squares <= limit * max(1.0, typical_square(squares))
     is_near[np.argsort(squares, kind='stable')[:fewest]] = True
@@ -132,8 +132,8 @@ def with_systematic_errors(agreed: Solution, config: Config | None = None) -> So
     def fitted(before: Solution | None, used: NDArray[np.intp], dropped: dict[int, float]
                ) -> Solution:
         of_used = problem.subset(np.flatnonzero(np.isin(agreed.used, used)))
-        posteriors = posteriors_at(of_used, part or converged_fit(of_used, agreed.estimate),
-                                   before.for_report if part and before else None)
+        posteriors = posteriors_of_fit(of_used, part or converged_fit(of_used, agreed.estimate),
+                                       before.for_report if part and before else None)
         solution = Solution(*posteriors, full_problem, used, {**agreed.dropped_squares, **dropped})
         return solution if part else with_possibly_wrong_station(solution)
 
@@ -156,11 +156,11 @@ def refined_robustly(problem: Problem, start: Estimate) -> Linear:
         complete = replace(moved.problem, observations=problem.observations)
         assigned = reassigned(complete, moved.estimate, moved.problem)
         return moved if assigned is moved.problem else linearise(assigned, moved.estimate)
-    return graduated(linearise(reassigned(problem, start), start), mean_squares, refit)
+    return graduated_fit(linearise(reassigned(problem, start), start), mean_squares, refit)
 
 
 def station_squares(problem: Problem, robust: Linear) -> Array:
-    """Return the mean squares (n,) of stations; large for those without edges."""
+    """Return the mean squares (n,) of stations; of those without edges, LARGEST_SQUARE or more."""
     least = np.where(without_edges(problem, robust.problem), LARGEST_SQUARE, 0.0)
     return np.maximum(mean_squares(robust), least)
 
@@ -185,7 +185,7 @@ def is_convincing(problem: Problem, robust: Linear) -> bool:
     typical = typical_square(squares)
     misfits = squares > LARGEST_SQUARE * max(1.0, typical)
     misfits |= without_edges(problem, robust.problem)
-    largest = UNRIVALLED_SQUARE if problem.ambiguous else CONVINCING_SQUARE
+    largest = UNRIVALLED_SQUARE if problem.shows_several else CONVINCING_SQUARE
     return typical <= largest and bool(misfits.mean() <= 0.1)
 
 

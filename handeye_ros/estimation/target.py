@@ -45,9 +45,8 @@ class Target(ABC):
     required_edges: the conditions at edges, by their index in kinds; a station that shows edges
         must use one
     min_samples: fewest samples
-    free_shape: settings of the target with which its shape (the last parameter) is unknown, where
-        it has one
-    loose_lengths: settings of the target with which its stated lengths may be wrong, where it has
+    free_measure: settings of the target with which its last measure is unknown, where it has one
+    free_lengths: settings of the target with which its stated lengths may be wrong, where it has
         some
     one_axis: what rotations about one axis alone leave undetermined, in words
     face_count: how many of its faces, each a piece of the profile, one view has
@@ -59,8 +58,8 @@ class Target(ABC):
     parameter_names: tuple[str, ...]
     required_edges: tuple[int, ...] = ()
     min_samples = 6
-    free_shape: ClassVar[Mapping[str, Any]] = {}
-    loose_lengths: ClassVar[Mapping[str, Any]] = {}
+    free_measure: ClassVar[Mapping[str, Any]] = {}
+    free_lengths: ClassVar[Mapping[str, Any]] = {}
     one_axis = 'the position along it is free'
     face_count = 1
 
@@ -123,7 +122,7 @@ class Target(ABC):
         """
         return observations
 
-    def ambiguous(self, observations: Observations) -> bool:
+    def shows_several(self, observations: Observations) -> bool:
         """Return whether they may be of alike surfaces, so that a wrong estimate may fit well."""
         return False
 

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from handeye_ros import se3, targets
-from handeye_ros.calibration import offset_notes
+from handeye_ros.calibration import clock_notes
 from handeye_ros.checks.moved import outliers_at_one_end
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.covariance import budget, CORRECTED_ARM
 from handeye_ros.estimation.least_squares import single_threaded
-from handeye_ros.estimation.solve import Solution
-from handeye_ros.frames import mount_frame, name_direction
+from handeye_ros.estimation.solution import Solution
+from handeye_ros.frames import direction_in_words, mount_frame
 from handeye_ros.guidance.candidates import Proposal, propose
-from handeye_ros.guidance.view import learn_view, Move, next_move, noun, view_levers
+from handeye_ros.guidance.view import AdvisedMove, learn_view, next_move, noun, view_levers
 from handeye_ros.pipeline import Answer
 from handeye_ros.se3 import mapped_std, worst_rotation, worst_translation
 import numpy as np
@@ -29,7 +29,7 @@ SMALLEST_CAUSE = 0.5  # of the sigma: a smaller cause is not named
 
 
 @dataclass(frozen=True)
-class Sigma:
+class Uncertainty:
     """Uncertainty in one direction: 1 sigma and its limit, m or rad (unit)."""
 
     name: str
@@ -53,7 +53,7 @@ SCALE = Cause('noise.robot_scale', "the scale of the robot's lengths as configur
 CAUSES_BY_BLOCK = {  # by the name of a block, without the number of its degree
     'robot_smooth': Cause('noise.robot_smooth', "the robot's accuracy as configured",
                           'robot, or a better statement of its accuracy,'),
-    'scale': SCALE, 'sensor_scale': SCALE,
+    'robot_scale': SCALE, 'sensor_scale': SCALE,
     'distortion': Cause('noise.distortion', "the sensor's linearity as configured", 'sensor'),
     'line_bend': Cause('noise.line_bend', 'how straight the laser line is as configured',
                        'sensor'),
@@ -80,8 +80,8 @@ class Advice:
 
     sentences: tuple[str, ...]
     next: Proposal | None  # noqa: A003
-    move: Move | None
-    sigmas: tuple[Sigma, ...]
+    move: AdvisedMove | None
+    sigmas: tuple[Uncertainty, ...]
     enough: bool
     why: str
 
@@ -128,7 +128,7 @@ def advise(samples: Sequence[Sample], config: Config, answer: Answer | None = No
                                  len(samples))
     if refused := outliers_at_one_end(solution) or str(answer.refusal or ''):
         enough, why = False, refused
-    sentences = [why, *offset_notes(solution)]
+    sentences = [why, *clock_notes(solution)]
     if not enough:
         sentences.append(
             sweep_on if sweeping else
@@ -138,13 +138,13 @@ def advise(samples: Sequence[Sample], config: Config, answer: Answer | None = No
     return Advice(tuple(sentences), proposal, None, sigmas, enough, why)
 
 
-def _before_an_answer(text: str, move: Move | None = None, refusal: Exception | None = None
+def _before_an_answer(text: str, move: AdvisedMove | None = None, refusal: Exception | None = None
                       ) -> Advice:
     why = str(refusal) if refusal else 'there is no answer yet'
     return Advice((text, why) if refusal else (text,), None, move, (), False, why)
 
 
-def sigma_table(covariance: Array, levers: Array, config: Config) -> tuple[Sigma, ...]:
+def sigma_table(covariance: Array, levers: Array, config: Config) -> tuple[Uncertainty, ...]:
     """
     Return the uncertainty along each axis, in the worst directions, and of mapped points.
 
@@ -154,15 +154,15 @@ def sigma_table(covariance: Array, levers: Array, config: Config) -> tuple[Sigma
     std = np.sqrt(np.diag(covariance))
     shift, along = worst_translation(covariance)
     turn, about = worst_rotation(covariance)
-    return (*(Sigma(f'position {axis}', float(s), limits.translation)
+    return (*(Uncertainty(f'position {axis}', float(s), limits.translation)
               for axis, s in zip('xyz', std[:3], strict=True)),
-            *(Sigma(f'rotation about {axis}', float(s), limits.rotation, 'rad')
+            *(Uncertainty(f'rotation about {axis}', float(s), limits.rotation, 'rad')
               for axis, s in zip('xyz', std[3:], strict=True)),
-            Sigma(f'position along {name_direction(along, frame)} (worst)', shift,
-                  limits.translation),
-            Sigma(f'rotation about {name_direction(about, frame)} (worst)', turn,
-                  limits.rotation, 'rad'),
-            Sigma('points in view', float(mapped_std(levers, covariance)), accuracy))
+            Uncertainty(f'position along {direction_in_words(along, frame)} (worst)', shift,
+                        limits.translation),
+            Uncertainty(f'rotation about {direction_in_words(about, frame)} (worst)', turn,
+                        limits.rotation, 'rad'),
+            Uncertainty('points in view', float(mapped_std(levers, covariance)), accuracy))
 
 
 def largest_cause(solution: Solution) -> tuple[Cause, float] | None:

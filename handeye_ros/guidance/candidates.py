@@ -21,7 +21,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample, SEED
 from handeye_ros.estimation.posterior import posterior_at
 from handeye_ros.estimation.problem import Linear, linearise, Observations, Problem
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.view import BORDER_NORMALS, View
 from handeye_ros.sampling.stops import evenly

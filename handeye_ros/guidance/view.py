@@ -123,7 +123,7 @@ def view_levers(X: Array, view: View) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Move:
+class AdvisedMove:
     """
     A move relative to the first pose, described by the view of the laser line.
 
@@ -147,7 +147,7 @@ def noun(target: ProfileTarget) -> str:
     return 'edge' if target.required_edges else target.name
 
 
-def next_move(taken: int, target: ProfileTarget, config: Config, view: View) -> Move:
+def next_move(taken: int, target: ProfileTarget, config: Config, view: View) -> AdvisedMove:
     """Return the move after a number of samples (at least one)."""
     is_round, two_edges = Arc in target.least_features, len(target.required_edges) > 1
     moves = SPHERE_MOVES if is_round else TWO_EDGES_MOVES if two_edges else ONE_EDGE_MOVES
@@ -165,8 +165,8 @@ def next_move(taken: int, target: ProfileTarget, config: Config, view: View) -> 
         angle = min(np.pi / 2 - angle, config.guidance.turn)
     mirrored = -1.0 if taken // len(moves) % 2 else 1.0  # every other time through the table
     turn = float(np.copysign(angle, turn * mirrored))
-    return Move(_in_words(target, turn, tilt, place, edge, beside), turn, tilt, place, edge,
-                float(beside))
+    return AdvisedMove(_in_words(target, turn, tilt, place, edge, beside), turn, tilt, place, edge,
+                       float(beside))
 
 
 def _in_words(target: ProfileTarget, turn: float, tilt: Array, place: Array, edge: int,

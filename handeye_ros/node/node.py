@@ -8,6 +8,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 from handeye_ros import config as configuration
@@ -65,6 +66,7 @@ class HandeyeNode(Node):
         config, stored = declare_settings(self, folders)
         with write_errors_for(f'{folders.root(config)} (output_dir)'):
             folders.root(config).mkdir(parents=True, exist_ok=True)
+            TemporaryFile(dir=folders.root(config)).close()
         self.live = live = LiveSession(config, folders, Pool(), self._publish_changes)
         self.outputs = Outputs(self, live)
         self._logged_warnings: set[str] = set()  # without their numbers

@@ -24,12 +24,12 @@ from handeye_ros.bags.messages import returns_of
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Profile, RawProfile, TimedPose
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.frames import wrong_sensor
+from handeye_ros.frames import sensor_warning
 from handeye_ros.node.main import exit_code, own_arguments, spin
 from handeye_ros.node.outputs import cloud
 from handeye_ros.node.state import MessageCount
 from handeye_ros.node.streams import Streams, WARNING_PERIOD
-from handeye_ros.results.calibration_file import file_of, read_calibration, use_config
+from handeye_ros.results.calibration_file import config_to_measure, file_of, read_calibration
 from handeye_ros.sampling.stream import REORDER_TIME
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.scanning.scan import Scanner, ScanOptions
@@ -50,7 +50,7 @@ class ScanNode(Node):
         options = ScanOptions.of_texts(arguments.range, arguments.incidence, arguments.voxel,
                                        arguments.std)
         calibration = read_calibration(file_of(arguments.calibration))
-        config = with_assignments(use_config(calibration), arguments.set)
+        config = with_assignments(config_to_measure(calibration), arguments.set)
         super().__init__('handeye_scan')
         self.config: Config = replace(config, time_offset=0.0)  # the scanner adds it
         self.message_counts: dict[str, MessageCount] = {}
@@ -67,7 +67,7 @@ class ScanNode(Node):
     def add_profile(self, profile: RawProfile) -> None:
         """Keep the points of a profile until its pose is known."""
         returns = returns_of(profile)
-        if doubt := wrong_sensor(profile.frame_id, self._sensor):
+        if doubt := sensor_warning(profile.frame_id, self._sensor):
             self.get_logger().warning(doubt, throttle_duration_sec=WARNING_PERIOD)
         self._append(self._profiles, returns)
 

@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from handeye_ros import pipeline
-from handeye_ros.config import Config, flatten, recorded
+from handeye_ros.config import Config, flatten, record_texts
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import count_of, DataError, HandeyeError
 from handeye_ros.guidance.advice import Advice, advise
@@ -132,7 +132,7 @@ class LiveSolver:
             raise DataError(f'there is no calibration to {use}: call ~/compute_calibration first, '
                             'and check that it succeeds')
         config, provenance = self._live.config, self.calibration.provenance
-        settings = {**provenance['config'], **recorded(config)}
+        settings = {**provenance['config'], **record_texts(config)}
         return replace(self.calibration, name=folder_name(config),
                        provenance={**provenance, 'config': settings})
 

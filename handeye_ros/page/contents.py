@@ -18,10 +18,10 @@ from handeye_ros.calibration import edges_used
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import InputError
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.candidates import anchor_of
-from handeye_ros.guidance.view import extremes, Move
+from handeye_ros.guidance.view import AdvisedMove, extremes
 from handeye_ros.results import exports, table
 from handeye_ros.results.scene import outline_of, profile_picture, rounded, StopSnapshot
 from handeye_ros.review import stop_snapshot
@@ -232,7 +232,7 @@ def _motion_to(T_base_flange: Array, T_base_next: Array) -> dict[str, Any]:
             'distance': float(np.linalg.norm(shift)), 'angle': float(np.linalg.norm(turn))}
 
 
-def _advised_move(move: Move) -> dict[str, Any]:
+def _advised_move(move: AdvisedMove) -> dict[str, Any]:
     """Return a move relative to the first pose; R: (3, 3) of the sensor after the move."""
     R = se3.exp_rotation(np.array([0.0, 0.0, move.turn])) @ se3.exp_rotation(
         np.append(move.tilt, 0.0))

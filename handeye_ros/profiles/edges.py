@@ -391,7 +391,7 @@ def _edge_before_drop(end: FaceEnd, tail: Indices, ending: str,
     # an end that goes down but not outwards is no bend, but a hardly visible wall
     depth = min(bend.depth, STEEPEST_ROUNDING * (plate_end - flat_end) + FLAT_SIGMAS * noise)
     _, outwards, down = end.frame
-    return replace(edge, drop=depth * down, shape_log_odds=bend.shape_log_odds,
+    return replace(edge, to_lowest=depth * down, shape_log_odds=bend.shape_log_odds,
                    arc_offset=(bend.arc_u - edge_u) * outwards + bend.arc_v * down,
                    arc_std=bend.arc_std)
 

@@ -101,7 +101,7 @@ def config_of(calibration: Calibration) -> Config:
     return from_provenance(calibration.provenance.get('config'))
 
 
-def use_config(calibration: Calibration, config: Config | None = None) -> Config:
+def config_to_measure(calibration: Calibration, config: Config | None = None) -> Config:
     """
     Return the configuration to measure with a calibration, with its time offset.
 

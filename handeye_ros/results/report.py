@@ -73,16 +73,16 @@ def verdict(calibration: Calibration, recording: SolvedRecording, visible: Array
 
     visible: points (k, 3) that were seen, in the sensor frame (m).
     """
-    if wrong := contradiction(calibration, recording):
+    if wrong := disagreement(calibration, recording):
         return False, f'Do not rely on this calibration: {wrong}'
     points, region = (visible, 'the points that were seen') if len(visible) else (
         se3.apply(T_sensor_plane(config_of(calibration)), field_points()), FIELD_TEXT)
     return (True, f'Good for mapping points of {calibration.child_frame} into '
-            f'{calibration.parent_frame} to {mm(mapped_std(calibration, points))} (1 sigma in '
+            f'{calibration.parent_frame} to {mm(std_of_points(calibration, points))} (1 sigma in '
             f'space, over {region}).')
 
 
-def contradiction(calibration: Calibration, recording: SolvedRecording) -> str:
+def disagreement(calibration: Calibration, recording: SolvedRecording) -> str:
     """Return why the recording contradicts the calibration, '' if it does not."""
     if recording.refusal:
         return f'the recording is refused now: {recording.refusal}'
@@ -110,7 +110,7 @@ def _remarks(calibration: Calibration, recording: SolvedRecording) -> Iterator[s
         yield recording.missing
 
 
-def mapped_std(calibration: Calibration, points: Array) -> float:
+def std_of_points(calibration: Calibration, points: Array) -> float:
     """Return the RMS 1 sigma (m) of points (k, 3) of the sensor, mapped into the parent frame."""
     levers = points @ calibration.T_flange_sensor[:3, :3].T
     return float(se3.mapped_std(levers, calibration.covariance))

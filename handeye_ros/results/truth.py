@@ -66,5 +66,5 @@ def errors_against(T_est: Array, T_true: Array, field: Array | None = None) -> E
 def field_points(x: tuple[float, float] = (-0.02, 0.02), z: tuple[float, float] = (0.16, 0.19)
                  ) -> Array:
     """Return a grid of points (k, 3) in the sensor plane (m): x along the line, z the range."""
-    along, across = np.meshgrid(np.linspace(*x, SIDE_POINTS), np.linspace(*z, SIDE_POINTS))
-    return np.column_stack([along.ravel(), np.zeros(along.size), across.ravel()])
+    on_line, ranges = np.meshgrid(np.linspace(*x, SIDE_POINTS), np.linspace(*z, SIDE_POINTS))
+    return np.column_stack([on_line.ravel(), np.zeros(on_line.size), ranges.ravel()])

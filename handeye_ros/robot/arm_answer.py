@@ -26,7 +26,7 @@ from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import dated
 from handeye_ros.results.table import figures_table
 from handeye_ros.robot.selection import ArmOutcome, UNCHANGED_ARM
-from handeye_ros.sampling.stops import evenly_chosen
+from handeye_ros.sampling.stops import even_indices
 import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
@@ -88,7 +88,7 @@ class ArmAnswer:
 def _content(answer: ArmAnswer) -> dict[str, Any]:
     """Return the contents of kinematics.yaml."""
     outcome, arm, calibration = answer.outcome, answer.outcome.arm, answer.calibration
-    stored = evenly_chosen(len(arm.configurations), MOST_CONFIGURATIONS)
+    stored = even_indices(len(arm.configurations), MOST_CONFIGURATIONS)
     return {
         'format': FORMAT, 'name': calibration.name, 'base': arm.base,
         'flange': arm.flange, 'joints': answer.joints, 'end': se3.transform_values(arm.end),

@@ -26,7 +26,7 @@ from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.least_squares import adjust
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import robust_solution
-from handeye_ros.estimation.solve import cover
+from handeye_ros.estimation.solution import cover
 from handeye_ros.frames import mount_poses, T_sensor_plane
 from handeye_ros.published import jing2020
 from handeye_ros.robot.arm_answer import ArmAnswer
@@ -44,7 +44,7 @@ from handeye_ros.robot.selection import (
     selected_model,
     UNSOLVED,
 )
-from handeye_ros.sampling.edge_shapes import with_common_shape
+from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import with_estimated_clocks
 from handeye_ros.tables import ANGLE, LENGTH, Table, UNITS
@@ -90,7 +90,7 @@ def source_of(session: Session, read: Recording, arm: Arm, config: Config,
     require_enough(len(session.samples))
     assert read.joints is not None
     # as pipeline.answer_samples prepares them, none dropped
-    samples = with_common_shape(sorted(session.samples, key=lambda sample: sample.stamp))
+    samples = with_common_edge_shape(sorted(session.samples, key=lambda sample: sample.stamp))
     samples = with_estimated_clocks(samples, config).samples
     problem = problem_of_known_poses(samples, config)
     q = _joints_at(samples, read, read.joints)

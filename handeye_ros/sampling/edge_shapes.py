@@ -27,7 +27,8 @@ class EdgeShape:
     """
     Shape of the target's edges.
 
-    size: radius, or legs of the bevel (m), 0 if sharp; relative_std: 1 sigma of size over size.
+    size: radius, or legs of the bevel (m), 0 if sharp; relative_std: 1 sigma of size over size;
+    is_round: rounded, else bevelled.
     """
 
     size: float = 0.0
@@ -35,7 +36,8 @@ class EdgeShape:
     is_round: bool = True
 
 
-def with_common_shape(samples: Sequence[Sample], shape: EdgeShape | None = None) -> list[Sample]:
+def with_common_edge_shape(samples: Sequence[Sample], shape: EdgeShape | None = None
+                           ) -> list[Sample]:
     """
     Return the samples with edge points where the planes of face and wall intersect.
 
@@ -55,7 +57,7 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     """Return the edge shape that all samples support, with one common radius where they agree."""
     edges = [f for sample in samples for f in sample.features
              if isinstance(f, EdgePoint) and f.ending != 'roof']
-    depth = np.hypot(*np.reshape([edge.drop for edge in edges], (-1, 2)).T)
+    depth = np.hypot(*np.reshape([edge.to_lowest for edge in edges], (-1, 2)).T)
     if len(edges) < 3 or np.median(depth) <= SHARP_DEPTH:
         return EdgeShape()
     bent = [edge.shape_log_odds for edge in edges if len(edge.shape_log_odds)]
@@ -109,15 +111,15 @@ def _moved(feature: Feature, shape: EdgeShape) -> Feature:
         return feature
     edge, size = replace(feature, is_moved=True), shape.size
     if not size:
-        return replace(edge, drop=np.zeros(2))
+        return replace(edge, to_lowest=np.zeros(2))
     # the point of the shape that is measured: how far outwards of the end it is, and how deep
-    outwards, drop, least_depth, std = 0.0, edge.drop, DEPTH_STD, 0.0
+    outwards, to_lowest, least_depth, std = 0.0, edge.to_lowest, DEPTH_STD, 0.0
     is_arc = shape.is_round and 0 < edge.arc_std < size
     if is_arc:
         least_depth, std = LEAST_DEPTH, edge.arc_std
         outwards = float(edge.arc_offset @ edge.direction)
-        drop = edge.arc_offset - outwards * edge.direction
-    depth = min(max(float(np.hypot(*drop)), least_depth), size)
+        to_lowest = edge.arc_offset - outwards * edge.direction
+    depth = min(max(float(np.hypot(*to_lowest)), least_depth), size)
     # the shape has this depth so far from its start; the wall is `size` from its start
     if shape.is_round:
         from_start = float(np.sqrt(depth * (2 * size - depth)))
@@ -127,6 +129,6 @@ def _moved(feature: Feature, shape: EdgeShape) -> Feature:
         wrt_size = float(np.clip(1.5 - 2 * depth / size, 0.0, 1.0))
         from_start = (1 - wrt_size) * size
     wall = outwards + size - from_start
-    return replace(edge, point=edge.point + wall * edge.direction, drop=drop,
+    return replace(edge, point=edge.point + wall * edge.direction, to_lowest=to_lowest,
                    std=float(np.sqrt(edge.std ** 2 + std ** 2 + (OBLIQUE_STD * size) ** 2)),
                    shape_std=shape.relative_std * size * wrt_size)

@@ -33,7 +33,7 @@ from handeye_ros.data import (
 from handeye_ros.errors import FeatureError, mm, UnusableMessageError
 from handeye_ros.profiles.arcs import distances_from_circle, normal_points
 from handeye_ros.profiles.lines import line_of_bins, with_line_errors
-from handeye_ros.sampling.stops import decoded, evenly, evenly_chosen, Stop
+from handeye_ros.sampling.stops import decoded, even_indices, evenly, Stop
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.sampling.trajectory import trajectory_of
 import numpy as np
@@ -262,7 +262,7 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     # the edge inwards in every profile: that does not average out
     std = np.hypot(single_std, scatter / min(n, MOST_INDEPENDENT) ** 0.5)
     combined = EdgePoint(points[agree].mean(axis=0), direction, float(std), std_across, ending,
-                         np.median([edge.drop for edge in edges], axis=0))
+                         np.median([edge.to_lowest for edge in edges], axis=0))
     bent = [edge for edge in edges if len(edge.shape_log_odds)]
     if len(bent) <= LEAST_SHOWING * n:
         return combined
@@ -302,7 +302,7 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     combined = normal_points(np.concatenate([
         arc.raw for arc, agrees in zip(arcs, agree, strict=True) if agrees]))
     # for the residuals: 0.8 MB of a sample at most
-    return replace(combined, raw=combined.raw[evenly_chosen(len(combined.raw), 50_000)])
+    return replace(combined, raw=combined.raw[even_indices(len(combined.raw), 50_000)])
 
 
 def _disagreeing(what: str, places: Sequence[Array] | Array) -> FeatureError:

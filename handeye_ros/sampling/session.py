@@ -12,7 +12,7 @@ The same Session takes the messages of a bag and those of live topics. A stop pa
    `take_remaining`, with the current one). `stop_on_request` and `early_stop` return the current
    stop already while the robot stands: it may come back with more profiles, unless `mark_done`
    forbids it
-4. evaluated: `result_of` (features.py) makes a Sample or a Reject of it, `evaluated` gives it a
+4. evaluated: `result_of` (features.py) makes a Sample or a Reject of it, `numbered` gives it a
    number, and `add_stop` stores it
 """
 from __future__ import annotations
@@ -162,7 +162,7 @@ class Session(Copyable):
         that earlier samples show (those of these stops: require_any_stop), and two frames on a
         topic, unless there are samples: all are of the first.
         """
-        self._require_samples_of_one_frame()
+        self._require_no_conflict()
         self._take_poses(self._pose_stream.released(0, LAST_STAMP))
         self._profiles.add(self._profile_stream.released(0, LAST_STAMP))
         return self._take_out(self._all_stops())
@@ -232,7 +232,7 @@ class Session(Copyable):
             raise DataError(f'no flange pose was received on {topic}: start the robot driver, or '
                             f'set {keys}', reason='no_poses')
 
-    def _require_samples_of_one_frame(self) -> None:
+    def _require_no_conflict(self) -> None:
         """Raise the conflict of the streams, but of two frames only before the first sample."""
         conflict = self.conflict  # what has another frame is dropped: samples are all of one
         if conflict and not (conflict.reason == 'two_frames' and self._has_samples):
@@ -250,7 +250,7 @@ class Session(Copyable):
         DataError, its reason no_poses, not_asked, late_poses, position_unit, sparse_poses or
         no_stops.
         """
-        self._require_samples_of_one_frame()
+        self._require_no_conflict()
         poses, sampling, count = self._pose_stream, self.config.sampling, len(self._done)
         if sampling.mode == 'still' and self._finder.short_rests > count and (
                 0 < count < targets.target_for(self.config).min_samples):
@@ -392,7 +392,7 @@ class Session(Copyable):
     def evaluate_remaining(self) -> None:
         """Evaluate and store all remaining stops; raises InputError as take_remaining does."""
         for stop in self.take_remaining():
-            self.add_stop(self.evaluated(stop, result_of(stop, self.config)))
+            self.add_stop(self.numbered(stop, result_of(stop, self.config)))
 
     def early_stop(self) -> Stop | None:
         """
@@ -418,7 +418,7 @@ class Session(Copyable):
         stop = stop.with_profiles(self._profiles.items, self.config)
         return stop if len(stop.settled_profiles(self.config)) >= fewest else None
 
-    def evaluated(self, stop: Stop, result: Sample | Reject) -> Stop:
+    def numbered(self, stop: Stop, result: Sample | Reject) -> Stop:
         """Return a stop with its number and result; a duplicate pose gives no sample."""
         earlier = self._stops.get(stop.stamp)  # of the same stop, with fewer profiles
         others = [other for other in self.stops

@@ -137,14 +137,14 @@ def _thinned(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
     return evenly(profiles, min(MOST_KEPT, max(least, 1 + round(KEPT_PER_SECOND * seconds))))
 
 
-def evenly_chosen(n: int, most: int) -> Indices:
+def even_indices(n: int, most: int) -> Indices:
     """Return the indices of at most a number of n items, evenly spaced."""
     return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.intp)
 
 
 def evenly(items: Sequence[Item], most: int) -> list[Item]:
     """Return at most a number of items, evenly spaced."""
-    return [items[i] for i in evenly_chosen(len(items), most)]
+    return [items[i] for i in even_indices(len(items), most)]
 
 
 def decoded(profiles: Iterable[AnyProfile], config: Config) -> list[Profile]:

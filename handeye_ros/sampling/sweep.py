@@ -67,7 +67,7 @@ from handeye_ros.estimation.search import (
     refined_robustly,
     station_squares,
 )
-from handeye_ros.sampling.stops import evenly, evenly_chosen
+from handeye_ros.sampling.stops import even_indices, evenly
 from handeye_ros.sampling.trajectory import Instants, joined, Trajectory
 from handeye_ros.targets import problem_of_known_poses
 import numpy as np
@@ -191,7 +191,7 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
                         'robot hardly turns: record a longer sweep', reason='few')
     clocked, problem = ClockedPoses(samples), problem_with_clocks(samples, config)
     # the clocks from some samples, and then from all
-    start = _best_over_offsets(problem.subset(evenly_chosen(len(samples), SEARCH_SAMPLES)),
+    start = _best_over_offsets(problem.subset(even_indices(len(samples), SEARCH_SAMPLES)),
                                np.random.default_rng(0))
     start_values = start.problem.pose_values
     # profiles in gaps between the poses would pull the offset

@@ -54,6 +54,8 @@ class ScanOptions:
     def of_texts(cls, limits: Sequence[str], degrees: float, voxel: str, std: bool) -> ScanOptions:
         """Return the options of a command line; raises BadValueError."""
         nearest, farthest = (parse_length(text, '--range', 10.0) for text in limits)
+        if nearest >= farthest:
+            raise BadValueError('--range', ' '.join(limits), 'the nearer limit before the other')
         edge = parse_length(voxel, '--voxel', 0.1, 0.0)
         if not 0.0 <= degrees <= 90.0:
             raise BadValueError('--incidence', degrees, '0 to 90 degrees')

@@ -122,7 +122,7 @@ class TrackerSession(TableProblem):
                 if piece.part == part]
 
     @property
-    def T_sensor_values(self) -> Array:
+    def T_sensor_plane(self) -> Array:
         return T_sensor_plane(self.config)
 
     def field(self) -> Array:
@@ -143,7 +143,7 @@ class TrackerSession(TableProblem):
 
     def published_answer(self, readings: jing2020.Readings) -> jing2020.Result:
         """Return the answer of Jing 2020, of the sensor plane; raises DataError."""
-        direction = self.T_sensor_values[:3, :3].T @ np.array(self.config.tracker.direction)
+        direction = self.T_sensor_plane[:3, :3].T @ np.array(self.config.tracker.direction)
         return jing2020.solve(readings, direction / np.linalg.norm(direction))
 
     def require_determined(self) -> None:

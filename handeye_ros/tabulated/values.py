@@ -88,7 +88,7 @@ class TableProblem(ABC):
         """Return the points (k, 3) over which errors are reported, in the plane's frame (m)."""
 
     @property
-    def T_sensor_values(self) -> Array:
+    def T_sensor_plane(self) -> Array:
         """Return (4, 4): the frame of the values in the sensor's; of profiles their plane."""
         return np.eye(4)
 
@@ -148,7 +148,7 @@ def calibrate_table(problem: TableProblem) -> Calibration:
     warnings = {'warnings': list(problem.warnings)} if problem.warnings else {}
     return assemble_calibration(
         problem.config, problem.name, problem.frame,
-        answer.X @ se3.inverse(problem.T_sensor_values), answer.covariance, answer.residual_rms,
+        answer.X @ se3.inverse(problem.T_sensor_plane), answer.covariance, answer.residual_rms,
         answer.holdout_rms, answer.target,
         [report_of_row(number, kind, used, residual) for (number, kind), used, residual in zip(
             problem.samples, answer.used, answer.residuals, strict=True)],

@@ -129,8 +129,8 @@ class Plate(ProfileTarget):
     extract = staticmethod(face_features)
     least_features = (FaceLine, EdgePoint)
     required_edges = tuple(EDGES)
-    free_shape = {'edge_angle_free': True}
-    loose_lengths = {'size_std': 3e-3}
+    free_measure = {'edge_angle_free': True}
+    free_lengths = {'size_std': 3e-3}
     edge_kinds = (P,)  # until an edge is found for it
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
@@ -144,7 +144,7 @@ class Plate(ProfileTarget):
 
     def edge_place(self, edge: EdgePoint) -> Array:
         """Return the lowest point of the end: the wall is there, for any crossing angle."""
-        return edge.point + edge.drop
+        return edge.point + edge.to_lowest
 
     def axes(self, R: Array) -> Array:
         """Return the axes of the base: along them are the covariances of stored answers."""
@@ -152,7 +152,7 @@ class Plate(ProfileTarget):
 
     def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
                          ) -> tuple[Array, Array, Array]:
-        """Return the height over the face, or the distance from the edge."""
+        """Return height over the face, or distance from the edge; of one plate at a time."""
         *size, angle = measures
         sine, cosine = np.sin(angle), np.cos(angle)
         across = [sine, -cosine, 0.0], [0.0, 1.0, 0.0]

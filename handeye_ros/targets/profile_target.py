@@ -38,6 +38,7 @@ FACE = 0  # the kind of a condition on a face, in every target that has them
 # share of the RMS of each degree: the first are the largest
 FLATNESS_SHARES = {2: 0.8, 3: 0.5, 4: 0.3}
 
+GRAZING = 'grazing'
 GRAZING_COSINE = 0.64  # cosine of the incidence below which the range of a face may be wrong
 # exponents of the smallest cosine over that of a point
 STEEPNESS_EXPONENTS = np.array([8, 16, 32])
@@ -139,7 +140,7 @@ class ProfileTarget(Target):
         """Return the number (m,) of the surface, or pair of surfaces, in its profile."""
         return observations.feature // self.face_count
 
-    def ambiguous(self, observations: Observations) -> bool:
+    def shows_several(self, observations: Observations) -> bool:
         """Return whether a station shows several surfaces or pairs of them."""
         return self.several_in_view and bool(self.pieces(observations).any())
 
@@ -189,7 +190,7 @@ class ProfileTarget(Target):
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:
         """Return the observations with one piece per station: the first of the near ones."""
-        if not self.ambiguous(observations):
+        if not self.shows_several(observations):
             return observations
         squares = self.conditions(p, observations.kind, state, config).g ** 2
         nearest = of_nearest_piece(observations, self.pieces(observations), squares)
@@ -275,4 +276,4 @@ def grazing(linear: Linear) -> Blocks:
     if std and least < GRAZING_COSINE:
         share = np.where(cosine < GRAZING_COSINE, least / np.maximum(cosine, least), 0.0)
         columns = linear.wrt_point[:, 1:] * share[:, None] ** STEEPNESS_EXPONENTS
-        yield ParameterBlock('grazing', columns * std, std)
+        yield ParameterBlock(GRAZING, columns * std, std)

@@ -44,7 +44,7 @@ def problems_with_one_corner(problem: Problem) -> list[Problem]:
     groove, where the faces meet on the other side; or any, that of the longest faces.
     """
     obs, pair = problem.observations, WEDGE.pieces(problem.observations)
-    if not WEDGE.ambiguous(obs):
+    if not WEDGE.shows_several(obs):
         return [problem]
     corner, mean_range = corners(obs, pair)
     sign = problem.config.profile.range_sign

@@ -5,8 +5,8 @@ Whether a calibration still holds, by a short recording of its target; if not, w
 
 With nothing changed, the residuals r of the recording at the answer of the calibration are
 r = E e + n: e are the errors of the calibration's transform and target, by their joint covariance,
-those of the robot, smooth over the poses, set-backs of edges, and those of the range at grazing
-incidence; n is the noise. A move m of target or sensor adds D m; a changed robot adds an error of
+and the systematic ones of robot, sensor and target, as large as the calibration found them; n is
+the noise, as it found it. A move m of target or sensor adds D m; a changed robot adds an error of
 each pose, smooth over the poses or white. Each has a normal prior, averaged over MOVE_SCALES, so
 each cause has a marginal likelihood. A change is reported if the causes together are
 LEAST_EVIDENCE times as likely as none: by Markov's inequality the probability of a false alarm is
@@ -23,7 +23,7 @@ import math
 from typing import Any, NamedTuple
 
 from handeye_ros import frames, pipeline, se3
-from handeye_ros.config import Config
+from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import (
     AnyProfile,
     Array,
@@ -36,14 +36,14 @@ from handeye_ros.data import (
     TimedPose,
 )
 from handeye_ros.errors import DataError, InputError, mm
-from handeye_ros.estimation.blocks import wrt_smooth
+from handeye_ros.estimation.blocks import LINE_BEND, line_bend, sensor_distortion, wrt_smooth
 from handeye_ros.estimation.noise import Noise, Whitening, whitening
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem, UNUSED
 from handeye_ros.estimation.target import Target
-from handeye_ros.frames import mount_frame, name_direction, target_frame
+from handeye_ros.frames import direction_in_words, mount_frame, target_frame
 from handeye_ros.sampling.stops import evenly
 from handeye_ros.targets import TARGETS
-from handeye_ros.targets.profile_target import grazing, out_of_face
+from handeye_ros.targets.profile_target import GRAZING
 from handeye_ros.verification.fit import (
     fit_without_outliers,
     GroupFit,
@@ -226,19 +226,24 @@ class _Calibrated(NamedTuple):
     What a calibration says of sensor and target.
 
     root: R with R R' the joint covariance (6 + k, 6 + k) of transform and target
-    variance_factor: by which its residuals exceed the noise as configured, at least 1
-    smooth_std: 1 sigma of the robot's smooth error (m)
+    variance_factors: (5,) of its noise, see Noise, at least 1
+    noise: the settings, with the sizes of systematic errors that it found
     """
 
     target: Target
     estimate: Estimate
     root: Array
-    variance_factor: float
-    smooth_std: float
+    variance_factors: Array
+    noise: NoiseConfig
 
     @classmethod
     def read(cls, calibration: Calibration, config: Config) -> _Calibrated:
-        """Return what a stored calibration says; raises InputError where its target is missing."""
+        """Return what a stored calibration says; raises InputError where it cannot be compared."""
+        if calibration.method != config.target.type and calibration.method in TARGETS:
+            raise InputError(
+                f'the calibration was made with a target of type {calibration.method}, but '
+                f'target.type is {config.target.type}: without --config and --set target.type, '
+                'its own settings apply')
         try:
             target, joint = TARGETS[calibration.method], calibration.target['joint']
             parameter_count = len(target.parameter_names)
@@ -248,7 +253,14 @@ class _Calibrated(NamedTuple):
             state = state.reshape(16 + parameter_count - len(target.pose_axes))
             covariance = np.array(joint['covariance'], dtype=float).reshape(
                 2 * [6 + parameter_count])
-            factor = max(float(joint['variance_factor']), 1.0)
+            factors = np.maximum(np.ones(5), joint.get(
+                'variance_factors', joint.get('variance_factor')))  # one, in earlier files
+            found, configured = calibration.target, config.noise
+            noise = replace(
+                configured, robot_smooth=float(found.get('robot_position_error', 0.0)),
+                distortion=float(found.get('distortion_error', configured.distortion)),
+                flatness=float(found.get('flatness_error', configured.flatness)),
+                line_bend=float(found.get(LINE_BEND, configured.line_bend)))
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
                 f'the calibration (method {calibration.method}) does not hold what a check '
@@ -256,8 +268,7 @@ class _Calibrated(NamedTuple):
                 f'this version, as one of {", ".join(TARGETS)}, or measure a known object with '
                 '"handeye verify"') from error
         X = calibration.T_flange_sensor @ frames.T_sensor_plane(config)
-        return cls(target, Estimate(X, state), root_of(covariance), factor,
-                   float(calibration.target.get('robot_position_error', 0.0)))
+        return cls(target, Estimate(X, state), root_of(covariance), factors, noise)
 
 
 def _observed(samples: Sequence[Sample], calibrated: _Calibrated, config: Config,
@@ -326,27 +337,22 @@ class _Prediction:
 
 def _predicted(problem: Problem, calibrated: _Calibrated) -> _Prediction:
     """Return what a recording shows at the calibrated estimate."""
-    obs, config, estimate = problem.observations, problem.config, calibrated.estimate
-    # the range of faces seen at grazing incidence may be off by as much as a calibration allows
-    ranges = [block.columns * block.largest_variance ** 0.5
-              for block in grazing(linearise(problem, estimate))]
-    # the error of the sensor's field differs from stop to stop, as that of the pose does
-    noise = replace(config.noise, distortion=0.0, robot_translation=math.hypot(
-        config.noise.robot_translation, config.noise.distortion))
-    linear = linearise(replace(problem, config=replace(config, noise=noise)), estimate)
-    whiten = whitening(linear, Noise(np.full(
-        len(Noise().variance_factors), calibrated.variance_factor)))
-    # the set-backs of the ends of each kind at each edge
-    by_setback = out_of_face(linear) * config.target.setback_std
-    ends = np.unique(np.column_stack([obs.kind, obs.ending])[obs.ending > 0], axis=0)
-    setbacks = [np.where((obs.kind == kind) & (obs.ending == ending), by_setback, 0.0)
-                for kind, ending in ends]
+    config, estimate = problem.config, calibrated.estimate
+    at_found_sizes = linearise(replace(problem, config=replace(
+        config, noise=calibrated.noise)), estimate)
+    systematic = [block.columns * (
+        # the range of a face in grazing light may be off by as much as a calibration allows
+        block.largest_variance ** 0.5 if block.name == GRAZING else 1.0)
+        for source in (problem.target.blocks, sensor_distortion, line_bend)
+        for block in source(at_found_sizes)]
+    linear = linearise(problem, estimate)
+    whiten = whitening(linear, Noise(calibrated.variance_factors))
     # what all stops share was part of the calibration too
     basis = problem.smooth_error_basis
-    differences = (basis - basis.mean(axis=0))[obs.station] * calibrated.smooth_std
+    differences = (basis - basis.mean(axis=0))[problem.observations.station]
     errors = np.column_stack([
-        linear.jacobian @ calibrated.root, wrt_smooth(linear.wrt_pose, differences), *setbacks,
-        *ranges])
+        linear.jacobian @ calibrated.root,
+        wrt_smooth(linear.wrt_pose, differences * calibrated.noise.robot_smooth), *systematic])
     return _Prediction(linear, whiten, whiten(linear.residuals), whiten(errors))
 
 
@@ -444,7 +450,7 @@ def _smallest_shifts(prediction: _Prediction, name: str) -> tuple[list[float], l
 
 def _shifts_in_words(move: Move, frame: str) -> str:
     """Return in words from which size on shifts along the axes show, and which do not."""
-    along = [(size, name_direction(np.array(axis), frame))
+    along = [(size, direction_in_words(np.array(axis), frame))
              for size, axis in zip(move.shows, move.axes, strict=True)]
     unseen = ' or '.join(name for size, name in along if np.isnan(size))
     return ', '.join(f'{mm(size)} along {name}' for size, name in along if size < UNSEEN_SHIFT) + (

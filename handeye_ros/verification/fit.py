@@ -49,7 +49,7 @@ from handeye_ros.estimation.problem import (
     Problem,
     StationGroup,
 )
-from handeye_ros.frames import mount_frame, name_direction
+from handeye_ros.frames import direction_in_words, mount_frame
 from handeye_ros.targets.profile_target import grazing
 import numpy as np
 from numpy.typing import NDArray
@@ -470,7 +470,7 @@ def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
     motion, axis = (('position along', worst[:3]) if np.linalg.norm(worst[:3]) >= by_rotation else
                     ('rotation about', worst[3:]))
     return (DETECTION_SIGMAS / math.sqrt(max(power[0], 1e-12)),
-            f'{motion} {name_direction(axis, mount)}')
+            f'{motion} {direction_in_words(axis, mount)}')
 
 
 def refit_shape(shape: Shape, X: Array, C: Array, smooth_std: float) -> ShapeFit:

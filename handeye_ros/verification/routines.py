@@ -150,8 +150,8 @@ class Routine:
     def recordings_for(self, lengths: int) -> Sequence[int]:
         """Return the possible numbers of recordings; raises InputError for wrong lengths."""
         if lengths not in self.recording_counts:
-            raise InputError(f'{self.name} needs {_in_words(list(self.recording_counts))} lengths '
-                             f'(verify.lengths), and got {lengths}')
+            counts = _in_words(list(self.recording_counts), 'length')
+            raise InputError(f'{self.name} needs {counts} (verify.lengths), and got {lengths}')
         return self.recording_counts[lengths]
 
     def settings(self, config: Config) -> Config:
@@ -212,10 +212,10 @@ def settings_for(routine: Routine, config: Config, count: int) -> Config:
     """
     possible = routine.recordings_for(len(config.verify.lengths))
     if count not in possible:
-        raise InputError(f'{routine.name} needs {_in_words(possible)} bags, and got {count}')
+        raise InputError(f'{routine.name} needs {_in_words(possible, "bag")}, and got {count}')
     return routine.settings(config)
 
 
-def _in_words(numbers: Sequence[int]) -> str:
-    return (f'{numbers[0]} to {numbers[-1]}' if len(numbers) > 3 else
-            ' or '.join(map(str, numbers)))
+def _in_words(numbers: Sequence[int], what: str) -> str:
+    text = f'{numbers[0]} to {numbers[-1]}' if len(numbers) > 3 else ' or '.join(map(str, numbers))
+    return f'{text} {what}' if numbers[-1] == 1 else f'{text} {what}s'

@@ -31,7 +31,7 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.problem import Observations, Problem
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import mount_poses, mount_poses_of, T_sensor_plane
-from handeye_ros.sampling.stops import evenly, evenly_chosen
+from handeye_ros.sampling.stops import even_indices, evenly
 from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
@@ -112,10 +112,10 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
     for profiles, trajectory in passes:
         flange = trajectory.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
         usable = np.flatnonzero(flange.inside)
-        usable = usable[evenly_chosen(len(usable), PASS_PROFILES)]
+        usable = usable[even_indices(len(usable), PASS_PROFILES)]
         for number, index in enumerate(usable.tolist(), len(stamps)):
             valid = profiles[index].points[np.isfinite(profiles[index].points).all(axis=1)]
-            points = valid[evenly_chosen(len(valid), POINTS_OF_PROFILE)]
+            points = valid[even_indices(len(valid), POINTS_OF_PROFILE)]
             rows.add(number, points, 0, np.repeat(noise[None], len(points), axis=0), number)
         poses.append(flange.T_base_flange[usable])
         stamps += [profiles[index].stamp for index in usable.tolist()]

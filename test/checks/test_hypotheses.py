@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from cells import cell
-from handeye_ros.checks.hypotheses import Fit, fit_of_samples, stops_deviance
+from handeye_ros.checks.hypotheses import explain_samples, Explanation, stops_deviance
 from handeye_ros.data import Array, EdgePoint
 from hypothesis import given
 from hypothesis import strategies as st
@@ -26,12 +26,12 @@ def test_edges_that_are_less_certain_do_not_explain_more() -> None:
     """Waves of a face end it by chance with the wrong sign, at points of which little is known."""
     plate_cell, rng = cell('plate'), np.random.default_rng(0)
 
-    def fit_of(error: float, stated: float) -> Fit:
+    def fit_of(error: float, stated: float) -> Explanation:
         samples = [replace(s, features=tuple(
             replace(f, point=f.point + rng.normal(0, error) * f.direction, std=stated)
             if isinstance(f, EdgePoint) else f for f in s.features)) for s in plate_cell.samples]
-        return fit_of_samples(samples, plate_cell.config, [s.stamp for s in samples])
+        return explain_samples(samples, plate_cell.config, [s.stamp for s in samples])
 
     waved, stray = fit_of(6e-5, 2e-5), fit_of(2e-4, 3e-4)
-    assert stray.variance_factor < waved.variance_factor
+    assert stray.square_per_freedom < waved.square_per_freedom
     assert stray.evidence_over(waved) < 0

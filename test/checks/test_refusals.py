@@ -7,12 +7,12 @@ from dataclasses import replace
 import math
 import re
 
-from cells import Cell, cell, every_method, exact_cell, refused, settings_of
+from cells import Cell, cell, every_target, exact_cell, refused, settings_of
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.refusals import rms_turns_and_axes
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Reject, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.frames import name_direction
+from handeye_ros.frames import direction_in_words
 from handeye_ros.se3 import worst_translation
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS
 from handeye_ros.targets import TARGETS
@@ -51,7 +51,7 @@ def assert_names(message: str, direction: Array, frame: str, within: float = 0.0
 # -- motions that are missing
 
 
-@every_method
+@every_target
 @everywhere
 @pytest.mark.parametrize('noise', [True, False])
 def test_one_orientation_is_refused(name: str, where: str, frame: str, noise: bool) -> None:
@@ -59,7 +59,7 @@ def test_one_orientation_is_refused(name: str, where: str, frame: str, noise: bo
     assert refusal(make(scenario(name, 'one_orientation', where))).reason == 'one_orientation'
 
 
-@every_method
+@every_target
 @everywhere
 @pytest.mark.parametrize(('motion', 'axis'), [('tilt_only', 0), ('yaw_only', 2)])
 def test_one_axis_is_named(name: str, where: str, frame: str, motion: str, axis: int) -> None:
@@ -86,7 +86,7 @@ def test_one_orientation_per_edge_is_one_axis(where: str, frame: str) -> None:
 
 
 @pytest.mark.thorough
-@every_method
+@every_target
 @everywhere
 def test_tilts_of_one_degree_are_too_uncertain(name: str, where: str, frame: str) -> None:
     simulated_cell = cell(replace(scenario(name, 'general', where), tilt=math.radians(1)),
@@ -100,7 +100,7 @@ def test_tilts_of_one_degree_are_too_uncertain(name: str, where: str, frame: str
         assert_names(str(error).split('RMS about')[1], axes[1], frame)
 
 
-@every_method
+@every_target
 def test_the_weakest_direction_is_reported_and_refused_if_uncertain(name: str) -> None:
     simulated_cell = cell(scenario(name), 2)
     calibration = simulated_cell.solve()
@@ -122,7 +122,7 @@ def test_the_weakest_direction_is_reported_and_refused_if_uncertain(name: str) -
 # -- too few samples
 
 
-@every_method
+@every_target
 def test_too_few_samples_are_refused_with_what_became_of_the_rest(name: str) -> None:
     simulated_cell = cell(scenario(name))
     few_samples = simulated_cell.samples[:TARGETS[name].min_samples - 1]
@@ -160,7 +160,7 @@ def test_edges_that_are_crossed_at_too_small_an_angle_are_named(angle: float, wo
     ([1, 0.1, 0], 'tool x within 6 degrees'), ([2, 0.2, 0], 'tool x within 6 degrees'),
     ([1, 1, 0], 'the direction (0.71, 0.71, 0.00) of tool')])
 def test_directions_are_named_by_the_nearest_axis(direction: list[float], words: str) -> None:
-    assert name_direction(np.array(direction, dtype=float), 'tool') == words
+    assert direction_in_words(np.array(direction, dtype=float), 'tool') == words
 
 
 # -- the frame of the profiles

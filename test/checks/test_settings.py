@@ -8,7 +8,7 @@ from functools import lru_cache
 
 from cells import ONE_IN_20, Recorded, recorded, simulated, squared_error
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.hypotheses import fit_of_samples, refuse_by_best
+from handeye_ros.checks.hypotheses import explain_samples, refuse_by_best
 from handeye_ros.checks.settings import setting_hypotheses, with_few_profiles
 from handeye_ros.config import flipped_range
 from handeye_ros.errors import DataError
@@ -91,7 +91,7 @@ def test_what_no_setting_mends_is_not_blamed_on_one() -> None:
 def test_right_settings_are_not_blamed() -> None:
     recording = fault_recording('baseline')
     session = pipeline.gather(recording.profiles, recording.poses, recording.config)
-    stated = fit_of_samples(session.samples, recording.config, [s.stamp for s in session.samples])
+    stated = explain_samples(session.samples, recording.config, [s.stamp for s in session.samples])
     refuse_by_best(stated, setting_hypotheses(session, recording.config, stated))
 
 

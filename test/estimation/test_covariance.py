@@ -8,7 +8,7 @@ from dataclasses import replace
 from cells import (
     calibration_of,
     cell,
-    every_method,
+    every_target,
     exact_cell,
     map_solution,
     noisy,
@@ -33,14 +33,14 @@ from handeye_ros.estimation.covariance import (
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, covariance_parts, Noise
 from handeye_ros.estimation.posterior import posterior_at
 from handeye_ros.estimation.search import least_squares_fit
-from handeye_ros.estimation.solve import cover
+from handeye_ros.estimation.solution import cover
 from handeye_ros.simulate import FAULTS, SCENARIOS, simulate_samples
 import numpy as np
 import pytest
 from streams import in_order
 
 
-@every_method
+@every_target
 def test_the_solution_is_the_minimum(name: str) -> None:
     posterior = solution_of(name).posterior
     gradient = posterior.jacobian.T @ posterior.postfit_residuals
@@ -62,7 +62,7 @@ def test_the_noise_of_a_station_is_positive(factors: tuple[float, float, float, 
 
 
 @pytest.mark.thorough
-@every_method
+@every_target
 def test_the_stated_covariance_is_that_of_the_errors(name: str) -> None:
     squares, lost = [], []
     count = {'plate': 60, 'sphere': 20}.get(name, 30)  # spheres are slower
@@ -82,7 +82,7 @@ def test_the_stated_covariance_is_that_of_the_errors(name: str) -> None:
     assert sum(lost[:8]) <= 1, 'one station in a thousand recordings'
 
 
-@every_method
+@every_target
 def test_the_left_out_rms_is_that_of_real_refits(name: str) -> None:
     simulated_cell = noisy(name)
     ordered = in_order(simulated_cell.samples)

@@ -31,21 +31,21 @@ SEEDS = pytest.mark.parametrize('seed', range(5))
 
 
 def linear(seed: int, noise: float = 1.0) -> tuple[System[Array], Array, Array, NDArray[np.intp]]:
-    """Return a system r = A x - b of blocks of 2 rows, correlated, with A, b and the blocks."""
+    """Return a system r = A x - b of items of 2 rows, correlated, with A, b and the items."""
     rng = np.random.default_rng(seed)
     A, truth = rng.normal(size=(40, 4)), rng.normal(size=4)
-    b, block = A @ truth + noise * rng.normal(size=40), np.repeat(np.arange(20), 2)
+    b, item = A @ truth + noise * rng.normal(size=40), np.repeat(np.arange(20), 2)
     root = np.kron(np.eye(20), np.array([[1.0, 0.0], [0.7, 2.0]]))
     system = System(lambda x: Rows(A @ x - b, lambda: A, lambda: lambda v: root @ v),
-                    np.add, block)
-    return system, root @ A, root @ b, block
+                    np.add, item)
+    return system, root @ A, root @ b, item
 
 
 @SEEDS
 def test_a_linear_system_is_solved_as_by_its_normal_equations(seed: int) -> None:
-    system, A, b, block = linear(seed)
+    system, A, b, item = linear(seed)
     weights = np.random.default_rng(seed).uniform(0.1, 2.0, 20)
-    root = np.sqrt(weights)[block]
+    root = np.sqrt(weights)[item]
     expected = np.linalg.lstsq(A * root[:, None], b * root, rcond=None)[0]
     assert np.abs(system.least_squares(np.zeros(4), weights) - expected).max() < 1e-9
 
@@ -62,31 +62,31 @@ def test_an_unknown_that_nothing_depends_on_stays_where_it_is() -> None:
 
 
 @SEEDS
-def test_what_blocks_say_without_each_other_is_what_refits_say(seed: int) -> None:
-    _, A, b, block = linear(seed)
+def test_what_items_say_without_each_other_is_what_refits_say(seed: int) -> None:
+    _, A, b, item = linear(seed)
     x, C = np.linalg.lstsq(A, b, rcond=None)[0], covariance_of(A)
     r = A @ x - b
-    left_out = leave_one_out(r, A, C, block)
-    in_block = block == 3
-    refit = np.linalg.lstsq(A[~in_block], b[~in_block], rcond=None)[0]
-    assert np.abs(left_out[in_block] - (A @ refit - b)[in_block]).max() < 1e-6
+    left_out = leave_one_out(r, A, C, item)
+    in_item = item == 3
+    refit = np.linalg.lstsq(A[~in_item], b[~in_item], rcond=None)[0]
+    assert np.abs(left_out[in_item] - (A @ refit - b)[in_item]).max() < 1e-6
 
 
 @SEEDS
-def test_wrong_blocks_are_left_out_and_change_nothing(seed: int) -> None:
-    system, A, b, block = linear(seed, noise=0.01)
-    good_blocks, is_wrong = np.arange(3, 20), np.isin(block, (0, 1, 2))
+def test_wrong_items_are_left_out_and_change_nothing(seed: int) -> None:
+    system, A, b, item = linear(seed, noise=0.01)
+    good_items, is_wrong = np.arange(3, 20), np.isin(item, (0, 1, 2))
     b = b + 100.0 * is_wrong
-    spoilt = System(lambda x: Rows(A @ x - b, lambda: A), np.add, block)
+    spoilt = System(lambda x: Rows(A @ x - b, lambda: A), np.add, item)
     adjusted = adjust(spoilt, np.zeros(4), fewest=4)
-    assert set(adjusted.used.tolist()) <= set(good_blocks.tolist())
-    is_used = np.isin(block, adjusted.used)
+    assert set(adjusted.used.tolist()) <= set(good_items.tolist())
+    is_used = np.isin(item, adjusted.used)
     refit = np.linalg.lstsq(A[is_used], b[is_used], rcond=None)[0]
     assert np.abs(adjusted.state - refit).max() < 1e-9
-    assert len(adjusted.used) >= len(good_blocks) - 1
+    assert len(adjusted.used) >= len(good_items) - 1
 
 
-def test_no_more_blocks_are_dropped_than_can_be_spared() -> None:
+def test_no_more_items_are_dropped_than_can_be_spared() -> None:
     squares = np.full(200, 100.0)
     for spare, dropped in ((0, 0), (1, 1), (3, 3), (100, 4)):
         assert len(outliers(squares, 2, 200, spare)) == dropped

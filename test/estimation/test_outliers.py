@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from cells import Cell, cell, every_method, settings_of, simulated, solved, squared_error
+from cells import Cell, cell, every_target, settings_of, simulated, solved, squared_error
 from handeye_ros import pipeline, se3
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError
@@ -36,7 +36,7 @@ def assert_as_good(calibration: Calibration, clean: Calibration) -> None:
 
 
 @pytest.mark.thorough
-@every_method
+@every_target
 @pytest.mark.parametrize('size', [3e-3, 0.05])
 def test_stations_with_a_wrong_pose_are_left_out(name: str, size: float) -> None:
     for seed in range(2):

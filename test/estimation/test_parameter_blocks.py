@@ -128,7 +128,7 @@ def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
     error = se3.difference(solution.estimate.X, truth.T_flange_sensor)
     assert np.abs(error).max() < 1e-4
     lengths = [b.std * solution.posterior.prior_scale(b) for b in solution.posterior.blocks
-               if b.name in ('scale', 'radius')]
+               if b.name in ('robot_scale', 'radius')]
     assert lengths and max(lengths) < 1e-4, 'nothing is wrong with them'
 
 

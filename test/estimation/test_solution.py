@@ -11,7 +11,7 @@ from cells import (
     apart,
     calibration_of,
     cell,
-    every_method,
+    every_target,
     map_solution,
     noisy,
     ONE_IN_1000,
@@ -22,7 +22,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Estimate, linearise, Problem
 from handeye_ros.estimation.search import quick_solution
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import problem_of_known_poses
 import numpy as np
@@ -31,7 +31,7 @@ import pytest
 TURN = se3.transform(ANY_POSE[:3, :3], np.zeros(3))
 
 
-@every_method
+@every_target
 @pytest.mark.parametrize(('base', 'flange'), [(ANY_POSE, np.eye(4)), (np.eye(4), TURN)])
 def test_in_other_frames_the_answer_is_the_same(name: str, base: Array, flange: Array) -> None:
     solution = solution_of(name)
@@ -44,7 +44,7 @@ def test_in_other_frames_the_answer_is_the_same(name: str, base: Array, flange: 
     assert np.abs(Q @ C @ Q.T - D).max() < 1e-6 * np.abs(C).max()
 
 
-@every_method
+@every_target
 def test_shuffled_samples_give_the_same_calibration_and_are_not_changed(name: str) -> None:
     simulated_cell, in_order = noisy(name), calibration_of(name)
     # it sorts them by their stamps, so which shuffle it is does not matter
@@ -113,7 +113,7 @@ def somewhere(problem: Problem, solution: Solution, seed: int) -> tuple[Problem,
     return replace(problem, observations=replace(problem.observations, kind=kinds)), at
 
 
-@every_method
+@every_target
 @pytest.mark.parametrize('where', ('eye_in_hand', 'eye_on_base'))
 def test_the_jacobian_is_that_of_differences(name: str, where: str) -> None:
     solution = solution_of(name, where)
@@ -125,7 +125,7 @@ def test_the_jacobian_is_that_of_differences(name: str, where: str) -> None:
         assert (np.abs(analytic).max(axis=0) > 1e-3)[at_problem.free_columns].all(), 'none is idle'
 
 
-@every_method
+@every_target
 def test_derivatives_by_pose_point_and_feature_are_those_of_differences(name: str) -> None:
     at_problem, at = somewhere(noisy(name).problem, solution_of(name), 7)
     linear, obs, h = linearise(at_problem, at), at_problem.observations, 1e-6

@@ -13,7 +13,7 @@ from handeye_ros.config import with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.posterior import posterior_at
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.advice import (
     Advice,
     advise,

@@ -66,6 +66,7 @@ def started(module: str, *arguments: object) -> AbstractContextManager[subproces
     *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
         ('replay', ['no/such/bag'], 'no/such/bag: no such file or folder'),
         ('main', ['--ros-args', '-p', 'output_dir:=/proc/x'], 'cannot write /proc/x (output_dir)'),
+        ('main', ['--ros-args', '-p', 'output_dir:=/proc'], 'cannot write /proc (output_dir)'),
         ('scan', ['none.yaml'], 'none.yaml cannot be used'),
         ('main', ['--ros-args', '-p', 'profile_topic:=my profile'], '"my profile" cannot '),
         ('main', ['--ros-args', '-p', 'target.size:=[1.0, 2]'], 'ROS does not start: '),
@@ -83,6 +84,7 @@ def test_a_service_without_a_home_is_told_what_to_set(monkeypatch: pytest.Monkey
         pass
 
 
+@pytest.mark.thorough
 def test_the_demo_of_the_readme_ends_with_the_answer_and_its_report(tmp_path: Path) -> None:
     run = run_python(ROOT / 'tools/demo.py', '--bag', ROOT / 'bags/plate', '--config', PLATE,
                      '--out', tmp_path, '--rate', 8, cwd=tmp_path, timeout=PATIENCE)

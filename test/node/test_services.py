@@ -248,6 +248,7 @@ def test_parameters_that_change_hold_at_once_or_are_refused(client, node):
     client.until(lambda: client.state()['samples'] == '1', 'the sample is back')
 
 
+@pytest.mark.thorough
 def test_topics_change_while_it_runs_and_a_wrong_type_is_reported(client, node):
     robot = client.node.create_publisher(PoseStamped, '/robot/pose', BEST_EFFORT)
     client.node.create_publisher(PointStamped, '/scan', RELIABLE)

@@ -210,7 +210,7 @@ def test_a_face_that_is_seen_bent_is_a_parabola_up_to_its_edge(bow: float) -> No
         line, (edge,) = features_of(marked(height, seed))
         x, z = edge.point
         assert abs(x + 0.012) < 2 * PITCH
-        assert abs(z - height(max(x, -0.01199))) < 8 * edge.std_across and not edge.drop.any()
+        assert abs(z - height(max(x, -0.01199))) < 8 * edge.std_across and not edge.to_lowest.any()
         x, z = line.points.T
         errors.append((z - height(x)) / line.points_std)
     assert np.abs(np.sum(errors, axis=0)).max() < 4 * seeds ** 0.5  # no point of it is biased
@@ -233,7 +233,7 @@ def test_a_wall_gives_the_same_edge_whatever_the_corner(radius: float, wall: flo
     errors = []
     for seed in range(10):
         edge = edge_of(drawn(lambda _: bent(radius, wall), seed))
-        assert edge.ending == 'roof' and not edge.drop.any()
+        assert edge.ending == 'roof' and not edge.to_lowest.any()
         errors.append((edge.point - [0, 0.17]) @ edge.direction)
         assert abs(errors[-1]) < 4 * edge.std
     assert abs(np.mean(errors)) < 0.6 * PITCH

@@ -13,7 +13,7 @@ from command import chromium, handeye, PLATE, ROOT, succeeds
 from handeye_ros import config, se3
 from handeye_ros.data import Calibration
 from handeye_ros.results import calibration_file, report
-from handeye_ros.results.report import mapped_std, SolvedRecording, verdict
+from handeye_ros.results.report import SolvedRecording, std_of_points, verdict
 from handeye_ros.review import solved_recording
 import numpy as np
 import pytest
@@ -143,7 +143,7 @@ def test_mapped_points_are_as_uncertain_as_draws_say(calibration: Calibration) -
     T = calibration.T_flange_sensor
     spread = [se3.apply(se3.perturb(T, d), points) - se3.apply(T, points) for d in draws]
     rms = float(np.sqrt((np.array(spread) ** 2).sum(axis=2).mean()))
-    assert mapped_std(calibration, points) == pytest.approx(rms, rel=0.05)
+    assert std_of_points(calibration, points) == pytest.approx(rms, rel=0.05)
 
 
 def test_a_moved_recording_is_found_and_a_changed_one_is_refused(

@@ -9,7 +9,7 @@ from typing import Any
 from cells import recorded
 from handeye_ros import pipeline, se3
 from handeye_ros.data import EdgePoint, FaceLine, Sample
-from handeye_ros.sampling.edge_shapes import common_shape, with_common_shape
+from handeye_ros.sampling.edge_shapes import common_shape, with_common_edge_shape
 from handeye_ros.simulate.scenario import BASELINE
 import numpy as np
 from profiles import drawn, edge_of, PITCH, X
@@ -35,9 +35,9 @@ def test_a_bent_end_is_set_back_to_its_edge(shape: str, size: float) -> None:
     common = common_shape(samples)
     assert common.size == pytest.approx(size, rel=3 * common.relative_std)
     assert common.is_round == (shape == 'rounded') or size < 1e-3, 'few points show no shape'
-    moved = with_common_shape(samples)
+    moved = with_common_edge_shape(samples)
     edges = [s.features[1] for s in moved]
-    assert [s.features[1] for s in with_common_shape(moved)] == edges, 'a second time'
+    assert [s.features[1] for s in with_common_edge_shape(moved)] == edges, 'a second time'
     places = np.array([edge.point[0] for edge in edges])
     shared = np.array([edge.shape_std for edge in edges])
     assert abs(places.mean()) < PITCH + shared.mean() and places.std() < 1.5 * PITCH
@@ -50,7 +50,7 @@ def test_a_bend_longer_than_any_rounding_does_not_move_the_edge(length: float) -
     samples = [Sample(k, np.eye(4), (LINE, edge_of(drawn(lambda x: np.where(
         x > 0, 0.17 + 1e-4 * np.maximum(1 - x / length, 0) ** 2, np.nan), k)))) for k in range(9)]
     assert common_shape(samples).size == 0
-    edges = [s.features[1] for s in with_common_shape(samples)]
+    edges = [s.features[1] for s in with_common_edge_shape(samples)]
     assert max(abs(edge.point[0]) for edge in edges) < 1.5 * PITCH
 
 
@@ -58,7 +58,7 @@ def test_a_few_deep_ends_are_no_bevel_of_all() -> None:
     """A driver that smooths bends the ends of some steps, each down to another depth."""
     sharp = edge_of(drawn(lambda x: np.where(x > 0, 0.17, np.nan), 0))
     depths = [*[0.0] * 6, *[3e-5] * 4, 2.4e-4, 2.5e-4, 3.3e-4, 7e-4]
-    samples = [Sample(k, np.eye(4), (LINE, replace(sharp, drop=np.array([0.0, depth]))))
+    samples = [Sample(k, np.eye(4), (LINE, replace(sharp, to_lowest=np.array([0.0, depth]))))
                for k, depth in enumerate(depths)]
     assert common_shape(samples).size == 0
     assert common_shape(samples[-4:]).size > 2e-4
@@ -72,11 +72,11 @@ def test_simulated_ends_are_at_the_edge(values: dict[str, Any], worst: float) ->
     for seed in range(2):
         recording = recorded(scenario, seed, rate=6.0)
         session = pipeline.gather(recording.profiles, recording.poses, recording.config)
-        samples, truth = with_common_shape(session.samples), recording.truth
+        samples, truth = with_common_edge_shape(session.samples), recording.truth
         for station in truth.stations:
             sample, = (s for s in samples if station.start <= s.stamp <= station.end)
             edge, = (f for f in sample.features if isinstance(f, EdgePoint))
-            x, z = edge.point + edge.drop  # of the wall, wherever the laser crosses it
+            x, z = edge.point + edge.to_lowest  # of the wall, wherever the laser crosses it
             in_target = se3.apply(se3.inverse(truth.T_base_target) @ station.T_base_flange
                                   @ truth.T_flange_sensor, np.array([[x, 0.0, z]]))[0]
             away.append(in_target[1 if station.label == 'p' else 0])

@@ -98,6 +98,11 @@ def test_an_incidence_that_is_none_is_refused(degrees):
         ScanOptions.of_texts(('-inf', 'inf'), degrees, '0', std=False)
 
 
+def test_exchanged_limits_of_the_range_are_refused():
+    with pytest.raises(InputError, match='--range is .*, expected the nearer limit before'):
+        ScanOptions.of_texts(('200mm', '100mm'), 90.0, '0', std=False)
+
+
 def test_thinning_keeps_one_point_of_each_cube():
     scanner = Scanner(calibration(), Config(), ScanOptions(voxel=2e-3))
     thin = xyz(scanned(scanner, plane_profiles(200), moving(200)))

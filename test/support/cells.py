@@ -24,7 +24,7 @@ from handeye_ros.data import Array, Calibration, Profile, Sample, TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import robust_solution
-from handeye_ros.estimation.solve import converged_fit, posteriors_at, Solution
+from handeye_ros.estimation.solution import converged_fit, posteriors_of_fit, Solution
 from handeye_ros.results.truth import errors_against
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
 from handeye_ros.simulate.sensor import FRAMES
@@ -116,7 +116,7 @@ def solved(problem: Problem, seed: int = 0) -> Solution:
 
 def map_solution(problem: Problem, start: Estimate) -> Solution:
     """Return the solution of all stations near a start, with all blocks."""
-    return Solution(*posteriors_at(problem, converged_fit(problem, start)), problem,
+    return Solution(*posteriors_of_fit(problem, converged_fit(problem, start)), problem,
                     np.arange(len(problem.poses)), {})
 
 
@@ -171,7 +171,7 @@ def simulated(scenario: Scenario, seed: int, **values: object) -> Recorded:
                     settings_of(scenario, **values))
 
 
-every_method = pytest.mark.parametrize('name', targets.TARGETS)
+every_target = pytest.mark.parametrize('name', targets.TARGETS)
 
 
 @lru_cache

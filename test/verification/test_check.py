@@ -14,7 +14,7 @@ from handeye_ros.data import Array, Calibration, Reject
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.simulate import simulate
-from handeye_ros.simulate.scenario import RobotModel, Scenario, SCENARIOS
+from handeye_ros.simulate.scenario import FAULTS, RobotModel, Scenario, SCENARIOS
 from handeye_ros.verification.check import check
 import numpy as np
 import pytest
@@ -163,6 +163,12 @@ def test_faces_seen_at_grazing_incidence_are_no_change(calibrated):
             assert check_result.left_out == [], check_result.sentence
 
 
+@pytest.mark.parametrize('fault', ['distorted 0.02 mm', 'wavy 10 um', 'plane, distorted 0.02 mm',
+                                   'wedge, line bent by 0.15 mm', 'bevelled 0.5 mm'])
+def test_faults_that_the_cell_had_before_are_no_change(fault):
+    assert bench.verdict_of_halves(FAULTS[fault], 1) == 'unchanged'
+
+
 def with_state(calibration, state):
     joint = {**calibration.target['joint'], 'state': state}
     return replace(calibration, target={**calibration.target, 'joint': joint})
@@ -186,6 +192,7 @@ def test_what_cannot_be_checked_is_refused(calibrated):
             (eight[:3], sphere, DataError, '3 usable'), ([], sphere, DataError, '0 usable'),
             (eight, replace(sphere, T_flange_sensor=X @ FAR), DataError, 'is of this sensor'),
             (eight, replace(sphere, method='points'), InputError, 'points'),
+            (eight, calibrated['plate'].calibration, InputError, 'target of type plate'),
             (eight, replace(sphere, target={'centre': {}}), InputError, 'does not hold'),
             (eight, with_state(sphere, [1.0, 2.0]), InputError, 'does not hold')):
         with pytest.raises(error, match=words):

@@ -299,7 +299,7 @@ def test_what_cannot_be_verified_is_refused():
     for name, lengths, bags, words in (('step', (0.1,), 1, 'needs 2 bags, and got 1'),
                                        ('step', (0.1,) * 4, 4, '5 or 6 bags, and got 4'),
                                        ('cube', (), 1, 'no routine "cube"'),
-                                       ('ball_bar', (), 2, r'1 lengths \(.*, and got 0')):
+                                       ('ball_bar', (), 2, r'1 length \(.*, and got 0')):
         with pytest.raises(InputError, match=words):
             settings_for(routine_of(name), of_lengths(*lengths), bags)
 

@@ -43,11 +43,12 @@ class Solution:
     The stations that agree and their posterior; first with blocks as noise, then with blocks.
 
     posterior: of the stations used, for the estimate
-    for_report: the one whose covariance is reported, (8): its own estimate moves too far; with
-        blocks as noise the same
+    for_report: the one whose covariance is reported, (8), at the conservative scales; an estimate
+        at these would follow causes without evidence. With blocks as noise, the same
     full_problem: the problem with all stations and observations
     used: (n,) indices of those used
-    dropped_squares: squared residual of each of the others
+    dropped_squares: mean square of each of the others when it was dropped: left-out, (12), over
+        the shared variance factor; of those far from the robust fit, of that fit
     probability_wrong: that one of few used stations is wrong
     surely_wrong: the place in `used` of the station that almost surely is, () without one
     added_covariances: (6, 6) by cause, added to the reported covariance of the transform, as by
@@ -161,8 +162,8 @@ class ConvergedFit:
     noise_of_report: Noise
 
 
-def posteriors_at(problem: Problem, fit: ConvergedFit, before: Posterior | None = None
-                  ) -> tuple[Posterior, Posterior]:
+def posteriors_of_fit(problem: Problem, fit: ConvergedFit, before: Posterior | None = None
+                      ) -> tuple[Posterior, Posterior]:
     """
     Return the posteriors for the estimate and for the report, with all blocks.
 
