@@ -121,11 +121,12 @@ class Table:
         """
         notation = self.notation(prefix, angles)
         names, axes = notation.columns(prefix), _axes(prefix)
-        readable = [name for name, other in NOTATIONS.items()
+        readable = [name for name, other in {**NOTATIONS, '': self.notation(prefix)}.items()
                     if self.columns.keys() >= {*other.columns(prefix)}]
         if readable and not self.columns.keys() >= {*names}:
-            raise TableError(self.path, f'has no columns {", ".join(names)}; it has those that '
-                             f'--angles {" or ".join(readable)} reads, of the flange only')
+            raise TableError(self.path, f'has no columns {", ".join(names)}; it has those that ' + (
+                f'--angles {" or ".join(readable)} reads, of the flange only' if all(readable)
+                else 'are read without --angles'))
         self._require([*axes, *names])
         kind = ANGLE if notation.angle else NUMBER
         length, unit = (notation.length, notation.angle) if angles else ('', '')

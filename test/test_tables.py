@@ -78,6 +78,12 @@ def test_poses_without_all_columns_or_unit_length_are_refused(tmp_path, header, 
         Table(tmp_path / 'a.csv').poses('f')
 
 
+def test_poses_that_need_no_notation_are_told_so(tmp_path):
+    (tmp_path / 'a.csv').write_text('f_x,f_y,f_z,f_roll,f_pitch,f_yaw\n1,1,1,1,1,1')
+    with pytest.raises(TableError, match='those that are read without --angles'):
+        Table(tmp_path / 'a.csv').poses('f', 'kuka-abc')
+
+
 def matrix(name: str, *numbers: float) -> np.ndarray:
     return notation_of(name).rotation(np.array([numbers]))[0].as_matrix()
 
