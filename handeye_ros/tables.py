@@ -22,7 +22,7 @@ import re
 from handeye_ros import se3
 from handeye_ros.config import METRES, MICRO, RADIANS
 from handeye_ros.data import Array, QUATERNION_TOLERANCE
-from handeye_ros.errors import InputError, nearest, UnknownNameError
+from handeye_ros.errors import count_of, InputError, nearest, UnknownNameError
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -76,7 +76,7 @@ class Table:
             raise TableError(path, 'holds no rows' if header else 'is empty')
         for number, row in enumerate(rows, 1):
             if len(row) != len(header):
-                raise TableError(path, f'row {number} has {len(row)} values, the header '
+                raise TableError(path, f'row {number} has {count_of(len(row), "value")}, the header '
                                  f'{len(header)}')
         self.columns = {name: (unit, texts) for (name, unit), texts in zip(
             units.items(), zip(*rows, strict=True), strict=True)}

@@ -55,7 +55,7 @@ def test_poses_are_read_as_a_controller_shows_them(tmp_path: Path) -> None:
     ('x,y [m]\n1,2', 'x names no unit; write'),
     ('x [m],y [inch]\n1,2', 'y has the unit inch'),
     ('x [m],y [rad]\n1,2', 'y has the unit rad'),
-    ('x [m],y [m]\n1', 'row 1 has 1 values, the header 2'),
+    ('x [m],y [m]\n1', 'row 1 has 1 value, the header 2'),
     ('x [m],y [m]\n1,2\n1,z', 'row 2: y is "z", expected a number'),
     ('x [m],y [m]\n1,nan', 'row 1: y is "nan"'),
     ('x [m],y [m]\n1e30,2', 'row 1: x is 1e30, which is beyond all measure'),

@@ -138,8 +138,8 @@ def batch(
     counts = Counter(map(batches.outcome_of, rows)).items()
     computed = sum(row['computed'] for row in rows)
     outcomes = ', '.join(f'{count} {name}' for name, count in counts)
-    typer.echo(f'{count_of(len(rows), "recording")}: {outcomes}; {computed} computed, the others '
-               f'unchanged; wrote {out}')
+    typer.echo(f'{count_of(len(rows), "recording")}: {outcomes}; {computed} computed, '
+               f'{len(rows) - computed} unchanged; wrote {out}')
 
 
 @app.command()
