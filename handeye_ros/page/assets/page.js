@@ -350,8 +350,8 @@ function sure(question) {
 
 async function clearAll() {
   const count = latest ? taken(latest).length : 0;
-  if (await sure(`Clear all ${count} samples, and begin a new session?`) &&
-      await sure(`Really? ${count} samples and the answer will be gone.`)) {
+  if (await sure(`Clear all samples (${count}), and begin a new session?`) &&
+      await sure(`Really? All samples (${count}) and the answer will be gone.`)) {
     await ask('clear_samples', {}, $('clear'));
     readCell();
   }
