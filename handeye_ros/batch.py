@@ -5,17 +5,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, ExitStack, redirect_stderr, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from functools import partial
 import io
 import json
-from multiprocessing import resource_tracker
 import os
 from pathlib import Path
 import shlex
 import shutil
-import signal
 import time
 from typing import Any, TypeAlias
 
@@ -46,7 +44,9 @@ RESULT_FIGURES = (
 LOCAL_DASK = {  # settings of Dask on this machine
     # a worker is given one job at a time, so that a job that ends it takes no other along
     'distributed.scheduler.worker-saturation': 1.0,
-    'distributed.scheduler.allowed-failures': 1}
+    'distributed.scheduler.allowed-failures': 1,
+    # the client handles ctrl-C and ends the workers
+    'distributed.worker.preload': ['import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)']}
 
 
 @dataclass(frozen=True)
@@ -176,31 +176,15 @@ def client_of(scheduler: str) -> Iterator[Any]:
     if scheduler == 'local':
         cluster = {'n_workers': len(os.sched_getaffinity(0)), 'threads_per_worker': 1,
                    'silence_logs': 50, 'dashboard_address': '127.0.0.1:0', 'timeout': 60}
-    with dask.config.set(LOCAL_DASK), ExitStack() as opened:
+    with dask.config.set(LOCAL_DASK):
         try:
-            with _interrupts_held():
-                client = opened.enter_context(Client(**cluster))
+            client = Client(**cluster)
         except (OSError, ValueError) as error:
             raise InputError(f'no Dask scheduler answers at {scheduler}: start one with "dask '
                              'scheduler" and workers with "dask worker ADDRESS --nthreads 1"'
                              ) from error
-        yield client
-
-
-@contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Raise KeyboardInterrupt only after the block; threads and processes it starts get none."""
-    resource_tracker.ensure_running()  # the first call, by any thread, would unblock the signal
-    held: list[int] = []
-    handler = signal.signal(signal.SIGINT, lambda number, _: held.append(number))
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])  # inherited by all of them
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        signal.signal(signal.SIGINT, handler)
-    if held:
-        raise KeyboardInterrupt
+        with client:
+            yield client
 
 
 def results_of(jobs: Sequence[Job], out: Path, run_words: RunWords, scheduler: str = 'local'

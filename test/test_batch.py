@@ -155,34 +155,22 @@ def test_recordings_and_foreign_files_are_never_replaced_by_results(tmp_path, mo
             jobs_of([str(tmp_path / 'jobs.csv')], SOLVE)
 
 
-def has_results(folder, process):
-    return any(folder.glob('out/*/job.json'))
-
-
-def starts_workers(folder, process):
-    children = Path(f'/proc/{process.pid}').glob('task/*/children')
-    return any('yaml' in Path(f'/proc/{child}/maps').read_text()  # it imports Dask
-               for file in children for child in file.read_text().split())
-
-
 @pytest.mark.thorough
-@pytest.mark.parametrize('ready', [has_results, starts_workers])
-def test_an_interrupt_says_how_far_it_came_and_a_second_run_goes_on(ready, tmp_path):
+def test_an_interrupt_says_how_far_it_came_and_a_second_run_goes_on(tmp_path):
     bag = ROOT / 'bags' / 'plate'
     (tmp_path / 'jobs.csv').write_text(
         'bag,label\n' + ''.join(f'{bag},{k:03}\n' for k in range(200)))
     command = [sys.executable, '-m', 'handeye_ros', 'batch', 'jobs.csv', '--out', 'out']
     with subprocess.Popen(command, cwd=tmp_path, start_new_session=True, text=True,
                           stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        while not ready(tmp_path, process) and process.poll() is None:
-            time.sleep(0.02)
+        while not list(tmp_path.glob('out/*/job.json')) and process.poll() is None:
+            time.sleep(0.05)
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all of them
         output = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130 and 'Traceback' not in ''.join(output), output
     done = len(list(tmp_path.glob('out/*/job.json')))
     assert f'{done} of 200 done; run again to continue' in output[1]
-    assert (done > 0) == (ready is has_results) and done < 200
-    assert len(list(tmp_path.glob('out/*/calibration.yaml'))) == done
+    assert 0 < done < 200 and len(list(tmp_path.glob('out/*/calibration.yaml'))) == done
 
 
 @pytest.mark.once
