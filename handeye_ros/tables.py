@@ -75,8 +75,8 @@ class Table:
             raise TableError(path, 'holds no rows' if header else 'is empty')
         for number, row in enumerate(rows, 1):
             if len(row) != len(header):
-                raise TableError(path, f'row {number} has {count_of(len(row), "value")}, the header '
-                                 f'{len(header)}')
+                raise TableError(path, f'row {number} has {count_of(len(row), "value")}, the '
+                                 f'header {len(header)}')
         self.columns = {name: (unit, texts) for (name, unit), texts in zip(
             units.items(), zip(*rows, strict=True), strict=True)}
 
@@ -123,9 +123,9 @@ class Table:
         readable = [name for name, other in {**NOTATIONS, '': self.notation(prefix)}.items()
                     if self.columns.keys() >= {*other.columns(prefix)}]
         if readable and not self.columns.keys() >= {*names}:
-            raise TableError(self.path, f'has no columns {", ".join(names)}; it has those that ' + (
-                f'--angles {" or ".join(readable)} reads, of the flange only' if all(readable)
-                else 'are read without --angles'))
+            raise TableError(self.path, f'has no columns {", ".join(names)}; it has those '
+                             'that ' + (f'--angles {" or ".join(readable)} reads, of the flange only'
+                                        if all(readable) else 'are read without --angles'))
         self._require([*axes, *names])
         kind = ANGLE if notation.angle else NUMBER
         length, unit = (notation.length, notation.angle) if angles else ('', '')

@@ -111,7 +111,8 @@ def table(entries: Sequence[Entry]) -> Table:
             str(entry.path.parent)))
     return figures_table(
         'recorded', 'x\n[mm]', 'y\n[mm]', 'z\n[mm]', 'rotation\n[degrees]', 'p to the\nfirst',
-        'p to the\nprevious', '', 'folder', rows=rows, right=range(1, 7), title='differences from the first')
+        'p to the\nprevious', '', 'folder', rows=rows, right=range(1, 7),
+        title='differences from the first')
 
 
 def since_when(entries: Sequence[Entry]) -> str:

@@ -258,8 +258,8 @@ def read_table(path: Path) -> tuple[list[Piece], Array]:
                 path, f'row {row}: kind is "{kind}", expected {", ".join(FEWEST_POINTS)}')
     for kind, fewest in FEWEST_POINTS.items():
         if kinds.count(kind) < fewest:
-            raise TableError(path, f'holds {count_of(kinds.count(kind), "point")} of the kind {kind}; '
-                             f'at least {fewest} are needed')
+            raise TableError(path, f'holds {count_of(kinds.count(kind), "point")} of the kind '
+                             f'{kind}; at least {fewest} are needed')
     of_ball = np.array(kinds) == 'ball'
     return [Piece(row + 1, kinds[row], points[row:row + 1])
             for row in np.flatnonzero(~of_ball).tolist()], points[of_ball].mean(axis=0)
