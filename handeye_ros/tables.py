@@ -123,9 +123,10 @@ class Table:
         readable = [name for name, other in {**NOTATIONS, '': self.notation(prefix)}.items()
                     if self.columns.keys() >= {*other.columns(prefix)}]
         if readable and not self.columns.keys() >= {*names}:
-            raise TableError(self.path, f'has no columns {", ".join(names)}; it has those '
-                             'that ' + (f'--angles {" or ".join(readable)} reads, of the flange only'
-                                        if all(readable) else 'are read without --angles'))
+            how = (f'--angles {" or ".join(readable)} reads, of the flange only' if all(readable)
+                   else 'are read without --angles')
+            raise TableError(self.path, f'has no columns {", ".join(names)}; it has those that '
+                             f'{how}')
         self._require([*axes, *names])
         kind = ANGLE if notation.angle else NUMBER
         length, unit = (notation.length, notation.angle) if angles else ('', '')
