@@ -121,11 +121,12 @@ def work(output_dir: Path, acknowledge: int) -> None:
                 live.add_poses([item])
             else:
                 live.add_profile(item)
-        number = int(live.take_sample().split()[1])
+        live.take_sample()
+        number = live.attempt.stop.number
         os.write(acknowledge, f'taken {number}\n'.encode())
         if rng.random() < 0.2:
             os.write(acknowledge, f'removing {number}\n'.encode())
-            number = int(live.remove_last_sample().split()[2].rstrip(','))
+            live.remove_last_sample()
             os.write(acknowledge, f'removed {number}\n'.encode())
 
 
@@ -220,14 +221,14 @@ class Operator:
             taken = self._asked('take_sample')
             if taken is None or not taken.success:
                 continue
-            number = int(taken.message.split()[1])
+            number = int(taken.message.split()[1])  # ~/samples has it later, perhaps never
             self.tally.taken.add(number)
             self.acknowledged.set()
             if self._rng.random() < 0.2:
                 self.tally.removing.add(number)
                 removed = self._asked('remove_last_sample')
                 if removed and removed.success:
-                    self.tally.removed.add(int(removed.message.split()[2].rstrip(',')))
+                    self.tally.removed.add(number)
         self.acknowledged.set()
 
     def _feed(self, start: int) -> None:

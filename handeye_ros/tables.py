@@ -22,7 +22,7 @@ import re
 from handeye_ros import se3
 from handeye_ros.config import MICRO, UNITS
 from handeye_ros.data import Array, QUATERNION_TOLERANCE
-from handeye_ros.errors import InputError, nearest, UnknownNameError
+from handeye_ros.errors import count_of, InputError, nearest, UnknownNameError
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -75,8 +75,8 @@ class Table:
             raise TableError(path, 'holds no rows' if header else 'is empty')
         for number, row in enumerate(rows, 1):
             if len(row) != len(header):
-                raise TableError(path, f'row {number} has {len(row)} values, the header '
-                                 f'{len(header)}')
+                raise TableError(path, f'row {number} has {count_of(len(row), "value")}, the '
+                                 f'header {len(header)}')
         self.columns = {name: (unit, texts) for (name, unit), texts in zip(
             units.items(), zip(*rows, strict=True), strict=True)}
 
@@ -120,11 +120,12 @@ class Table:
         """
         notation = self.notation(prefix, angles)
         names, axes = notation.columns(prefix), _axes(prefix)
-        readable = [name for name, other in NOTATIONS.items()
+        readable = [name for name, other in {**NOTATIONS, '': self.notation(prefix)}.items()
                     if self.columns.keys() >= {*other.columns(prefix)}]
         if readable and not self.columns.keys() >= {*names}:
-            raise TableError(self.path, f'has no columns {", ".join(names)}; it has those that '
-                             f'--angles {" or ".join(readable)} reads, of the flange only')
+            raise TableError(self.path, f'has no columns {", ".join(names)}; it has those '
+                             'that ' + (f'--angles {" or ".join(readable)} reads, of the flange only'
+                                        if all(readable) else 'are read without --angles'))
         self._require([*axes, *names])
         kind = ANGLE if notation.angle else NUMBER
         length, unit = (notation.length, notation.angle) if angles else ('', '')

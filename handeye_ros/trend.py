@@ -104,13 +104,15 @@ def table(entries: Sequence[Entry]) -> Table:
         shift, turn = np.split(entry.difference, 2)
         least = min(entry.p_first, entry.p_before)
         rows.append((
-            entry.recorded or str(entry.path), *(f'{metres * 1e3:.3f}' for metres in shift),
+            entry.recorded, *(f'{metres * 1e3:.3f}' for metres in shift),
             f'{np.degrees(np.linalg.norm(turn)):.4f}', f'{entry.p_first:.3g}',
             f'{entry.p_before:.3g}',
-            'CHANGED' if least < CHANGED_P else 'watch' if least < WATCH_P else ''))
+            'CHANGED' if least < CHANGED_P else 'watch' if least < WATCH_P else '',
+            str(entry.path.parent)))
     return figures_table(
-        'recorded', 'x [mm]', 'y [mm]', 'z [mm]', 'rotation [degrees]', 'p to the first',
-        'p to the previous', '', rows=rows, right=range(7), title='differences from the first')
+        'recorded', 'x\n[mm]', 'y\n[mm]', 'z\n[mm]', 'rotation\n[degrees]', 'p to the\nfirst',
+        'p to the\nprevious', '', 'folder', rows=rows, right=range(1, 7),
+        title='differences from the first')
 
 
 def since_when(entries: Sequence[Entry]) -> str:

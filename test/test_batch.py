@@ -185,6 +185,17 @@ def test_a_fault_of_all_jobs_is_said_at_once(words, sentence, tmp_path):
 
 
 @pytest.mark.once
+@pytest.mark.parametrize(('words', 'sentence'), [
+    (('--args', '--foo 1'), 'No such option: --foo'),
+    (('--verb', 'check'), "Missing option '--against'")])
+def test_wrong_arguments_of_the_verb_are_wrong_usage(words, sentence, tmp_path):
+    (tmp_path / 'a.mcap').write_text('x')
+    run = handeye('batch', 'a.mcap', '--out', 'out', *words, cwd=tmp_path)
+    assert run.returncode == 2 and sentence in run.stderr, run
+    assert not (tmp_path / 'out').exists()
+
+
+@pytest.mark.once
 def test_only_an_unchanged_whole_result_is_not_computed_again(tmp_path):
     (tmp_path / 'a.mcap').write_text('laser 1.0')
     job, out = Job(str(tmp_path / 'a.mcap'), 'a', 'solve'), tmp_path / 'out'

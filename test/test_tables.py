@@ -55,7 +55,7 @@ def test_poses_are_read_as_a_controller_shows_them(tmp_path: Path) -> None:
     ('x,y [m]\n1,2', 'x names no unit; write'),
     ('x [m],y [inch]\n1,2', 'y has the unit inch'),
     ('x [m],y [rad]\n1,2', 'y has the unit rad'),
-    ('x [m],y [m]\n1', 'row 1 has 1 values, the header 2'),
+    ('x [m],y [m]\n1', 'row 1 has 1 value, the header 2'),
     ('x [m],y [m]\n1,2\n1,z', 'row 2: y is "z", expected a number'),
     ('x [m],y [m]\n1,nan', 'row 1: y is "nan"'),
     ('x [m],y [m]\n1e30,2', 'row 1: x is 1e30, which is beyond all measure'),
@@ -76,6 +76,12 @@ def test_poses_without_all_columns_or_unit_length_are_refused(tmp_path, header, 
     (tmp_path / 'a.csv').write_text(f'{header}\n' + ','.join('1' for _ in header.split(',')))
     with pytest.raises(TableError, match=message):
         Table(tmp_path / 'a.csv').poses('f')
+
+
+def test_poses_that_need_no_notation_are_told_so(tmp_path):
+    (tmp_path / 'a.csv').write_text('f_x,f_y,f_z,f_roll,f_pitch,f_yaw\n1,1,1,1,1,1')
+    with pytest.raises(TableError, match='those that are read without --angles'):
+        Table(tmp_path / 'a.csv').poses('f', 'kuka-abc')
 
 
 def matrix(name: str, *numbers: float) -> np.ndarray:

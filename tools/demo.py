@@ -24,7 +24,7 @@ from handeye_ros import config as configuration
 from handeye_ros.bags.reader import Reader
 from handeye_ros.data import Calibration
 from handeye_ros.errors import DataError, InputError, UnwritableError
-from handeye_ros.node.main import exit_code, ros
+from handeye_ros.node.main import ros, run_for_exit_code
 from handeye_ros.output import write_atomically
 from handeye_ros.results import calibration_file, exports, report, table
 from handeye_ros.results.file_values import input_values
@@ -188,7 +188,7 @@ def main() -> int:
     parser.add_argument('--out', type=Path, required=True)
     parser.add_argument('--rate', type=float, default=4.0, help='speed; 1: as recorded')
     options = parser.parse_args()
-    return exit_code(lambda: demo(options.bag, options.config, options.out, options.rate))
+    return run_for_exit_code(lambda: demo(options.bag, options.config, options.out, options.rate))
 
 
 if __name__ == '__main__':

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros.arm import Arm
-from handeye_ros.bags.messages import ProfileReader, returns_of, split
+from handeye_ros.bags.messages import ProfileReader, profiles_of, returns_of
 from handeye_ros.bags.poses import ArmPose, OtherJointsError, pose_topics
 from handeye_ros.bags.reader import CLOUD_TYPE, full_name, Raw, Reader, TF_TYPE
-from handeye_ros.bags.transforms import FlangeTracker
+from handeye_ros.bags.transforms import FlangeFollower
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, RawProfile, TimedPose
 from handeye_ros.errors import (
@@ -113,8 +113,8 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     require_type('config', config, Config)
     require_type('progress', progress, Callable)  # type: ignore[arg-type]
     profile_reader = ProfileReader(config.profile)
-    tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
-    sources = {full_name(source.name): source for source in pose_topics(config, tracker, arm)}
+    follower = FlangeFollower(config.base_frame, config.robot_effector_frame)
+    sources = {full_name(source.name): source for source in pose_topics(config, follower, arm)}
     *_, required = sources.values()
     cloud_topic = _Topic(config.profile_topic, 'profile_topic', CLOUD_TYPE,
                          lambda raw: [profile_reader.take(raw.data, raw.fetch)])
@@ -126,16 +126,16 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
         (cloud_topic if raw.topic == cloud_topic.name else pose_topic).add(raw)
     profiles, previous_stamp = list[RawProfile](), None
     for message in _of_one_frame('profile', cloud_topic.ordered(reader), 'frame_id', reader):
-        profiles += split(message, previous_stamp, config.profile)
+        profiles += profiles_of(message, previous_stamp, config.profile)
         previous_stamp = message.stamp
     if not profiles:
         raise InputError(f'{path}: the only message on {cloud_topic.name} holds several profiles, '
                          'and does not say when each was taken: set profile.period')
     poses = pose_topic.ordered(reader)
-    reader.warnings += tracker.warnings
+    reader.warnings += follower.warnings
     if not poses:
         raise InputError(f'{path}: no flange poses in its transforms: '
-                         f'{tracker.missing() or "they share no time"}; set robot_base_frame and '
+                         f'{follower.missing() or "they share no time"}; set robot_base_frame and '
                          'robot_effector_frame')
     poses = _of_one_frame('pose', poses, 'parent_frame', reader)
     joints = np.array([pose.joints for pose in poses if isinstance(pose, ArmPose)])

@@ -40,13 +40,13 @@ PATH_TYPE, POSE_ARRAY_TYPE = 'nav_msgs/msg/Path', 'geometry_msgs/msg/PoseArray'
 def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
           config: Config | None = None, *, truth: Mapping[str, Any] | None = None,
           tables: Mapping[str, str] | None = None, force: bool = False,
-          joints: Sequence[tuple[int, Array]] = (), number: str = 'f4') -> None:
+          joints: Sequence[tuple[int, Array]] = (), dtype: str = 'f4') -> None:
     """
     Write a rosbag2 folder, including truth.yaml if the truth is given.
 
     config: gives the topics and the unit of the coordinates; tables: texts of other files in the
     folder, by name; force: an existing bag is replaced; joints: stamps and values of joint_1,
-    joint_2, ...; number: of the coordinates, f4 or f8. Raises InputError if the path exists,
+    joint_2, ...; dtype: of the coordinates, f4 or f8. Raises InputError if the path exists,
     UnwritableError if it cannot be written.
     """
     texts = dict(tables or {})
@@ -59,17 +59,17 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
         for stamp, item in sorted([*((item.stamp, item) for item in items), *joints],
                                   key=itemgetter(0)):
             yield (Raw(joint_topic, JOINTS_TYPE, stamp, joints_cdr(stamp, item))
-                   if isinstance(item, np.ndarray) else raw_of(item, config, number))
+                   if isinstance(item, np.ndarray) else raw_of(item, config, dtype))
 
     write_folder(path, texts, lambda folder: _write_bag(folder, messages()), force)
 
 
-def raw_of(item: AnyProfile | TimedPose, config: Config, number: str = 'f4') -> Raw:
-    """Return a profile or pose as it is recorded; number: of its coordinates, f4 or f8."""
+def raw_of(item: AnyProfile | TimedPose, config: Config, dtype: str = 'f4') -> Raw:
+    """Return a profile or pose as it is recorded; dtype: of its coordinates, f4 or f8."""
     if isinstance(item, TimedPose):
         return Raw(full_name(config.pose_topic), POSE_TYPE, item.stamp, pose_cdr(item))
     data = (bytes(item.fetch()) if isinstance(item, RawProfile)
-            else cloud_cdr(item, config.profile.unit, number))
+            else cloud_cdr(item, config.profile.unit, dtype))
     return Raw(full_name(config.profile_topic), CLOUD_TYPE, item.stamp, data)
 
 
@@ -125,9 +125,9 @@ def write_metadata(folder: Path, files: Sequence[Path]) -> None:
     parts = [contents_of(file) for file in files]
     message_types, counts = dict[str, str](), Counter[str]()
     for part in parts:
-        for number, channel in part.channels.items():
+        for channel_id, channel in part.channels.items():
             message_types[channel.topic] = part.schemas[channel.schema_id].name
-            counts[channel.topic] += part.statistics.channel_message_counts.get(number, 0)
+            counts[channel.topic] += part.statistics.channel_message_counts.get(channel_id, 0)
     information = {
         'version': 9, 'storage_identifier': 'mcap', 'ros_distro': 'jazzy', **_span(parts),
         'topics_with_message_count': [
@@ -180,16 +180,16 @@ def string_cdr(text: str) -> bytes:
     return to_cdr(_new(STRING_TYPE, text))
 
 
-def cloud_cdr(profile: Profile, unit: str = 'm', number: str = 'f4') -> bytes:
+def cloud_cdr(profile: Profile, unit: str = 'm', dtype: str = 'f4') -> bytes:
     """
     Return a profile as a serialised sensor_msgs/PointCloud2 with the fields x, y and z.
 
-    unit: of the coordinates; number: their type, f4 or f8.
+    unit: of the coordinates; dtype: their type, f4 or f8.
     """
-    points = np.zeros((len(profile.points), 3), f'<{number}')
+    points = np.zeros((len(profile.points), 3), f'<{dtype}')
     for axis, column in zip(profile.axes, profile.points.T / UNITS[unit], strict=True):
         points[:, 'xyz'.index(axis[-1])] = -column if axis[0] == '-' else column
-    size, (code,) = points.itemsize, [k for k, name in DATATYPES.items() if name == number]
+    size, (code,) = points.itemsize, [k for k, name in DATATYPES.items() if name == dtype]
     fields = [_new('sensor_msgs/msg/PointField', axis, k * size, code, 1)
               for k, axis in enumerate('xyz')]
     return to_cdr(_new(

@@ -134,18 +134,18 @@ def _error_of(reason: str) -> UnusableMessageError:
     return UnusableMessageError(f'PointCloud2 message not used: {reason}')
 
 
-def column(cloud: Any, name: str) -> Array:
+def field_values(cloud: Any, name: str) -> Array:
     """
     Return a field of a PointCloud2, such as a signed axis (n,), as float64, unscaled.
 
     Raises UnusableMessageError.
     """
     with np.errstate(invalid='ignore'):  # a signalling NaN is a NaN
-        values = view(cloud, name.removeprefix('-')).astype(np.float64).ravel()
+        values = field_view(cloud, name.removeprefix('-')).astype(np.float64).ravel()
     return -values if name[0] == '-' else values
 
 
-def view(cloud: Any, name: str) -> np.ndarray[Any, np.dtype[Any]]:
+def field_view(cloud: Any, name: str) -> np.ndarray[Any, np.dtype[Any]]:
     """
     Return a field (height, width) of a PointCloud2 as a view of its data.
 
@@ -191,14 +191,14 @@ def profile_from_cloud(cloud: Any, config: ProfileConfig) -> Profile:
     Return the profile in a PointCloud2, in metres, ordered along the line.
 
     A point with a value that is not finite, or that no sensor can measure, is no return: NaN in
-    both columns. The rows of the message are concatenated. A cloud without points is a profile
+    both order. The rows of the message are concatenated. A cloud without points is a profile
     without returns. Raises UnusableMessageError.
     """
     points, is_return = _points(cloud, config)
     _require_axes(points[is_return, :2], config)
     x = points[:, 0]
-    columns = column_order(np.where(np.abs(x) <= LARGEST_COORDINATE, x, np.nan), is_return)
-    points, is_return = points[columns], is_return[columns]
+    order = column_order(np.where(np.abs(x) <= LARGEST_COORDINATE, x, np.nan), is_return)
+    points, is_return = points[order], is_return[order]
     out_of_plane = np.nan_to_num(points[is_return, 2].mean()) if is_return.any() else 0.0
     return Profile(*stamp_and_frame(cloud), np.where(is_return[:, None], points[:, :2], np.nan),
                    (config.axes[0], config.axes[1]), float(out_of_plane))
@@ -206,8 +206,8 @@ def profile_from_cloud(cloud: Any, config: ProfileConfig) -> Profile:
 
 def _axes(config: ProfileConfig) -> tuple[str, str, str]:
     """Return the axes along the line, of the range, and orthogonal to both, without signs."""
-    along, across = (axis[-1] for axis in config.axes)
-    return along, across, ({'x', 'y', 'z'} - {along, across}).pop()
+    along, ranges = (axis[-1] for axis in config.axes)
+    return along, ranges, ({'x', 'y', 'z'} - {along, ranges}).pop()
 
 
 def _points(cloud: Any, config: ProfileConfig) -> tuple[Array, NDArray[np.bool_]]:
@@ -220,13 +220,14 @@ def _points(cloud: Any, config: ProfileConfig) -> tuple[Array, NDArray[np.bool_]
     """
     if cloud.width * cloud.height == 0:
         return np.empty((0, 3)), np.empty(0, bool)
-    range_axis, across = config.axes[1], _axes(config)[2]
-    along, ranges = column(cloud, config.axes[0]), column(cloud, range_axis)
+    range_axis, normal_axis = config.axes[1], _axes(config)[2]
+    along, ranges = field_values(cloud, config.axes[0]), field_values(cloud, range_axis)
     for value in config.invalid:
         # the value of the driver: in its type, before the sign of the axis
         value = -value if range_axis[0] == '-' else value
         ranges[np.isclose(ranges, value, rtol=1e-6, atol=0.0)] = np.nan
-    out_of_plane = (column(cloud, across) if across in [field.name for field in cloud.fields]
+    out_of_plane = (field_values(cloud, normal_axis)
+                    if normal_axis in [field.name for field in cloud.fields]
                     else np.full(len(ranges), np.nan))
     points = (np.stack((along, ranges, out_of_plane)) * UNITS[config.unit]).T
     points[np.abs(points) > NO_RETURN] = np.nan
@@ -285,15 +286,15 @@ def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
 
 def _require_axes(points: Array, config: ProfileConfig) -> None:
     """Raise for returns (n, 2) whose order shows that the two axes are exchanged."""
-    along, across, _ = _axes(config)
+    along, ranges, _ = _axes(config)
     steps = np.diff(points, axis=0)
     if len(steps) < FEWEST_RETURNS:
         return
     # by axis, the share of steps against the direction of the majority
     backward = 1.0 - np.maximum((steps > 0).sum(axis=0), (steps < 0).sum(axis=0)) / len(steps)
     if backward[0] > RANGE_BACKWARD and backward[1] < LINE_BACKWARD:
-        raise _error_of(f'the points follow each other along {across}, not along {along}: set '
-                        f'profile.axes to [{across}, {along}]')
+        raise _error_of(f'the points follow each other along {ranges}, not along {along}: set '
+                        f'profile.axes to [{ranges}, {along}]')
 
 
 class ProfileReader:
@@ -322,7 +323,7 @@ class ProfileReader:
         (stamp, frame), rows = stamp_and_frame(cloud), row_count(cloud, self.config)
         if cloud.height * cloud.width:
             for axis in self.config.axes:
-                view(cloud, axis[-1])
+                field_view(cloud, axis[-1])
         if abs(stamp - self._checked) >= CHECK_PERIOD:
             first = profile_from_cloud(cloud if rows == 1 else _row(cloud, 0), self.config)
             if np.isfinite(first.points).any():
@@ -341,7 +342,7 @@ def row_count(cloud: Any, config: ProfileConfig) -> int:
         return max(int(cloud.height), 1)
     if config.rows == 'points' or cloud.height < 2 or cloud.width < FEWEST_COLUMNS:
         return 1
-    along = view(cloud, config.axes[0][-1]).astype(np.float64)
+    along = field_view(cloud, config.axes[0][-1]).astype(np.float64)
     ends = [along[i][np.isfinite(along[i])] for i in (0, -1)]
     if not (len(ends[0]) and len(ends[1])):
         return 1
@@ -349,14 +350,16 @@ def row_count(cloud: Any, config: ProfileConfig) -> int:
     return int(cloud.height) if shared > LEAST_OVERLAP * max(map(np.ptp, ends)) else 1
 
 
-def split(raw: RawProfile, previous_stamp: int | None, config: ProfileConfig) -> list[RawProfile]:
+def profiles_of(raw: RawProfile, previous_stamp: int | None, config: ProfileConfig
+                ) -> list[RawProfile]:
     """
     Return the profiles of a message, in the order of their stamps.
 
-    With a period, the stamps of its rows are known. Without one, they were taken at some time
-    between two messages: such a profile counts if the robot stood still during all of this time.
-    previous_stamp: of the previous message, None for the first. Without a period the first message
-    is left out, as its duration is unknown.
+    With profile.period (s), the stamps of its rows are known. Without, they were taken at some
+    time between two messages, which their `reach` holds: such a profile counts if the robot stood
+    still during all of this time.
+    previous_stamp: of the previous message (ns), None for the first, which without a period is
+    left out, as its duration is unknown.
     """
     if raw.rows == 1:
         return [raw]
@@ -399,4 +402,4 @@ def returns_of(raw: RawProfile) -> Profile:
     has_intensity = INTENSITY in [field.name for field in cloud.fields]
     return Profile(raw.stamp, raw.frame_id, points[is_return, :2],
                    (config.axes[0], config.axes[1]),
-                   intensity=column(cloud, INTENSITY)[is_return] if has_intensity else None)
+                   intensity=field_values(cloud, INTENSITY)[is_return] if has_intensity else None)

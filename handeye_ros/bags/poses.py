@@ -18,7 +18,7 @@ from handeye_ros.bags.messages import (
     transforms_from_cdr,
 )
 from handeye_ros.bags.reader import JOINTS_TYPE, POSE_TYPE, TF_TYPE
-from handeye_ros.bags.transforms import FlangeTracker
+from handeye_ros.bags.transforms import FlangeFollower
 from handeye_ros.config import Config
 from handeye_ros.data import Array, TimedPose
 from handeye_ros.errors import InputError, UnusableMessageError
@@ -40,12 +40,12 @@ class PoseTopic(NamedTuple):
     read: Callable[[bytes], Sequence[TimedPose]]
 
 
-def pose_topics(config: Config, tracker: FlangeTracker, arm: Arm | None = None
+def pose_topics(config: Config, follower: FlangeFollower, arm: Arm | None = None
                 ) -> list[PoseTopic]:
     """
-    Return the topics with the poses; without the last one there are none.
+    Return the topics with the poses; the last is the required one, which moves the flange.
 
-    tracker: follows the transforms, where they are read; arm: gives the poses from joint values,
+    follower: follows the transforms, where they are read; arm: gives the poses from joint values,
     as with the key kinematics. Raises InputError for a file of an arm that is none.
     """
     robot = read_arm(Path(config.kinematics)) if config.kinematics and not arm else arm
@@ -57,7 +57,7 @@ def pose_topics(config: Config, tracker: FlangeTracker, arm: Arm | None = None
                           lambda data: [pose_from_cdr(data)])]
 
     def poses_of(data: bytes, static: bool) -> Sequence[TimedPose]:
-        return tracker.add(transforms_from_cdr(data), static)
+        return follower.add(transforms_from_cdr(data), static)
 
     return [PoseTopic('/tf_static', '', TF_TYPE, partial(poses_of, static=True)),
             PoseTopic('/tf', '', TF_TYPE, partial(poses_of, static=False))]

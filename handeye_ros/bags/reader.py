@@ -14,7 +14,7 @@ from pathlib import Path
 import sqlite3
 from typing import Any, BinaryIO, NamedTuple
 
-from handeye_ros.errors import InputError
+from handeye_ros.errors import count_of, InputError
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema
 from mcap.stream_reader import breakup_chunk, StreamReader
 import zstandard
@@ -136,7 +136,7 @@ class Reader:
                 self._progress((self._before + start) / self._total)
         if damaged_chunks or not complete:
             left_out = f', left out {damaged_chunks} damaged chunk(s)' if damaged_chunks else ''
-            self._warn_of_damage(path, f'read {message_count} messages{left_out}')
+            self._warn_of_damage(path, f'read {count_of(message_count, "message")}{left_out}')
 
     def _from_database(self, path: Path) -> Iterator[Raw]:
         """Yield the messages in the order of recording: by time, two runs would look like one."""
@@ -153,7 +153,7 @@ class Reader:
                                   partial(_again, partial(_in_database, path), key))
                     count += 1
         except Exception as error:  # noqa: BLE001 - of SQLite, and of what damaged rows hold
-            self._warn_of_damage(path, f'{error}; read {count} messages up to there')
+            self._warn_of_damage(path, f'{error}; read {count_of(count, "message")} up to there')
 
     def _warn_of_damage(self, path: Path, what: str) -> None:
         self.warnings.append(f'{path.name} is cut off or damaged: {what}')

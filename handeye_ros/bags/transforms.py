@@ -43,7 +43,7 @@ class _Link:
         return interpolate([poses[index - 1], poses[index]], [stamp])[0]
 
 
-class FlangeTracker:
+class FlangeFollower:
     """
     Computes flange poses in the base from transforms.
 

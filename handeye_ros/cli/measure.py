@@ -28,6 +28,7 @@ from handeye_ros.cli.common import (
     warn_of_frame,
     write_yaml,
 )
+from handeye_ros.errors import count_of
 import typer
 
 if TYPE_CHECKING:
@@ -230,8 +231,9 @@ def scan(
                 update(f'{count.profiles} profiles, {count.points} points')
         write_cloud(out, pieces(), f'frame {scanner.frame}, metres')
     typer.echo(f'{count.profiles} profiles, {count.returns} returns')
-    typer.echo(f'left out: {count.without_pose} profiles without a pose, {count.out_of_limits} '
-               f'points outside the limits, {count.thinned} thinned out')
+    typer.echo(f'left out: {count_of(count.without_pose, "profile")} without a pose, '
+               f'{count_of(count.out_of_limits, "point")} outside the limits, {count.thinned} '
+               'thinned out')
     typer.echo(f'wrote {out.absolute()}: {count.points} points in {scanner.frame}')
 
 

@@ -97,6 +97,7 @@ def run_verb(words: list[str]) -> int:
 
 @app.command()
 def batch(
+    ctx: typer.Context,
     sources: Annotated[list[str], typer.Argument(
         metavar='SOURCE...', help='Bags, folders of bags, or CSV lists of them (bag, label, '
         'config, settings, args).')],
@@ -116,9 +117,11 @@ def batch(
     from handeye_ros.output import write_errors_for
     words = batches.words_of(args, config, assignments)
     jobs = batches.jobs_of(sources, batches.Job('', '', verb, words))
-    if all(job.words == words for job in jobs):
-        configuration(config, assignments)  # an error in it concerns all jobs
     out = out.absolute()
+    if all(job.words == words for job in jobs):  # an error in them concerns all jobs
+        configuration(config, assignments)
+        command: Any = ctx.find_root().command
+        command.commands[verb].make_context(verb, jobs[0].command(out)[1:], parent=ctx.parent)
     rows: list[JobRow] = []
     with write_errors_for(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -135,8 +138,8 @@ def batch(
     counts = Counter(map(batches.outcome_of, rows)).items()
     computed = sum(row['computed'] for row in rows)
     outcomes = ', '.join(f'{count} {name}' for name, count in counts)
-    typer.echo(f'{count_of(len(rows), "recording")}: {outcomes}; {computed} computed, the others '
-               f'unchanged; wrote {out}')
+    typer.echo(f'{count_of(len(rows), "recording")}: {outcomes}; {computed} computed, '
+               f'{len(rows) - computed} unchanged; wrote {out}')
 
 
 @app.command()

@@ -17,8 +17,8 @@ import sys
 from geometry_msgs.msg import PoseStamped
 from handeye_ros.arm import read_arm, read_urdf
 from handeye_ros.bags.poses import OtherJointsError, pose_from_joints
-from handeye_ros.errors import UnusableMessageError
-from handeye_ros.node.main import exit_code, own_arguments, spin
+from handeye_ros.errors import INSTALL_TF2, UnusableMessageError
+from handeye_ros.node.main import own_arguments, run_for_exit_code, spin
 from handeye_ros.node.outputs import pose_stamped, time_message, transform_stamped
 from handeye_ros.node.streams import BEST_EFFORT_QOS, TFMessage, WARNING_PERIOD
 from rclpy.node import Node
@@ -38,6 +38,9 @@ class CorrectedPose(Node):
         self._poses = self.create_publisher(PoseStamped, options.pose_topic, QoSProfile(depth=100))
         self._tree = (self.create_publisher(TFMessage, '/tf', QoSProfile(depth=100))
                       if TFMessage else None)
+        if not TFMessage:
+            self.get_logger().warning('tf2_msgs is not installed: the poses are published on '
+                                      f'{options.pose_topic} only, not on /tf; {INSTALL_TF2}')
         self.create_subscription(JointState, options.joint_topic, self._on_joints, BEST_EFFORT_QOS,
                                  raw=True)
         self.get_logger().info(f'{options.joint_topic} becomes {options.pose_topic}: '
@@ -73,7 +76,7 @@ def main() -> int:
             ('frame', 'corrected_flange', 'of the flange on /tf (default: %(default)s)')):
         parser.add_argument(f'--{name}', default=default, help=text)
     options = parser.parse_args(own_arguments())
-    return exit_code(spin, partial(CorrectedPose, options))
+    return run_for_exit_code(spin, partial(CorrectedPose, options))
 
 
 if __name__ == '__main__':

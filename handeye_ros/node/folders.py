@@ -19,7 +19,7 @@ from handeye_ros.bags.session_files import (
 from handeye_ros.config import Config, with_values
 from handeye_ros.output import folder_name, write_errors_for
 
-PARAMETERS = "the node's parameters"
+PARAMETER_SOURCE = "the node's parameters"
 
 
 class OutputFolders:
@@ -63,7 +63,7 @@ def settings_and_session(overrides: Mapping[str, Any], folders: OutputFolders
 
     overrides: settings of the user by key; all others are those of the session. Raises InputError.
     """
-    config = with_values(Config(), overrides, PARAMETERS)
+    config = with_values(Config(), overrides, PARAMETER_SOURCE)
     path = Path(config.session).expanduser().absolute() if config.session else None
     if config.session == 'last':
         is_named = 'name' in overrides or 'target.type' in overrides
@@ -74,4 +74,4 @@ def settings_and_session(overrides: Mapping[str, Any], folders: OutputFolders
     if path is None:
         return config, None
     stored = read_session(path)
-    return with_values(stored.config, overrides, PARAMETERS), stored
+    return with_values(stored.config, overrides, PARAMETER_SOURCE), stored

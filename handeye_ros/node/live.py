@@ -81,11 +81,14 @@ class LiveSession:
         stamps (ns) and serialised JointState messages. Messages change them: use them under lock.
         The evaluated stops of the session are changed by the worker alone, which reads them
         without
-    message_counts: by kind (profile, pose); Streams (streams.py) begins them anew
+    message_counts: by kind (profile, pose; joint state, only of what cannot be read); Streams
+        (streams.py) begins them anew
     solver, verification: compute what follows from samples, and a verification
     troubles: why samples cannot be stored (storing) or computed with (work), a sentence each
     attempt: the last one to take a sample, None before
     running_jobs: the names of the long computations (run_job)
+    restart_streams: makes the subscriptions accept messages of any time, as those of another
+        session
     """
 
     def __init__(self, config: Config, folders: OutputFolders, pool: Pool,
@@ -101,6 +104,7 @@ class LiveSession:
         self._worker, self._publish_changes = ThreadPoolExecutor(1, 'worker'), publish_changes
         self._is_started = self._is_scheduled = False  # scheduled is _do_due_work
         self.running_jobs: list[str] = []
+        self.restart_streams: Callable[[], object] = lambda: None  # none before there are streams
         self._begin(SessionFiles(folders.folder), Session(config))
         self.solver, self.verification = LiveSolver(self), LiveVerification(self)
 
@@ -206,14 +210,14 @@ class LiveSession:
         name: in words, '' for what nobody has asked for, so that a refusal too is a trouble of the
         session, as are always other errors; accept: called by the worker with the result.
         """
-        accepted = Future[Result]()
+        outcome = Future[Result]()
 
         def finish(job: Future[Any]) -> None:
             self.running_jobs.remove(name)
             try:
-                accepted.set_result(accept(job.result()))
+                outcome.set_result(accept(job.result()))
             except Exception as error:
-                accepted.set_exception(error)
+                outcome.set_exception(error)
                 if not (name and isinstance(error, DataError | InputError)):
                     raise
             self._schedule_due_work()  # samples or settings may have changed meanwhile
@@ -221,7 +225,7 @@ class LiveSession:
         self.running_jobs.append(name)
         self.pool.submit(function, *args).add_done_callback(
             partial(self._worker.submit, self._call_and_publish, finish))
-        return accepted
+        return outcome
 
     # what is shown of it, from any thread
 
@@ -494,6 +498,7 @@ class LiveSession:
             self.files.close()
         with self.lock:
             self._begin(files, session)
+        self.restart_streams()
         self.verification.end()
         self.solver.forget(why)
 

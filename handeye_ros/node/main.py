@@ -38,7 +38,7 @@ def own_arguments() -> list[str]:
 
 
 def main() -> int:
-    """Run the executable `calibrate`; return the exit code."""
+    """Run the executable `calibrate`; ends the process, with its exit code."""
     # an exception in the import of an extension module would be lost
     _on_signals(lambda *_: os._exit(0))
     # small matrices: more threads would slow down the streams
@@ -49,7 +49,8 @@ def main() -> int:
     sys.setswitchinterval(SWITCH_INTERVAL)
     from handeye_ros.node.node import HandeyeNode
     # it publishes nothing more while it ends, and what computes ends with it
-    code = exit_code(spin, HandeyeNode, EXECUTOR_THREADS, lambda node: node.outputs.close())
+    code = run_for_exit_code(spin, HandeyeNode, EXECUTOR_THREADS,
+                             lambda node: node.outputs.close())
     sys.stderr.flush()
     # Python waits for all threads, of which one may wait for a solve; what was acknowledged is on
     # the disk
@@ -94,8 +95,8 @@ def spin(make: Callable[[], Any], threads: int = 1,
             node.destroy_node()
 
 
-def exit_code(run: Callable[..., None], *args: Any) -> int:
-    """Call a function until it ends, or Ctrl-C or SIGTERM; print the sentence of an error."""
+def run_for_exit_code(run: Callable[..., None], *args: Any) -> int:
+    """Call a function until it ends, or Ctrl-C or SIGTERM; return the exit code, print errors."""
     try:
         run(*args)
     except HandeyeError as error:

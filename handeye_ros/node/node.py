@@ -14,10 +14,10 @@ from typing import Any
 from handeye_ros import config as configuration
 from handeye_ros.bags.session_files import read_session, StoredSession
 from handeye_ros.config import Config, Parameter, RECORD_NAMES, RECORD_PREFIX, ROS_OWN_PARAMETERS
-from handeye_ros.errors import InputError, sentence_and_log, without_numbers
-from handeye_ros.node.folders import OutputFolders, PARAMETERS, settings_and_session
+from handeye_ros.errors import InputError, sentence_and_log
+from handeye_ros.node.folders import OutputFolders, PARAMETER_SOURCE, settings_and_session
 from handeye_ros.node.live import LiveSession
-from handeye_ros.node.outputs import Outputs
+from handeye_ros.node.outputs import log_new_warnings, Outputs
 from handeye_ros.node.pool import Pool
 from handeye_ros.node.state import State, state_of, troubles_of, with_troubles
 from handeye_ros.node.streams import Streams
@@ -77,6 +77,7 @@ class HandeyeNode(Node):
             self.get_logger().warning(f'there is no session in {folders.folder(config)}: a new '
                                       'one begins')
         self.streams = Streams(self, live, live.add_joints)
+        live.restart_streams = lambda: self.streams.restart()
         self.outputs.publish_changes()
         live.start()
         self._offer_services()
@@ -108,14 +109,11 @@ class HandeyeNode(Node):
             self.set_values(changed)
 
     def _publish_diagnostics(self) -> None:
-        """Publish the state, and log the warnings that are new but for their numbers."""
+        """Publish the state, and log new warnings."""
         state = self.state
         self.outputs.publish_diagnostics(state)
-        warnings = {without_numbers(sentence): sentence
-                    for sentence in (*troubles_of(state), *state['session']['notes'])}
-        for kind in warnings.keys() - self._logged_warnings:
-            self.get_logger().warning(warnings[kind])
-        self._logged_warnings = set(warnings)
+        self._logged_warnings = log_new_warnings(
+            self, [*troubles_of(state), *state['session']['notes']], self._logged_warnings)
 
     # services, which the page calls too
 
@@ -145,8 +143,6 @@ class HandeyeNode(Node):
         try:
             reply = self.live.call_on_worker(self._trigger_functions[name])
             message, success = reply.result() if isinstance(reply, Future) else reply, True
-            if name == 'clear_samples':
-                self.streams.restart()
         except Exception as error:  # noqa: BLE001 - the node, and what it holds, must go on
             message, success = sentence_and_log(name, error), False
         if name != 'take_sample':  # which is in the log as an attempt
@@ -200,7 +196,7 @@ class HandeyeNode(Node):
 
     def _config_with(self, values: Mapping[str, Any]) -> Config:
         """Return the current settings with other values; raises InputError."""
-        return configuration.with_values(self.live.config, values, PARAMETERS)
+        return configuration.with_values(self.live.config, values, PARAMETER_SOURCE)
 
     def _apply_settings(self, values: Mapping[str, Any]) -> None:
         """

@@ -24,7 +24,7 @@ from geometry_msgs.msg import (
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, NS
-from handeye_ros.errors import count_of, INSTALL_TF2
+from handeye_ros.errors import count_of, INSTALL_TF2, without_numbers
 from handeye_ros.frames import mount_poses, target_frame
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import (
@@ -198,6 +198,14 @@ def _statuses(state: State) -> Iterator[tuple[str, bytes, str, dict[str, object]
 
 
 # messages
+
+
+def log_new_warnings(node: Node, sentences: Iterable[str], logged: set[str]) -> set[str]:
+    """Log sentences that are new but for their numbers; return all without them, as `logged`."""
+    warnings = {without_numbers(sentence): sentence for sentence in sentences if sentence}
+    for kind in warnings.keys() - logged:
+        node.get_logger().warning(warnings[kind])
+    return set(warnings)
 
 
 def transform_of(calibration: Calibration, stamp: Time) -> TransformStamped:

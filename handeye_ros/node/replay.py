@@ -13,7 +13,7 @@ import time
 
 from handeye_ros.bags.reader import Raw, Reader
 from handeye_ros.errors import InputError
-from handeye_ros.node.main import exit_code, own_arguments, ros
+from handeye_ros.node.main import own_arguments, ros, run_for_exit_code
 from handeye_ros.node.outputs import time_message
 from handeye_ros.node.streams import LATCHED_TREE
 from rclpy.duration import Duration
@@ -104,7 +104,7 @@ def main() -> int:
     parser.add_argument('--timeout', type=float, default=5.0,
                         help='start after so many seconds in any case (default: 5)')
     options = parser.parse_args(own_arguments())
-    return exit_code(replay, options.bag, options.rate, options.timeout)
+    return run_for_exit_code(replay, options.bag, options.rate, options.timeout)
 
 
 if __name__ == '__main__':

@@ -25,8 +25,8 @@ from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Profile, RawProfile, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.frames import sensor_warning
-from handeye_ros.node.main import exit_code, own_arguments, spin
-from handeye_ros.node.outputs import cloud
+from handeye_ros.node.main import own_arguments, run_for_exit_code, spin
+from handeye_ros.node.outputs import cloud, log_new_warnings
 from handeye_ros.node.state import MessageCount
 from handeye_ros.node.streams import Streams, WARNING_PERIOD
 from handeye_ros.results.calibration_file import config_to_measure, file_of, read_calibration
@@ -37,6 +37,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
 CLOUD_PERIOD = 0.05  # s between two clouds
+LOOK_PERIOD = 1.0  # s between two looks at what does not come
 KEPT_POSES = 2000  # profiles may still need them: 20 s of 100 Hz
 POSES_AROUND = 1_000_000_000  # ns of poses before a profile, for the interpolation
 KEPT_PROFILES = 4000  # may wait for a pose; the oldest are dropped first
@@ -56,17 +57,21 @@ class ScanNode(Node):
         self.message_counts: dict[str, MessageCount] = {}
         self._sensor = calibration.child_frame
         self._scanner = Scanner(calibration, config, options)
-        self._offset = round((config.time_offset + max(self._scanner.lag, 0.0)) * 1e9)
-        self._lock = Lock()  # of the two streams
+        # ns from the stamp of a profile to that of the last pose that places it
+        self._pose_delay = round((config.time_offset + max(self._scanner.lag, 0.0)) * 1e9)
+        self._lock = Lock()  # of the two deques, for the thread of the streams and the timer
         self._profiles: deque[Profile] = deque(maxlen=KEPT_PROFILES)
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_POSES)
         self._points = self.create_publisher(PointCloud2, '~/points', 10)
+        self._logged_warnings: set[str] = set()  # without their numbers
+        self._streams = Streams(self, self)
         self.create_timer(CLOUD_PERIOD, self._publish_ready)
-        Streams(self, self)
+        self.create_timer(LOOK_PERIOD, self._log_troubles)
 
     def add_profile(self, profile: RawProfile) -> None:
         """Keep the points of a profile until its pose is known."""
         returns = returns_of(profile)
+        self.message_counts['profile'].add(profile.stamp)
         if doubt := sensor_warning(profile.frame_id, self._sensor):
             self.get_logger().warning(doubt, throttle_duration_sec=WARNING_PERIOD)
         self._append(self._profiles, returns)
@@ -79,6 +84,7 @@ class ScanNode(Node):
                 raise UnusableMessageError(
                     f'PoseStamped message not used: it is given in "{pose.parent_frame}", but '
                     f'robot_base_frame is "{self.config.base_frame}"')
+            self.message_counts['pose'].add(pose.stamp)
             self._append(self._poses, pose)
 
     def _append(self, buffer: deque[Any], item: Profile | TimedPose) -> None:
@@ -88,17 +94,26 @@ class ScanNode(Node):
                 buffer.clear()
             buffer.append(item)
 
+    def _log_troubles(self) -> None:
+        """Log why messages do not come, or cannot be used."""
+        troubles = self._streams.graph_troubles()
+        states = [self.message_counts[kind].state(topic, troubles[kind]) for kind, topic in (
+            ('profile', self.config.profile_topic), ('pose', self.config.pose_origin[0]))]
+        self._logged_warnings = log_new_warnings(
+            self, [troubles['session'], *(state['trouble'] for state in states)],
+            self._logged_warnings)
+
     def _publish_ready(self) -> None:
         """Publish the points of profiles older than the last pose."""
         with self._lock:
             latest = self._poses[-1].stamp if self._poses else 0
             ready = [profile for profile in self._profiles
-                     if profile.stamp + self._offset <= latest]
+                     if profile.stamp + self._pose_delay <= latest]
             if not ready:
                 return
             for profile in ready:
                 self._profiles.remove(profile)
-            span = latest - ready[0].stamp - self._offset + POSES_AROUND
+            span = latest - ready[0].stamp - self._pose_delay + POSES_AROUND
             poses = [pose for pose in self._poses if abs(latest - pose.stamp) <= span]
         trajectory = trajectory_of(poses, self.config.sampling.max_pose_gap)
         dropped_before = self._scanner.count.without_pose
@@ -129,7 +144,7 @@ def main() -> int:
     # else argparse takes a negative length, as of --range -200mm -100mm, for an option
     words = [f' {word}' if re.match(r'-(\d|\.|inf)', word) else word for word in own_arguments()]
     arguments = parser.parse_args(words)
-    return exit_code(spin, partial(ScanNode, arguments))
+    return run_for_exit_code(spin, partial(ScanNode, arguments))
 
 
 if __name__ == '__main__':

@@ -89,12 +89,12 @@ class LiveSolver:
     """
     Reviews and solves the samples of a running session; for the worker (see live.py).
 
-    review: of the samples, the last one
-    calibration: of the last answer that was asked for, None where that was refused
-    solved_session: that it was computed from, also of one that is withdrawn
-    why_missing: why there is none
-    saved: the file of the answer, '' before it is saved
-    is_wanted: whether somebody has asked for it: then other settings compute it again
+    review: the last one of the samples
+    calibration: the last answer that was asked for, None where that was refused
+    solved_session: the samples of the last accepted answer, kept when that is withdrawn
+    why_missing: why there is no calibration
+    saved: the file of the calibration, '' before it is saved
+    is_wanted: whether somebody has asked for an answer: other settings then compute it again
     view: visible points (k, 2) at the ends of the field of view
     """
 
@@ -110,10 +110,10 @@ class LiveSolver:
         self.review = review_of(Session(config), config, self.view, with_cause=False)
         self.calibration: Calibration | None = None
         self.why_missing, self.saved, self.is_wanted = why, '', False
-        self._reviewed: Inputs | None = None  # what self.review was made from, None: no samples
-        self._begun: Inputs | None = None  # of the last review that was begun
-        self._requested: Inputs | None = None  # of the last answer that was asked for
-        self._message = Future[str]()  # about that
+        self._review_inputs: Inputs | None = None  # of self.review, None where that has no samples
+        self._newest_inputs: Inputs | None = None  # of the last review that was begun
+        self._answer_inputs: Inputs | None = None  # of the last answer that was asked for
+        self._answer_message = Future[str]()  # about that answer
 
     def changes_since(self, session: Session) -> str:
         """Return in words how the samples of a session differ from those of the answer, or ''."""
@@ -153,15 +153,15 @@ class LiveSolver:
         except HandeyeError as error:
             self._refuse(error)
             raise
-        if self._requested == self._inputs():
-            message = self._message
+        if self._answer_inputs == self._inputs():
+            message = self._answer_message
             if not message.done() or (self.calibration and not message.exception()):
                 return message
         return self._begin_review(is_requested=True)
 
     def review_if_changed(self) -> None:
         """Begin the review, if samples or settings have changed."""
-        inputs, before = self._inputs(), self._reviewed
+        inputs, before = self._inputs(), self._review_inputs
         if not self._live.running_jobs and inputs != before:
             other_settings = not before or inputs.answer_settings != before.answer_settings
             self._begin_review(is_requested=self.is_wanted and other_settings)
@@ -180,13 +180,13 @@ class LiveSolver:
         if snapshot := live.current_snapshot():
             self.view = extremes(np.concatenate([self.view, snapshot.points]))
         session = live.session_copy().without_messages(config)
-        self._begun = inputs
+        self._newest_inputs = inputs
         message = live.run_job(
             COMPUTING if is_requested else '',
             partial(self._accept, inputs, session, is_requested),
             review_of, session, config, self.view, is_requested or self.calibration is not None)
         if is_requested:
-            self._requested, self._message = inputs, message
+            self._answer_inputs, self._answer_message = inputs, message
         return message
 
     def _accept(self, inputs: Inputs, session: Session, is_requested: bool, review: Review) -> str:
@@ -196,14 +196,14 @@ class LiveSolver:
         Raises DataError for a refusal.
         """
         live, answer = self._live, review.answer
-        if inputs is self._begun:  # others may be ready later
-            self.review, self._reviewed = review, inputs
+        if inputs is self._newest_inputs:  # others may be ready later
+            self.review, self._review_inputs = review, inputs
         if not is_requested:
             return ''
         if inputs.session is not live.session:
             raise DataError('the samples were cleared while the calibration was computed, so '
                             'there is no answer: take new samples')
-        is_newest = inputs is self._requested
+        is_newest = inputs is self._answer_inputs
         if answer.refusal and is_newest:
             self._refuse(answer.refusal)
         calibration = answer.require_calibration()

@@ -4,7 +4,8 @@
 The state of a running node as plain values, and sentences about it.
 
 Services, /diagnostics, ~/samples, ~/status and the page all report these values, so that they
-agree and use the same sentences. SI units; docs/contract.md documents the fields.
+agree and use the same sentences. SI units. docs/contract.md documents the fields of ~/samples and
+~/status; the functions here document the others.
 """
 from __future__ import annotations
 
@@ -139,7 +140,7 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
     review, motion = live.solver.review, session.motion
     graph_trouble = graph_troubles.get('session', '')
     profiles, poses = live.message_counts['profile'], live.message_counts['pose']
-    samples = [_sample(stop, session, review.agreements.get(stop.number))
+    samples = [_stop_row(stop, session, review.agreements.get(stop.number))
                for stop in session.stops]
     compared = [sample for sample in samples if sample['left_out'] is not None]
     worst_first = sorted(compared, key=lambda sample: -sample['left_out'])
@@ -209,7 +210,7 @@ def status_message(state: State) -> State:
     return {'format': 'handeye_ros/status/1', **state['calibration']}
 
 
-def _sample(stop: Stop, session: Session, agreement: Agreement | None) -> State:
+def _stop_row(stop: Stop, session: Session, agreement: Agreement | None) -> State:
     """
     Return one stop of the robot.
 

@@ -13,10 +13,10 @@ import time
 from typing import Any, TYPE_CHECKING, TypeVar
 
 from geometry_msgs.msg import PoseStamped
-from handeye_ros.bags.messages import ProfileReader, split
+from handeye_ros.bags.messages import ProfileReader, profiles_of
 from handeye_ros.bags.poses import OtherJointsError, pose_topics
 from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, POSE_TYPE, TF_TYPE
-from handeye_ros.bags.transforms import FlangeTracker
+from handeye_ros.bags.transforms import FlangeFollower
 from handeye_ros.config import Config
 from handeye_ros.data import NS, RawProfile, TimedPose
 from handeye_ros.errors import InputError, INSTALL_TF2, sentence_and_log
@@ -67,8 +67,8 @@ class _Topic:
     """
     A topic that is read.
 
-    received: the count of its messages; several topics of poses share one
-    receive: called with each serialised message
+    counts: of its messages; several topics of poses share them
+    on_message: called with each serialised message
     key: of the configuration, which names it: it should have one publisher; '' for those that may
         have several
     publishers: rclpy's TopicEndpointInfo of each, as of LOOK_PERIOD ago at most
@@ -76,10 +76,10 @@ class _Topic:
     obstacle: why messages of other devices, which are no faults, give nothing
     """
 
-    received: MessageCount
+    counts: MessageCount
     message_type: str
     name: str
-    receive: Callable[[bytes], None]
+    on_message: Callable[[bytes], None]
     qos: QoSProfile
     key: str = ''
     subscription: Any = None
@@ -108,10 +108,10 @@ class Streams:
         self._node, self._receiver, self._add_joints = node, receiver, add_joints
         config, self._group = receiver.config, NoExecutor()
         self._profile_reader = ProfileReader(config.profile)
-        self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
+        self._follower = FlangeFollower(config.base_frame, config.robot_effector_frame)
         self._last_stamp: int | None = None  # ns, of the last message of profiles
         self._topics = self._configured_topics(config)
-        receiver.message_counts = {topic.received.kind: topic.received for topic in self._topics}
+        receiver.message_counts = {topic.counts.kind: topic.counts for topic in self._topics}
         for topic in self._topics:
             self._subscribe(topic)
         self._ended = threading.Event()
@@ -126,7 +126,7 @@ class Streams:
         if self._add_joints and not config.kinematics:
             topics.append(_Topic(MessageCount('joint state'), JOINTS_TYPE, config.joint_topic,
                                  partial(self._on_joints, self._add_joints), BEST_EFFORT_QOS))
-        for source in pose_topics(config, self._tracker):
+        for source in pose_topics(config, self._follower):
             if source.message_type == TF_TYPE and not TFMessage:
                 raise InputError('pose_source is tf, but tf2_msgs is not installed: '
                                  f'{INSTALL_TF2}; or publish the poses on pose_topic')
@@ -141,7 +141,7 @@ class Streams:
 
     def _subscribe(self, topic: _Topic) -> None:
         topic.subscription = self._node.create_subscription(
-            MESSAGES[topic.message_type], topic.name, topic.receive, topic.qos, raw=True,
+            MESSAGES[topic.message_type], topic.name, topic.on_message, topic.qos, raw=True,
             callback_group=self._group, event_callbacks=NO_CALLBACKS)
 
     def stop(self) -> None:
@@ -155,8 +155,10 @@ class Streams:
         """Return whether settings name other topics than these; raises InputError."""
         keys = ('profile_topic', 'pose_source', 'pose_topic', 'joint_topic', 'kinematics')
         current = self._receiver.config
-        return any(getattr(config, key) != getattr(current, key) for key in keys) and bool(
-            self._configured_topics(config))
+        if all(getattr(config, key) == getattr(current, key) for key in keys):
+            return False
+        self._configured_topics(config)  # raises before these end
+        return True
 
     def _full_name(self, topic: str) -> str:
         """Return the full name of a topic; raises InputError."""
@@ -168,7 +170,7 @@ class Streams:
 
     def restart(self) -> None:
         """Accept transforms of any time from now on: a bag may be played again."""
-        self._tracker.restart()
+        self._follower.restart()
         self._last_stamp = None
 
     # the thread
@@ -215,15 +217,15 @@ class Streams:
                 data, info = taken
                 number = info['publication_sequence_number'] or 0
                 if len(topic.publishers) == 1 and 0 < topic.last_number < number:
-                    topic.received.add_lost(number - topic.last_number - 1)
+                    topic.counts.add_lost(number - topic.last_number - 1)
                 topic.last_number = number
                 try:
-                    topic.receive(data)
+                    topic.on_message(data)
                 except OtherJointsError as error:
                     topic.obstacle = str(error)
                 except Exception as error:  # noqa: BLE001 - the streams must continue
                     reason = sentence_and_log(f'the reading of {topic.name}', error)
-                    topic.received.add_malformed(reason)
+                    topic.counts.add_malformed(reason)
                     self._node.get_logger().warning(reason, throttle_duration_sec=WARNING_PERIOD)
         return MOST_AT_ONCE
 
@@ -232,7 +234,7 @@ class Streams:
         if self._profile_reader.config != config.profile:
             self._profile_reader = ProfileReader(config.profile)
         message = self._stamped(self._profile_reader.take(data))
-        for profile in split(message, self._last_stamp, config.profile):
+        for profile in profiles_of(message, self._last_stamp, config.profile):
             self._receiver.add_profile(replace(profile, stamp=profile.stamp + config.offset_ns))
         self._last_stamp = message.stamp
 
@@ -264,9 +266,9 @@ class Streams:
         By kind (profile, pose): why no messages arrive; session: several publishers of a topic,
         and a second node of this name.
         """
-        troubles, sentences, node = {'pose': self._tracker.missing()}, [], self._node
+        troubles, sentences, node = {'pose': self._follower.missing()}, [], self._node
         for topic in [topic for topic in self._topics if topic.key]:
-            kind = topic.received.kind
+            kind = topic.counts.kind
             troubles[kind] = self._trouble_of(topic)
             nodes = sorted(f'{info.node_namespace.rstrip("/")}/{info.node_name}'
                            for info in topic.publishers)
@@ -277,8 +279,8 @@ class Streams:
         this_node = (node.get_name(), node.get_namespace())
         if node.get_node_names_and_namespaces().count(this_node) > 1:
             sentences.append(
-                f'there are two nodes {node.get_fully_qualified_name()}: both take samples, and '
-                'either may answer; end one, or rename it (-r __node:=other)')
+                f'there are two nodes {node.get_fully_qualified_name()}: both publish, and either '
+                'may answer; end one, or rename it (-r __node:=other)')
         note = ['one that was killed is listed for 20 s more'] if sentences else []
         return {**troubles, 'session': '; '.join(sentences + note)}
 
@@ -287,7 +289,7 @@ class Streams:
         name, expected = self._full_name(topic.name), topic.message_type
         offered = {info.topic_type for info in topic.publishers}
         if expected in offered:
-            return topic.obstacle if topic.received.count or topic.qos is RELIABLE_QOS else (
+            return topic.obstacle if topic.counts.count or topic.qos is RELIABLE_QOS else (
                 'its driver publishes with best effort: large messages may all get lost; publish '
                 'reliably')
         others = ', '.join([other for other in self.topics_of(expected)

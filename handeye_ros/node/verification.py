@@ -3,13 +3,13 @@
 """A verification at the running node: until its result, stops count for it and are no samples."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from handeye_ros.data import Calibration, Reject, Sample
 from handeye_ros.errors import DataError, InputError
@@ -34,13 +34,13 @@ class LiveVerification:
     The verification of a running session; its methods are for the worker (see live.py).
 
     routine: None where none is running
-    verdict: of the last one, with its figures; '' before the first
+    content: the last one, as the content of its file; empty before the first
     """
 
     def __init__(self, live: LiveSession) -> None:
         """Begin with none."""
         self._live = live
-        self.verdict = ''
+        self.content: Mapping[str, Any] = {}
         self.routine: Routine | None = None
         self.end()
 
@@ -134,13 +134,12 @@ class LiveVerification:
         """
         live = self._live
         name = f'verification_{result.routine}.yaml'
-        content = plain_values(
+        self.content = content = plain_values(
             result, (live.config.profile_topic, live.config.pose_origin[0]),
             Path(file).expanduser() if file else None)
         folder = live.folders.locked_folder(live.config)
         saved = exports.write({name: yaml_text(content)}, folder, {name})
-        self.verdict = sentence(content)
-        text = f'{self.verdict}; {saved}'
+        text = f'{sentence(content)}; {saved}'
         if result.verdict not in ('pass', 'fail'):
             raise DataError(text)
         if self._parts is parts:  # no other part or verification was begun meanwhile

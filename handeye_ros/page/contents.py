@@ -25,6 +25,7 @@ from handeye_ros.guidance.view import AdvisedMove, extremes
 from handeye_ros.results import exports, table
 from handeye_ros.results.scene import outline_of, profile_picture, rounded, StopSnapshot
 from handeye_ros.review import stop_snapshot
+from handeye_ros.verification.result_file import sentence, title_of
 from handeye_ros.verification.routines import ROUTINES
 import numpy as np
 
@@ -158,14 +159,27 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
     """
     Return the content of the page as plain values.
 
-    rows: of the answer, name, value, 1 sigma and unit as in the table of `handeye solve`.
+    verification: what is running, in words; verdict (pass, ...), title and figures of the last.
     """
-    snapshot, calibration = live.current_snapshot(), live.solver.calibration
+    snapshot, checked = live.current_snapshot(), live.verification.content
+    title = title_of(checked) if checked else ''
     return {**state, 'profile': snapshot and _picture(snapshot), 'scene': _scene(live, snapshot),
             'edges': _edges(live), 'has_just_begun': len(state['samples']) <= FEW_STOPS,
-            'rows': list(table.transform_rows(calibration)) if calibration else [],
-            'verification': {'running': live.verification.text,
-                             'verdict': live.verification.verdict}}
+            'rows': _rows(live.solver.calibration),
+            'verification': {
+                'running': live.verification.text, 'verdict': checked.get('verdict', ''),
+                'title': title,
+                'figures': sentence(checked).removeprefix(f'{title}; ') if checked else ''}}
+
+
+def _rows(calibration: Calibration | None) -> list[tuple[str, str, str, str]]:
+    """Return name, value, 1 sigma and unit of the figures of an answer, as `handeye solve`."""
+    if not calibration:
+        return []
+    return [*table.transform_rows(calibration),
+            ('residual', f'{calibration.quality.residual_rms * 1e3:.3f}', '', 'mm'),
+            ('left out', f'{calibration.quality.holdout_rms * 1e3:.3f}', '', 'mm'),
+            ('stations used', str(calibration.quality.samples_used), '', '')]
 
 
 def stop_profile(live: LiveSession, number: str) -> dict[str, Any]:

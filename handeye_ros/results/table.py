@@ -74,7 +74,8 @@ def figures_table(*heads: str, rows: Iterable[Iterable[str]] = (), right: Contai
     """Return a table of texts; right: its columns of figures, which are never wrapped."""
     table = Table(title=title, title_justify='left', box=box.SIMPLE_HEAD, pad_edge=False)
     for k, head in enumerate(heads):
-        table.add_column(Text(head), justify='right' if k in right else 'left', no_wrap=k in right)
+        table.add_column(Text(head), justify='right' if k in right else 'left',
+                         no_wrap=k in right, overflow='fold')
     for row in rows:
         table.add_row(*map(Text, row))
     return table

@@ -22,6 +22,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, rms, TimedPose
 from handeye_ros.errors import (
     BadValueError,
+    count_of,
     DataError,
     degrees,
     FeatureError,
@@ -257,8 +258,8 @@ def read_table(path: Path) -> tuple[list[Piece], Array]:
                 path, f'row {row}: kind is "{kind}", expected {", ".join(FEWEST_POINTS)}')
     for kind, fewest in FEWEST_POINTS.items():
         if kinds.count(kind) < fewest:
-            raise TableError(path, f'holds {kinds.count(kind)} points of the kind {kind}; at '
-                             f'least {fewest} are needed')
+            raise TableError(path, f'holds {count_of(kinds.count(kind), "point")} of the kind '
+                             f'{kind}; at least {fewest} are needed')
     of_ball = np.array(kinds) == 'ball'
     return [Piece(row + 1, kinds[row], points[row:row + 1])
             for row in np.flatnonzero(~of_ball).tolist()], points[of_ball].mean(axis=0)
@@ -291,8 +292,8 @@ def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], confi
     ball = [index for index in pieces if len(pieces[index]) == 1]
     for name, indices in (('ball', ball), ('block', block)):
         if len(indices) < FEWEST_PROFILES:
-            raise DataError(f'{len(indices)} profiles show the {name}; sweep over it slowly, at '
-                            f'least {FEWEST_PROFILES} profiles')
+            raise DataError(f'the {name} is in {count_of(len(indices), "profile")} only; sweep '
+                            f'over it slowly, at least {FEWEST_PROFILES} profiles')
     return [piece for index in (*ball, *block) for piece in pieces[index]], (
         q3.min() + q3.max()) / 2
 

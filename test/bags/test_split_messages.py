@@ -8,7 +8,7 @@ from functools import partial
 
 from handeye_ros.bags import bag
 from handeye_ros.bags.bag_write import pose_cdr
-from handeye_ros.bags.messages import ProfileReader, row_count, split
+from handeye_ros.bags.messages import ProfileReader, profiles_of, row_count
 from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE, Raw
 from handeye_ros.config import Config, ProfileConfig, SamplingConfig
 from handeye_ros.data import RawProfile, TimedPose
@@ -40,7 +40,7 @@ def profiles(messages: Sequence[bytes], config: ProfileConfig) -> list[RawProfil
     reader, rows, before = ProfileReader(config), [], None
     for data in messages:
         whole = reader.take(data)
-        rows += split(whole, before, config)
+        rows += profiles_of(whole, before, config)
         before = whole.stamp
     return rows
 
@@ -60,8 +60,8 @@ def test_with_a_period_every_row_is_a_message_with_its_stamp(stamp: str, begin: 
             np.testing.assert_allclose(profile.points[:, 1], 0.2 + 1e-5 * index, rtol=1e-6)
             np.testing.assert_allclose(profile.points[:, 0], X, rtol=1e-6)
     for other in (batch(START, 4), batch(START, 10)[:-2], b''):  # the file has changed
-        row = split(ProfileReader(config).take(batch(START, 10), partial(bytes, other)), None,
-                    config)[-1]
+        message = ProfileReader(config).take(batch(START, 10), partial(bytes, other))
+        row = profiles_of(message, None, config)[-1]
         with pytest.raises(UnusableMessageError, match='damaged message'):
             row.read()
 

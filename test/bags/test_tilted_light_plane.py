@@ -11,7 +11,7 @@ from command import ROOT
 from handeye_ros import config as configs
 from handeye_ros import pipeline
 from handeye_ros.bags.bag import read
-from handeye_ros.bags.messages import view
+from handeye_ros.bags.messages import field_view
 from handeye_ros.bags.reader import CLOUD_TYPE, Raw
 from handeye_ros.errors import HandeyeError
 from live_sessions import computed, fed, new
@@ -26,10 +26,10 @@ def tilted(raw: Raw, types: dict[str, str], degrees: float, each: bool = True) -
         return raw
     cloud = TYPES.deserialize_cdr(raw.data, CLOUD_TYPE)
     cloud.data = cloud.data.copy()
-    z = np.array(view(cloud, 'z'))
+    z = np.array(field_view(cloud, 'z'))
     y = z if each or np.isnan(z).all() else np.nanmean(z)
-    view(cloud, 'y')[...] = y * math.sin(math.radians(degrees))
-    view(cloud, 'z')[...] = z * math.cos(math.radians(degrees))
+    field_view(cloud, 'y')[...] = y * math.sin(math.radians(degrees))
+    field_view(cloud, 'z')[...] = z * math.cos(math.radians(degrees))
     return raw._replace(data=bytes(TYPES.serialize_cdr(cloud, CLOUD_TYPE)))
 
 

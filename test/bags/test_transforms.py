@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from handeye_ros import se3
-from handeye_ros.bags.transforms import FlangeTracker
+from handeye_ros.bags.transforms import FlangeFollower
 from handeye_ros.data import TimedPose
 import numpy as np
 import pytest
@@ -18,55 +18,56 @@ def shifted(*xyz):
     return se3.transform(np.eye(3), np.array(xyz))
 
 
-def added(tracker, *links, stamp=0, static=False):
+def added(follower, *links, stamp=0, static=False):
     """Return the poses after a message of links (parent, child, T), as stamps and matrices."""
     return [(pose.stamp, se3.from_quaternion(pose.translation, pose.quaternion))
-            for pose in tracker.add([
+            for pose in follower.add([
                 (child, TimedPose(stamp, T[:3, 3], se3.quaternion(T), parent))
                 for parent, child, T in links], static)]
 
 
 def test_a_chain_of_joints_with_a_static_tool_gives_the_pose():
-    tracker = FlangeTracker('/base', 'flange')
-    assert added(tracker, ('b', 'flange', T_3), static=True) == []
-    (stamp, T), = added(tracker, ('a', 'b', T_2), ('base', 'a', T_1), stamp=9)
+    follower = FlangeFollower('/base', 'flange')
+    assert added(follower, ('b', 'flange', T_3), static=True) == []
+    (stamp, T), = added(follower, ('a', 'b', T_2), ('base', 'a', T_1), stamp=9)
     assert stamp == 9
     np.testing.assert_allclose(T, T_1 @ T_2 @ T_3, atol=1e-12)
 
 
 def test_base_and_flange_below_a_common_frame_give_the_pose():
-    tracker = FlangeTracker('base', 'flange')
-    added(tracker, ('world', 'base', T_1), static=True)
-    (_, T), = added(tracker, ('world', 'flange', T_2), stamp=1)
+    follower = FlangeFollower('base', 'flange')
+    added(follower, ('world', 'base', T_1), static=True)
+    (_, T), = added(follower, ('world', 'flange', T_2), stamp=1)
     np.testing.assert_allclose(T, se3.inverse(T_1) @ T_2, atol=1e-12)
 
 
 def test_links_of_other_stamps_are_interpolated_and_never_extrapolated():
-    tracker, arm = FlangeTracker('base', 'flange'), shifted(0.0, 0.0, 1.0)
-    assert added(tracker, ('base', 'carriage', shifted(1.0, 0.0, 0.0)), stamp=100) == []
-    assert added(tracker, ('carriage', 'flange', arm), stamp=50) == []
-    assert added(tracker, ('carriage', 'flange', arm), stamp=125) == []
-    (stamp, T), = added(tracker, ('base', 'carriage', shifted(2.0, 0.0, 0.0)), stamp=200)
+    follower, arm = FlangeFollower('base', 'flange'), shifted(0.0, 0.0, 1.0)
+    assert added(follower, ('base', 'carriage', shifted(1.0, 0.0, 0.0)), stamp=100) == []
+    assert added(follower, ('carriage', 'flange', arm), stamp=50) == []
+    assert added(follower, ('carriage', 'flange', arm), stamp=125) == []
+    (stamp, T), = added(follower, ('base', 'carriage', shifted(2.0, 0.0, 0.0)), stamp=200)
     assert stamp == 125
     np.testing.assert_allclose(T[:3, 3], [1.25, 0.0, 1.0], atol=1e-12)
 
 
 @pytest.mark.parametrize('slow', ['flange', 'arm'])
 def test_a_slow_link_anywhere_in_the_chain_delays_the_poses_of_the_others(slow):
-    tracker, poses, ms = FlangeTracker('base', 'flange'), [], 10**6
+    follower, poses, ms = FlangeFollower('base', 'flange'), [], 10**6
     links = {'arm': ('base', 'arm', T_1), 'flange': ('arm', 'flange', T_2)}
     (fast,) = links.keys() - {slow}
     for stamp in range(0, 5000 * ms, 10 * ms):
-        poses += added(tracker, links[fast], stamp=stamp)
+        poses += added(follower, links[fast], stamp=stamp)
         if stamp % (1000 * ms) == 0:
-            poses += added(tracker, links[slow], stamp=stamp)
+            poses += added(follower, links[slow], stamp=stamp)
     assert [stamp for stamp, _ in poses] == list(range(0, 4001 * ms, 10 * ms))
 
 
 def stamps_of(stamps):
     """Return the stamps of the poses of one link that is sent at these stamps."""
-    tracker = FlangeTracker('base', 'flange')
-    return [s for stamp in stamps for s, _ in added(tracker, ('base', 'flange', T_1), stamp=stamp)]
+    follower = FlangeFollower('base', 'flange')
+    return [s for stamp in stamps
+            for s, _ in added(follower, ('base', 'flange', T_1), stamp=stamp)]
 
 
 def test_a_clock_that_is_set_back_goes_on():
@@ -84,9 +85,9 @@ def test_wild_and_repeated_stamps_give_no_pose():
 
 
 def test_static_links_stay_when_times_start_again():
-    tracker = FlangeTracker('base', 'flange')
-    added(tracker, ('link_6', 'flange', T_1), static=True)
+    follower = FlangeFollower('base', 'flange')
+    added(follower, ('link_6', 'flange', T_1), static=True)
     for _ in range(2):
-        (_, T), = added(tracker, ('base', 'link_6', np.eye(4)), stamp=5)
+        (_, T), = added(follower, ('base', 'link_6', np.eye(4)), stamp=5)
         np.testing.assert_allclose(T, T_1, atol=1e-12)
-        tracker.restart()
+        follower.restart()

@@ -229,6 +229,13 @@ def test_profiles_before_a_clock_reset_are_not_scanned(tmp_path: Path, client: C
     np.testing.assert_allclose(heights(clouds), 0.1, atol=1e-4)
 
 
+def test_a_scan_tells_why_it_hears_nothing(tmp_path: Path, client: Client) -> None:
+    write_calibration(calibration(), tmp_path / 'calibration.yaml')
+    with started('scan', tmp_path, '--set', 'profile_topic=/laser') as node:
+        told = next(line for line in node.stderr if 'is on /profile: set profile_topic' in line)
+    assert 'no profiles on /laser for ' in told and '/laser has no publisher; ' in told
+
+
 # -- corrected_pose
 
 

@@ -15,14 +15,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 import subprocess
 import sys
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
+from calibrations import CALIBRATION
 from command import ROOT
 from handeye_ros import config
+from handeye_ros.results.calibration_file import write_calibration
 import pytest
 import yaml
 
@@ -150,3 +153,46 @@ def test_a_bag_is_solved_in_a_namespace(monkeypatch: pytest.MonkeyPatch, tmp_pat
         assert answer.success, answer.message
         assert call('save_calibration').success
     assert (tmp_path / 'saved' / 'mine' / 'calibration.yaml').is_file()
+
+
+def heard(topic: str, kind: Any, started: Sequence[Any], folder: Path) -> Any:
+    """Return the first message on a topic of the nodes of a launch file."""
+    from command import running
+    from ros_helpers import Client, LATCHED, RELIABLE
+    messages: list[Any] = []
+    with ExitStack() as stack:
+        client = Client()
+        stack.callback(client.close)
+        client.node.create_subscription(kind, topic, messages.append,
+                                        LATCHED if topic == '/tf_static' else RELIABLE)
+        for each in started:
+            stack.enter_context(running(command(each, folder), cwd=ROOT,
+                                        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
+        client.until(lambda: messages, f'something comes on {topic}')
+    return messages[0]
+
+
+@pytest.mark.thorough
+@pytest.mark.ros
+def test_a_bag_is_scanned_in_a_namespace(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    pytest.importorskip('rclpy', reason='needs rclpy')
+    from sensor_msgs.msg import PointCloud2
+    write_calibration(CALIBRATION, tmp_path / 'calibration.yaml')
+    started = nodes('scan', monkeypatch, calibration=str(tmp_path), namespace='cell', rate='20',
+                    bag=str(ROOT / 'bags' / 'plate'), options='--std')
+    points = heard('/cell/handeye_scan/points', PointCloud2, started, tmp_path)
+    assert points.header.frame_id == 'base' and points.fields[-1].name == 'std'
+
+
+@pytest.mark.thorough
+@pytest.mark.ros
+def test_saved_calibrations_are_published(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    pytest.importorskip('rclpy', reason='needs rclpy')
+    message = pytest.importorskip('tf2_msgs.msg', reason='needs tf2_msgs').TFMessage
+    (tmp_path / 'a folder').mkdir()
+    write_calibration(CALIBRATION, tmp_path / 'a folder' / 'calibration.yaml')
+    write_calibration(replace(CALIBRATION, child_frame='camera'), tmp_path / 'camera.yaml')
+    files = f'"{tmp_path}/a folder" {tmp_path}/camera.yaml'
+    started = nodes('publish', monkeypatch, calibrations=files, namespace='cell')
+    transforms = heard('/tf_static', message, started, tmp_path).transforms
+    assert {transform.child_frame_id for transform in transforms} == {'laser', 'camera'}

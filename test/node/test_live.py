@@ -174,7 +174,8 @@ def test_a_time_offset_set_during_a_stop_holds_for_it_too(before: float, lost: i
 @pytest.mark.parametrize('kind', ['pose', 'profile', 'sample'])
 def test_a_new_frame_begins_anew_unless_another_gave_a_sample(kind: str) -> None:
     exclude = () if kind == 'sample' else (1, 2)  # of samples that are gone then
-    live = new(set_to(SPHERE.config, samples__exclude=exclude))
+    live, restarts = new(set_to(SPHERE.config, samples__exclude=exclude)), []
+    live.restart_streams = lambda: restarts.append('transforms too')
     items = SPHERE.messages
     live.start()
     feed(live, [replace(pose, parent_frame='map') for pose in SPHERE.poses[:400]]
@@ -184,6 +185,7 @@ def test_a_new_frame_begins_anew_unless_another_gave_a_sample(kind: str) -> None
     assert bool(count) == (kind == 'sample')
     feed(live, later(items, 1000))  # of which the first seconds decide
     feed(live, later(items, 2000))
+    assert bool(restarts) == (not count)
     if count:
         assert sample_count(state_of(live)) == count
         assert f'two frames, "other" and "{SPHERE.profiles[0].frame_id}"' in (
@@ -216,6 +218,7 @@ def test_another_frame_after_the_samples_is_told_and_they_are_computed(kind: str
     answer, save = before.split('; save it')
     assert computed(live).startswith(f'{answer}; dropped a {kind} of frame')
     assert save in computed(live) and sample_count(state_of(live)) == count
+    live.add_poses([replace(SPHERE.poses[-1], stamp=end + 10**9)])  # none are missing
     with pytest.raises(InputError, match='two frames'):
         live.call_on_worker(live.take_sample)
 

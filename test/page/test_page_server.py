@@ -30,6 +30,10 @@ from handeye_ros.page.server import PageServer, token_of  # noqa: E402
 
 pytestmark = pytest.mark.once
 
+PIECES = {  # of each file that it serves
+    '': '<!DOCTYPE html>', 'page.css': ':root {', 'page.js': 'new EventSource(',
+    'viewer.js': 'function turnable(', 'scene.js': 'function drawScene(',
+    'profile.js': 'function drawProfile(', 'cell.js': 'function readCell('}
 KIND = {'Content_Type': 'application/json'}
 
 
@@ -88,9 +92,10 @@ def connected(page: PageServer, lines: ExitStack, request: str, body: bytes = b'
 
 def test_it_shows_the_page_and_acts(server: tuple[PageServer, Cell]) -> None:
     page, cell = server
-    for name in ('', *servers.ASSET_FILES):
+    assert PIECES.keys() == {'', *servers.ASSET_FILES}
+    for name, piece in PIECES.items():
         status, text = asked(page, 'GET', f'/{name}')
-        assert status == 200 and text.startswith('' if name else '<!DOCTYPE html>')
+        assert status == 200 and piece in text
         assert 'http://' not in text and 'https://' not in text, 'no file of another host'
     status, text = asked(page, 'POST', '/act/take', '{"number": 3}', **KIND)
     assert (status, json.loads(text)) == (200, {'success': True, 'message': 'sample 1 taken'})

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from handeye_ros.bags import bag_write
-from handeye_ros.bags.messages import DATATYPES, view
+from handeye_ros.bags.messages import DATATYPES, field_view
 from handeye_ros.bags.reader import CLOUD_TYPE, Reader
 from handeye_ros.config import Config
 from handeye_ros.data import Profile, TimedPose
@@ -140,7 +140,7 @@ def with_layout(folder, tmp_path, layout):
         cloud = TYPES.deserialize_cdr(raw.data, CLOUD_TYPE)
         points = np.zeros(cloud.width, layout)
         for axis in 'xyz':
-            points[axis] = view(cloud, axis)
+            points[axis] = field_view(cloud, axis)
         cloud.fields = [new('sensor_msgs/msg/PointField', name, offset, codes[kind.str[1:]], 1)
                         for name, (kind, offset, *_) in layout.fields.items()]
         cloud.is_bigendian = layout['x'].byteorder == '>'

@@ -182,8 +182,8 @@ def test_a_sweep_that_is_none_is_refused() -> None:
     for profiles, poses, words in (
             (cell.profiles, turned, 'mm aside, and turns by'),
             (cell.profiles, aside, 'mm aside, and turns by .*: move P3 alone'),
-            (cell.profiles[:50], cell.poses, 'profiles show the block'),
-            (cell.profiles[80:], cell.poses, '0 profiles show the ball'),
+            (cell.profiles[:50], cell.poses, 'the block is in'),
+            (cell.profiles[80:], cell.poses, 'the ball is in 0 profiles only'),
             (cell.profiles, late, 'no profile lies within the time of the poses')):
         with pytest.raises(DataError, match=words):
             sweep_from(profiles, poses, of_cell(cell))

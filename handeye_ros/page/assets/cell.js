@@ -79,13 +79,12 @@ async function startVerification() {
   if (await ask('set', values, $('verify-start'))) ask('verify_start', {}, $('verify-start'));
 }
 
-function showVerification({ running, verdict }) {
+function showVerification({ running, verdict, title, figures }) {
   text('course', running);
-  const [head, ...figures] = verdict.split('; ');
-  text('verdict', head);
-  text('verdict-figures', figures.join('; '));
+  text('verdict', title);
+  text('verdict-figures', figures);
   $('verdict').hidden = !verdict;
-  $('verdict').className = 'figure ' + (verdict.includes(': PASS') ? 'good' : verdict.includes(': FAIL') ? 'bad' : '');
+  $('verdict').className = 'figure ' + ({ pass: 'good', fail: 'bad' }[verdict] || '');
   $('verify-result').disabled = !running;
   $('verify-start').textContent = running ? 'Next part' : 'Start';
 }

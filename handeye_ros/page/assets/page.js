@@ -9,7 +9,8 @@ const SILENT = 3;  // s without a message, after which what is shown is old
 const NEAR = [5e-3, 0.053];  // m and rad from the next pose at which to stop
 let latest = null, heard = 0;
 const shown = {};
-const mine = new Set();  // samples that this browser has taken
+const mine = new Set();  // samples that this browser has taken,
+const answers = new Set();  // and what the node said of them
 let refused = null;  // the situation in which the footer told of a refusal
 
 function text(id, value) {
@@ -35,7 +36,8 @@ function element(name, content = '', className = '') {
 
 function show(state) {
   if (latest && state.profiles.count < latest.profiles.count) say('');  // another node
-  if (latest && latest.session.path && latest.session.path !== state.session.path) mine.clear();
+  if (latest && latest.session.path && latest.session.path !== state.session.path) { mine.clear(); answers.clear(); }
+  if (state.attempt && answers.has(state.attempt.text)) mine.add(state.attempt.number);
   latest = state;
   heard = Date.now();
   if (refused !== null && refused !== situation(state)) say('');
@@ -184,19 +186,18 @@ function showSteps(state) {
   const c = state.calibration, { running, verdict } = state.verification;
   const missing = [state.profiles, state.poses].filter(stream => !flows(stream))
     .map(stream => (stream === state.poses ? 'No poses' : 'No profiles'));
-  const passed = verdict.includes(': PASS'), failed = verdict.includes(': FAIL');
   const done = {
     connect: [!missing.length, missing.join(', ') || [state.profiles, state.poses].map(rate).join(', ')],
     samples: [Boolean(state.guidance && state.guidance.enough), String(taken(state).length)],
     answer: [c.state === 'current', STATES[c.state].split(':')[0]],
-    verify: [passed, running || verdict.replace(/,.*/, '') || 'if you like'],
+    verify: [verdict === 'pass', running || verdict || 'if you like'],
     save: [Boolean(c.saved), c.saved ? 'saved' : 'not yet'],
   };
   let now = '';
   for (const [name, [ready, words]] of Object.entries(done)) {
     const step = $('step-' + name);
     if (!ready && !now && name !== 'verify') now = name;
-    step.className = ready ? 'done' : now === name ? 'now' : name === 'verify' && failed ? 'lost' : '';
+    step.className = ready ? 'done' : now === name ? 'now' : name === 'verify' && verdict === 'fail' ? 'lost' : '';
     step.querySelector('span').textContent = words;
     if (now === name) step.setAttribute('aria-current', 'step'); else step.removeAttribute('aria-current');
   }
@@ -310,10 +311,7 @@ function showAnswer(c, rows) {
   text('answer-text', c.state === 'none' ? '' : c.text);
   text('saved', c.saved ? `saved in ${c.saved}` : '');
   $('figures').hidden = $('files').hidden = !rows.length;
-  const quality = rows.length ? [['residual', mm(c.residual_rms), '', 'mm'],
-    ['left out', mm(c.holdout_rms), '', 'mm'],
-    [(c.text.match(/(profile|sample)s? used/) || [])[0], String(c.used), '', '']] : [];
-  $('figures').tBodies[0].replaceChildren(...rows.concat(quality).map(([name, value, std, unit]) => {
+  $('figures').tBodies[0].replaceChildren(...rows.map(([name, value, std, unit]) => {
     const made = document.createElement('tr');
     made.id = 'answer-' + name.replace(' ', '-');
     made.append(...[name, value, std, unit].map(words => element('td', words)));
@@ -334,7 +332,7 @@ async function ask(name, values, button) {
   } catch (error) { /* the message says it */ }
   say(message, success, when);
   button.disabled = false;
-  if (success && name === 'take_sample') mine.add(Number((message.match(/sample (\d+)/) || [])[1]));
+  if (success && name === 'take_sample') answers.add(message);
   return success;
 }
 
@@ -352,8 +350,8 @@ function sure(question) {
 
 async function clearAll() {
   const count = latest ? taken(latest).length : 0;
-  if (await sure(`Clear all ${count} samples, and begin a new session?`) &&
-      await sure(`Really? ${count} samples and the answer will be gone.`)) {
+  if (await sure(`Clear all samples (${count}), and begin a new session?`) &&
+      await sure(`Really? All samples (${count}) and the answer will be gone.`)) {
     await ask('clear_samples', {}, $('clear'));
     readCell();
   }
