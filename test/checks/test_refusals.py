@@ -140,7 +140,7 @@ def test_samples_of_another_target_are_refused(name: str, kept: type) -> None:
     samples = cell(name).samples
     one_other = replace(samples[3], features=tuple(
         feature for feature in samples[3].features if isinstance(feature, kept)))
-    with refused('features', f'stamp {one_other.stamp} lacks a feature .*target.type {name}'):
+    with refused('features', f'stamp {one_other.stamp} lacks a feature .*the target {name} '):
         cell(name).solve([*samples[:3], one_other, *samples[4:]])
 
 
