@@ -37,7 +37,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
 CLOUD_PERIOD = 0.05  # s between two clouds
-LOOK_PERIOD = 1.0  # s between two looks at what does not come
+TROUBLES_PERIOD = 1.0  # s between two looks for troubles
 KEPT_POSES = 2000  # profiles may still need them: 20 s of 100 Hz
 POSES_AROUND = 1_000_000_000  # ns of poses before a profile, for the interpolation
 KEPT_PROFILES = 4000  # may wait for a pose; the oldest are dropped first
@@ -66,7 +66,7 @@ class ScanNode(Node):
         self._logged_warnings: set[str] = set()  # without their numbers
         self._streams = Streams(self, self)
         self.create_timer(CLOUD_PERIOD, self._publish_ready)
-        self.create_timer(LOOK_PERIOD, self._log_troubles)
+        self.create_timer(TROUBLES_PERIOD, self._log_troubles)
 
     def add_profile(self, profile: RawProfile) -> None:
         """Keep the points of a profile until its pose is known."""

@@ -159,27 +159,19 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
     """
     Return the content of the page as plain values.
 
+    rows: of the answer, name, value, 1 sigma and unit as in the table of `handeye solve`;
     verification: what is running, in words; verdict (pass, ...), title and figures of the last.
     """
-    snapshot, checked = live.current_snapshot(), live.verification.content
+    snapshot, calibration = live.current_snapshot(), live.solver.calibration
+    checked = live.verification.content
     title = title_of(checked) if checked else ''
     return {**state, 'profile': snapshot and _picture(snapshot), 'scene': _scene(live, snapshot),
             'edges': _edges(live), 'has_just_begun': len(state['samples']) <= FEW_STOPS,
-            'rows': _rows(live.solver.calibration),
+            'rows': list(table.transform_rows(calibration)) if calibration else [],
             'verification': {
                 'running': live.verification.text, 'verdict': checked.get('verdict', ''),
                 'title': title,
                 'figures': sentence(checked).removeprefix(f'{title}; ') if checked else ''}}
-
-
-def _rows(calibration: Calibration | None) -> list[tuple[str, str, str, str]]:
-    """Return name, value, 1 sigma and unit of the figures of an answer, as `handeye solve`."""
-    if not calibration:
-        return []
-    return [*table.transform_rows(calibration),
-            ('residual', f'{calibration.quality.residual_rms * 1e3:.3f}', '', 'mm'),
-            ('left out', f'{calibration.quality.holdout_rms * 1e3:.3f}', '', 'mm'),
-            ('stations used', str(calibration.quality.samples_used), '', '')]
 
 
 def stop_profile(live: LiveSession, number: str) -> dict[str, Any]:

@@ -311,7 +311,9 @@ function showAnswer(c, rows) {
   text('answer-text', c.state === 'none' ? '' : c.text);
   text('saved', c.saved ? `saved in ${c.saved}` : '');
   $('figures').hidden = $('files').hidden = !rows.length;
-  $('figures').tBodies[0].replaceChildren(...rows.map(([name, value, std, unit]) => {
+  const quality = rows.length ? [['residual', mm(c.residual_rms), '', 'mm'],
+    ['left out', mm(c.holdout_rms), '', 'mm'], ['stations used', String(c.used), '', '']] : [];
+  $('figures').tBodies[0].replaceChildren(...rows.concat(quality).map(([name, value, std, unit]) => {
     const made = document.createElement('tr');
     made.id = 'answer-' + name.replace(' ', '-');
     made.append(...[name, value, std, unit].map(words => element('td', words)));
