@@ -28,7 +28,7 @@ from handeye_ros.checks.hypotheses import (
 from handeye_ros.data import Array, rms, SEED
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.blocks import ParameterBlock, with_columns
-from handeye_ros.estimation.least_squares import chi2_isf, eigen
+from handeye_ros.estimation.least_squares import chi2_isf
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise
 from handeye_ros.estimation.posterior import Posterior, posterior_at
 from handeye_ros.estimation.problem import Estimate, Linear, Problem
@@ -348,25 +348,23 @@ def _bayes_factors(posterior: Posterior, moments: NDArray[np.intp], random_order
 
     Before each of the k moments: in the order of time, and in random orders of the parts between.
     """
-    A, e = posterior.jacobian, posterior.postfit_residuals
+    A, gain, e = posterior.jacobian, posterior.gain, posterior.postfit_residuals
     D = np.array([posterior.whitening(columns) for columns in _wrt_moves(posterior.linear)])
-    scale = np.sqrt(np.diag(posterior.covariance))  # m, rad and sigmas differ by 1e5
-    values, axes = eigen(posterior.covariance / scale / scale[:, None])
-    root = (axes * np.sqrt(np.maximum(values, 0.0)) * scale[:, None]).T  # of C
     parts = np.split(np.arange(len(A)), np.searchsorted(
         posterior.problem.observations.station, moments))
-    # sums over each part: D'D, C^(1/2) A'D, D'e
+    # sums over each part: D'D, A'D, C A'D, D'e
     sums = (np.array([np.swapaxes(D[:, rows], 1, 2) @ D[:, rows] for rows in parts]),
-            np.array([root @ (A[rows].T @ D[:, rows]) for rows in parts]),
+            np.array([A[rows].T @ D[:, rows] for rows in parts]),
+            np.array([gain[rows].T @ D[:, rows] for rows in parts]),
             np.array([e[rows] @ D[:, rows] for rows in parts]))
     rng, n = np.random.default_rng(SEED), len(parts)
     factors = []
     for order in (np.arange(n), *(rng.permutation(n) for _ in range(random_orders))):
         # over all parts after each moment
-        D_D, root_A_D, y = (np.cumsum(parts_sum[order[::-1]], axis=0)[-2::-1]
-                            for parts_sum in sums)
+        D_D, A_D, C_A_D, y = (np.cumsum(parts_sum[order[::-1]], axis=0)[-2::-1]
+                              for parts_sum in sums)
         # that the other parameters leave
-        information = D_D - np.swapaxes(root_A_D, 2, 3) @ root_A_D
+        information = D_D - np.swapaxes(A_D, 2, 3) @ C_A_D
         of_sizes = []
         for size in SIZE_FACTORS:
             M = np.eye(6) + size ** 2 * information

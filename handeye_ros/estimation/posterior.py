@@ -22,7 +22,6 @@ from handeye_ros.estimation.blocks import blocks_at, ParameterBlock, with_column
 from handeye_ros.estimation.least_squares import (
     bounded_inverse,
     covariance_of,
-    leave_one_out,
     left_out_residuals,
 )
 from handeye_ros.estimation.noise import (
@@ -148,11 +147,14 @@ class Posterior:
                 values[block.pose_value] = self.nuisance[columns][0] * block.std
         return linearise(problem.with_pose_values(values), self.estimate)
 
+    @cached_property
+    def gain(self) -> Array:
+        """Return A C (m, u + q), the covariance of whitened predictions with the parameters."""
+        return np.asarray(self.jacobian @ self.covariance)
+
     def predicted_covariance(self, rows: NDArray[np.intp]) -> Array:
         """Return the covariance (s, c, c) of whitened predictions in the rows (s, c)."""
-        J = self.jacobian[rows]
-        gain = (J.reshape(-1, J.shape[2]) @ self.covariance).reshape(J.shape)
-        return np.asarray(gain @ np.swapaxes(J, 1, 2))
+        return np.asarray(self.gain[rows] @ np.swapaxes(self.jacobian[rows], 1, 2))
 
     def estimated_factors(self, prior: Array | float = 1.0) -> Array:
         """Return the variance factors (5,) from residuals and their prior phi_0, (7)."""
@@ -298,9 +300,11 @@ class Posterior:
         freedom it is chi-squared distributed when the station is good. All points of a station
         share one pose, which has 6 degrees of freedom.
         """
-        station, e = self.problem.observations.station, self.postfit_residuals
-        products = e * leave_one_out(e, self.jacobian, self.covariance, station)
-        sums, count = (np.bincount(station, weights, len(self.problem.poses))
+        observations, e = self.problem.observations, self.postfit_residuals
+        products = np.empty_like(e)
+        for rows in (group.rows for group in observations.station_groups):
+            products[rows] = e[rows] * left_out_residuals(self.predicted_covariance(rows), e[rows])
+        sums, count = (np.bincount(observations.station, weights, len(self.problem.poses))
                        for weights in (products, None))
         return sums / np.maximum(count, 1), np.clip(count, 1, 6)
 
@@ -319,9 +323,10 @@ class Posterior:
         fold_of_row, u = fold[self.problem.observations.station], self.unknowns
         steps = np.empty((fold.max() + 1, len(self.prior_information)))
         for k in range(len(steps)):
-            A, e = self.jacobian[fold_of_row == k], self.postfit_residuals[fold_of_row == k]
-            left_out = left_out_residuals((A @ self.covariance @ A.T)[None], e[None])[0]
-            steps[k] = self.covariance @ (A.T @ left_out)
+            rows = np.flatnonzero(fold_of_row == k)[None]
+            left_out = left_out_residuals(
+                self.predicted_covariance(rows), self.postfit_residuals[rows])
+            steps[k] = left_out[0] @ self.gain[rows[0]]
         return ([self.problem.retracted(self.estimate, step) for step in steps[:, :u]],
                 self.corrected_poses(self.nuisance + steps[fold, u:]))
 
