@@ -15,7 +15,7 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.simulate import simulate
 from handeye_ros.simulate.scenario import FAULTS, RobotModel, Scenario, SCENARIOS
-from handeye_ros.verification.check import check
+from handeye_ros.verification.check import check, check_recording
 import numpy as np
 import pytest
 from verifications import bench
@@ -192,6 +192,8 @@ def test_what_cannot_be_checked_is_refused(calibrated):
             (eight, with_state(sphere, [1.0, 2.0]), InputError, 'does not hold')):
         with pytest.raises(error, match=words):
             check(samples, calibration, config)
+    with pytest.raises(InputError, match='target of type plate'):  # before the recording is read
+        check_recording([], [], calibrated['plate'].calibration, config)
 
 
 @pytest.mark.thorough
