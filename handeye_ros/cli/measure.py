@@ -135,8 +135,8 @@ def _warn_of_calibration_samples(bag: Path, stamps: 'Sequence[int]', calibration
     later = config.time_offset - config_of(calibration).time_offset
     own = [report.stamp + round(later * 1e9) for report in calibration.samples if report.used]
     if (np.abs(np.subtract.outer(stamps, own)) < SAME_STAMP).any():
-        warn(f'{bag} holds stations that the calibration was made of: they agree with it too '
-             'well; measure at others')
+        warn(f'{bag} holds stations with the stamps of those that the calibration was made of: '
+             'if they are the same, they agree with it too well; measure at others')
 
 
 @app.command()

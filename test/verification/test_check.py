@@ -208,7 +208,7 @@ def test_the_verb_on_recordings(tmp_path):
     run = handeye('check', 'today', '--against', 'calibration.yaml', '--out', 'c.yaml',
                   cwd=tmp_path)
     assert run.returncode == 0 and 'UNCHANGED' in run.stdout, run.stderr
-    assert 'stations that the calibration was made of' in run.stderr
+    assert 'of those that the calibration was made of' in run.stderr
     assert yaml.safe_load((tmp_path / 'c.yaml').read_text())['checks'][0]['stations'] == 12
     run = handeye('check', 'today', 'today', '--against', 'moved.yaml', cwd=tmp_path)
     assert run.returncode == 1, run.stderr
