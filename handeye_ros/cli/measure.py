@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verbs that use a calibration: to measure, scan and find seams; and whether it holds."""
 import math
+import operator
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
@@ -134,8 +135,8 @@ def _warn_of_calibration_samples(bag: Path, stamps: 'Sequence[int]', calibration
     later = config.time_offset - config_of(calibration).time_offset
     own = [report.stamp + round(later * 1e9) for report in calibration.samples if report.used]
     if (np.abs(np.subtract.outer(stamps, own)) < SAME_STAMP).any():
-        warn(f'{bag} holds stations that the calibration was made of: they agree with it too '
-             'well; measure at others')
+        warn(f'{bag} holds stations with the stamps of those that the calibration was made of: '
+             'if they are the same, they agree with it too well; measure at others')
 
 
 @app.command()
@@ -272,8 +273,13 @@ def seam(
 ) -> None:
     """Find the seam in a cloud, and tool frames along it."""
     from handeye_ros.config import parse_length
+    from handeye_ros.errors import BadValueError
     from handeye_ros.scanning.seam import find_seam, sentences, tool_frames, write
     limits = [parse_length(text, '--box', LARGEST_PLAIN) for text in box]
+    if any(map(operator.gt, limits[::2], limits[1::2])):
+        raise BadValueError('--box', ' '.join(box), 'of each axis the lower limit first')
+    if not 0.0 < math.hypot(*towards) < math.inf:
+        raise BadValueError('--towards', towards, 'a direction')
     widest_m = parse_length(widest, '--widest', 0.1, 1e-4)
     pitch_m = parse_length(pitch, '--pitch', 0.1, 1e-5)
     start_m = [parse_length(text, '--start', LARGEST_PLAIN, -1e3) for text in start if any(start)]
@@ -301,6 +307,9 @@ def _cloud(path: Path, calibration_file: Path | None, config: Path | None,
     from handeye_ros.scanning.scan import Scanner, ScanOptions
     import numpy as np
     if path.suffix.lower() in CLOUD_SUFFIXES:
+        if calibration_file or config or assignments or kinematics:
+            raise InputError(f'{path} is a cloud: --calibration, --config, --set and '
+                             '--kinematics are for a bag')
         return read_cloud(path), 'base'
     if calibration_file is None:
         raise InputError(f'{path} is no .ply or .pcd file; to use it as a bag, give the '

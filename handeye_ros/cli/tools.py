@@ -57,6 +57,8 @@ def kinematics(
     if tables and len(sources) > 1:
         raise typer.BadParameter('give one table only: its column "target" names several '
                                  'points')
+    if len({path.resolve() for path in sources}) < len(sources):
+        raise typer.BadParameter('give each source once: it would count twice')
     settings = configuration(config, assignments)
     from handeye_ros.arm import read_urdf
     from handeye_ros.bags.session_files import is_session, read_session

@@ -25,7 +25,7 @@ from handeye_ros.arm import (
     REVOLUTE,
 )
 from handeye_ros.data import Array, Indices, rms
-from handeye_ros.errors import DataError, degrees, mm
+from handeye_ros.errors import count_of, DataError, degrees, mm
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.robot.estimate import (
     arm_covariance,
@@ -95,9 +95,9 @@ class ArmOutcome:
 def require_enough(usable: int) -> None:
     """Raise DataError for fewer stops than the kinematics need."""
     if usable < FEWEST_STOPS:
-        raise DataError(f'{usable} usable robot configurations; the kinematics need at least '
-                        f'{FEWEST_STOPS}, and 40 are a good number: record more, with all joints '
-                        'moving')
+        raise DataError(f'{count_of(usable, "usable robot configuration")}; the kinematics need '
+                        f'at least {FEWEST_STOPS}, and 40 are a good number: record more, with '
+                        'all joints moving')
 
 
 @single_threaded

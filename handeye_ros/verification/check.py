@@ -132,6 +132,7 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
 
     Raises DataError, and InputError for a calibration without a target to compare with.
     """
+    _Calibrated.read(calibration, config)  # before samples are looked for on another target
     profiles = list(profiles)
     try:
         session = pipeline.gather(profiles, poses, config)

@@ -25,7 +25,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Indices, Reject, rms
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.errors import count_of, DataError, InputError
 from handeye_ros.estimation.blocks import wrt_smooth
 from handeye_ros.estimation.least_squares import (
     chi2_sf,
@@ -145,7 +145,7 @@ def require_stations(usable: Sequence[int], rejects: Sequence[Reject] = ()) -> N
     if least < LEAST_STATIONS:
         where = f' of recording {usable.index(least) + 1}' if len(usable) > 1 else ''
         raise DataError(
-            f'{least} usable stations{where}, fewer than {LEAST_STATIONS}'
+            f'{count_of(least, "usable station")}{where}, fewer than {LEAST_STATIONS}'
             f'{f" (of the others: {rejects[0].reason})" if rejects else ""}: measure more, with '
             'the sensor turned differently at each')
 

@@ -119,7 +119,8 @@ def test_version_and_help_do_not_wait_for_numpy(tmp_path):
 @pytest.mark.parametrize('arguments', [
     ['solv', 'x'], ['solve'], ['solve', 'x', '--rate', '2'],
     ['simulate', 'plate', 'x', '--seed', '-1'], ['seam', 'x.ply', '--travel', 'nan'],
-    ['batch', 'x', '--out', 'y', '--verb', 'seam']])
+    ['batch', 'x', '--out', 'y', '--verb', 'seam'],
+    ['kinematics', 'x', './x', '--urdf', 'y']])
 def test_wrong_usage_is_2(arguments, tmp_path):
     run = handeye(*arguments, cwd=tmp_path)
     assert run.returncode == 2
@@ -179,7 +180,7 @@ def test_a_sweep_is_solved_reported_and_checked(tmp_path):
     assert calibration.time_offset is not None
     run = succeeds('check', bag, '--against', 'a/calibration.yaml', cwd=tmp_path)
     assert 'UNCHANGED' in run.stdout and 'time offset is as it was' in run.stdout
-    assert 'holds stations that the calibration was made of' in run.stderr
+    assert 'of those that the calibration was made of' in run.stderr
     other = ClockEstimate(calibration.time_offset.value + 5e-3, calibration.time_offset.std)
     calibration_file.write_calibration(replace(calibration, time_offset=other),
                                        tmp_path / 'b.yaml')

@@ -369,6 +369,9 @@ def test_the_verb_writes_what_others_read(tmp_path):
             (('c.pcd', '--widest', '0.5mm'), 3, 'no seam'), (('bag',), 2, '--calibration'),
             (('c.pcd', '--pitch', '5'), 2, '5mm, or 5m if'),
             (('c.pcd', '--widest', '0mm'), 2, 'at least 0.1 mm'),
+            (('c.pcd', '--towards', '0', '0', '0'), 2, 'a direction'),
+            (('c.pcd', '--box', '1', '0', *4 * ('inf',)), 2, 'lower limit first'),
+            (('c.pcd', '--set', 'profile.unit=mm'), 2, 'for a bag'),
             (('c.pcd', '--start', '0', '', '0'), 2, '--start is')):
         assert_refused(handeye('seam', *words, cwd=tmp_path), code, sentence)
     assert not (tmp_path / 'out').exists()

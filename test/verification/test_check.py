@@ -15,7 +15,7 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.simulate import simulate
 from handeye_ros.simulate.scenario import FAULTS, RobotModel, Scenario, SCENARIOS
-from handeye_ros.verification.check import check
+from handeye_ros.verification.check import check, check_recording
 import numpy as np
 import pytest
 from verifications import bench
@@ -192,6 +192,8 @@ def test_what_cannot_be_checked_is_refused(calibrated):
             (eight, with_state(sphere, [1.0, 2.0]), InputError, 'does not hold')):
         with pytest.raises(error, match=words):
             check(samples, calibration, config)
+    with pytest.raises(InputError, match='target of type plate'):  # before the recording is read
+        check_recording([], [], calibrated['plate'].calibration, config)
 
 
 @pytest.mark.thorough
@@ -206,7 +208,7 @@ def test_the_verb_on_recordings(tmp_path):
     run = handeye('check', 'today', '--against', 'calibration.yaml', '--out', 'c.yaml',
                   cwd=tmp_path)
     assert run.returncode == 0 and 'UNCHANGED' in run.stdout, run.stderr
-    assert 'stations that the calibration was made of' in run.stderr
+    assert 'of those that the calibration was made of' in run.stderr
     assert yaml.safe_load((tmp_path / 'c.yaml').read_text())['checks'][0]['stations'] == 12
     run = handeye('check', 'today', 'today', '--against', 'moved.yaml', cwd=tmp_path)
     assert run.returncode == 1, run.stderr
