@@ -117,7 +117,7 @@ def test_lists_name_their_recordings_relative_to_them(tmp_path):
             ('bag,lable\na,first\n', 'it has the columns bag, lable; expected'),
             ('bag,settings\na,verify.lengths=[0.1,0.2] name=x\n', 'row 1 has 3 values'),
             ("bag,args\na,it's\n", 'quotation mark that is not closed'),
-            ('label,bag\na,b\nc\n', 'row 2 has 1 values'),
+            ('label,bag\na,b\nc\n', 'row 2 has 1 value,'),
             ('label,bag\na,b\nc,\n', 'a value in each row'), ('label\na\n', 'no column bag')):
         (tmp_path / 'jobs.csv').write_text(text)
         with pytest.raises(InputError, match=sentence):
