@@ -139,14 +139,16 @@ def words_of(args: str, config: Path | str | None, settings: Iterable[str],
     try:
         words = [part for word in shlex.split(args)
                  for part in (word.split('=', 1) if word[:2] == '--' else [word])]
+        words += [word for text in settings for word in ('--set', text)]
     except ValueError as error:
         raise InputError(f'args: {args!r} has a quotation mark that is not closed') from error
     for k, word in enumerate(words):
-        path, is_value = folder / word, k > 0 and words[k - 1][:2] == '--'
-        if path.is_file() or (is_value and word and path.is_dir()):  # no folder called "sphere"
-            words[k] = str(path.absolute())
+        key, equals, value = word.rpartition('=')
+        path, is_value = folder / value, k > 0 and words[k - 1][:2] == '--' and not equals
+        if path.is_file() or (is_value and value and path.is_dir()):  # no folder called "sphere"
+            words[k] = f'{key}{equals}{path.absolute()}'
     files = ['--config', str((folder / config).absolute())] if config else []
-    return (*words, *files, *(f'--set={text}' for text in settings))
+    return (*words, *files)
 
 
 def _jobs_of_list(path: Path, base: Job) -> Iterator[Job]:

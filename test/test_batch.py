@@ -103,13 +103,15 @@ def test_links_to_recordings_are_followed(tmp_path):
 
 def test_lists_name_their_recordings_relative_to_them(tmp_path):
     (tmp_path / 'jobs.csv').write_text(
-        'bag,label,settings,args\na,first,target.radius=0.02 name=x,\n'
+        'bag,label,settings,args\na,first,target.radius=0.02 kinematics=arm.yaml,\n'
         'b,,,sphere --calibration=cal --kinematics cal --set=a=sphere\na,second,,\n')
     for folder in ('sphere', 'cal'):
         (tmp_path / folder).mkdir()
+    (tmp_path / 'arm.yaml').touch()
     jobs = jobs_of([str(tmp_path / 'jobs.csv')], replace(SOLVE, words=('--config', 'c')))
     assert [job.label for job in jobs] == ['first', 'b', 'second']
-    assert jobs[0].words == ('--config', 'c', '--set=target.radius=0.02', '--set=name=x')
+    assert jobs[0].words == ('--config', 'c', '--set', 'target.radius=0.02', '--set',
+                             f'kinematics={tmp_path}/arm.yaml')
     assert jobs[0].bag == str(tmp_path / 'a')
     assert jobs[1].words == ('--config', 'c', 'sphere', '--calibration', f'{tmp_path}/cal',
                              '--kinematics', f'{tmp_path}/cal', '--set', 'a=sphere')

@@ -97,7 +97,7 @@ class StoredSession:
 
 class SessionFiles:
     """
-    Writes sessions, one after the other; an event is on the disk when its method returns.
+    Writes one session; an event is on the disk when its method returns.
 
     path: the folder of the session, None before the first event. Not for several threads at once.
     """

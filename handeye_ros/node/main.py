@@ -22,7 +22,7 @@ import os
 import signal
 import sys
 import traceback
-from typing import Any
+from typing import Any, NoReturn
 
 from handeye_ros.errors import HandeyeError, InputError
 
@@ -37,8 +37,8 @@ def own_arguments() -> list[str]:
     return list(takewhile(lambda word: word != '--ros-args', sys.argv[1:]))
 
 
-def main() -> int:
-    """Run the executable `calibrate`; ends the process, with its exit code."""
+def main() -> NoReturn:
+    """Run the executable `calibrate`, and end the process with its exit code."""
     # an exception in the import of an extension module would be lost
     _on_signals(lambda *_: os._exit(0))
     # small matrices: more threads would slow down the streams

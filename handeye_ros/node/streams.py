@@ -99,7 +99,7 @@ class Streams:
     def __init__(self, node: Node, receiver: LiveSession | ScanNode,
                  add_joints: Callable[[int, bytes], None] | None = None) -> None:
         """
-        Subscribe, count anew, and begin to read; raises InputError.
+        Subscribe, begin to read, and set the receiver's `message_counts`; raises InputError.
 
         receiver: takes profiles, their stamps with time_offset, and poses, in the thread that
         reads them; its settings of topics and frames stay. add_joints: takes stamp (ns) and

@@ -184,10 +184,10 @@ def _require_same_robot(arm: Arm) -> None:
 def _notes(models: Sequence[Model], chosen: Model) -> Iterator[str]:
     richest = models[-1]
     if dropped := int((~richest.fit.used).sum()):
-        yield f'{dropped} of {len(richest.fit.used)} points contradict the others and are left out'
+        yield f'{dropped} of {len(richest.fit.used)} stops contradict the others and are left out'
     if chosen is not richest:
         rich, simple = (' and '.join(model.fit.arm.kinds) for model in (richest, chosen))
-        yield (f'the model with {rich} predicts left-out points no better than '
+        yield (f'the model with {rich} predicts left-out stops no better than '
                f'{simple or UNCHANGED_ARM}: the simpler one is the answer')
 
 

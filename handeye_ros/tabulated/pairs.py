@@ -49,7 +49,7 @@ PRIOR_FREEDOM = 0.5  # degrees of freedom of the prior of each variance, about t
 LIKELIHOOD_STEPS = 100
 SMALLEST_WIDTH = 0.05  # of points: smallest spread across their line over that along it
 PAIR_COUNT, SEED = 2000, 0  # of pairs of poses, drawn for the closed form
-LARGEST_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
+LARGEST_SURE_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,7 +354,7 @@ class PosePairs(PairedRows):
         T, seen = self.robot, self.seen
         i, j = np.random.default_rng(SEED).integers(len(T), size=(2, PAIR_COUNT))
         A, B = se3.inverse(T[j]) @ T[i], seen[j] @ se3.inverse(seen[i])
-        has_axis = se3.angle(np.stack([A, B])[..., :3, :3]).max(axis=0) < LARGEST_ANGLE
+        has_axis = se3.angle(np.stack([A, B])[..., :3, :3]).max(axis=0) < LARGEST_SURE_ANGLE
         return solve_motions(A[has_axis], B[has_axis])
 
     def state_of(self, X: Array) -> Array:

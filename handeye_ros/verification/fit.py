@@ -61,7 +61,7 @@ COVERAGE_FACTOR = 2.0  # coverage factor of expanded uncertainties (GUM: about 9
 DIFFERENCE_STEP = 1e-7  # of numeric derivatives (m, rad)
 REFIT_COUNT = 5  # iterations for the calibration's error
 LARGEST_SHIFT = 0.1  # m: no calibration error is larger
-LARGEST_ERROR = np.repeat([0.01, 0.1], 3)  # m, rad: 1 sigma of a calibration in use, a priori
+ERROR_PRIOR_STDS = np.repeat([0.01, 0.1], 3)  # m, rad: of a calibration in use
 UNSEEN_CHANGE = 1e-6  # change of a value that no distance shows, per unit of an unknown
 LEAST_STATIONS = 4  # of a recording
 FREE_STD = 1e6  # 1 sigma of an unknown that may have any value, beside that by which it shows
@@ -381,7 +381,7 @@ def _calibration_error(A: Array, b: Array, conditions: int, linear: Linear) -> C
     up: b = A e + noise, with the errors e of calibration and robot; A: (n, 6 + s). conditions: n
     without the number of unknowns that the shape takes up.
     """
-    information = np.append(LARGEST_ERROR ** -2.0, np.ones(A.shape[1] - 6))
+    information = np.append(ERROR_PRIOR_STDS ** -2.0, np.ones(A.shape[1] - 6))
     errors, covariance, square = likeliest(A, b, information)
     twist, covariance = errors[:6], covariance[:6, :6]
     square -= float(twist ** 2 @ information[:6])
