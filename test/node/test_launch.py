@@ -178,7 +178,7 @@ def test_a_bag_is_scanned_in_a_namespace(monkeypatch: pytest.MonkeyPatch, tmp_pa
     pytest.importorskip('rclpy', reason='needs rclpy')
     from sensor_msgs.msg import PointCloud2
     write_calibration(CALIBRATION, tmp_path / 'calibration.yaml')
-    started = nodes('scan', monkeypatch, calibration=str(tmp_path), namespace='cell', rate='20',
+    started = nodes('scan', monkeypatch, calibration=str(tmp_path), namespace='cell', rate='3',
                     bag=str(ROOT / 'bags' / 'plate'), options='--std')
     points = heard('/cell/handeye_scan/points', PointCloud2, started, tmp_path)
     assert points.header.frame_id == 'base' and points.fields[-1].name == 'std'
