@@ -73,7 +73,7 @@ class FeatureError(DataError):
     """A profile does not show what the method needs; the message says what is missing."""
 
 
-def nearest(word: str, known: Sequence[str]) -> str:
+def did_you_mean(word: str, known: Sequence[str]) -> str:
     """Return a hint at a similar known word, or at a key that ends with the word; '' if none."""
     small = {other.lower(): other for other in known}
     close = [small[name] for name in difflib.get_close_matches(word.lower(), small, 1, 0.7)] or [
@@ -105,7 +105,7 @@ class UnknownKeyError(InputError):
     """A configuration key that does not exist."""
 
     def __init__(self, key: str, known: Sequence[str], source: str) -> None:
-        super().__init__(f'unknown key "{key}" in {source}{nearest(key, known)}')
+        super().__init__(f'unknown key "{key}" in {source}{did_you_mean(key, known)}')
 
 
 class BadValueError(InputError):
@@ -172,7 +172,7 @@ class UnknownNameError(InputError):
 
     def __init__(self, kind: str, name: str, known: Sequence[str], listing: str = '') -> None:
         listed = f'"{listing}" lists them' if listing else f'the known ones: {", ".join(known)}'
-        super().__init__(f'there is no {kind} "{name}"{nearest(name, known)}; {listed}')
+        super().__init__(f'there is no {kind} "{name}"{did_you_mean(name, known)}; {listed}')
 
 
 class NoRosError(InputError):

@@ -139,7 +139,7 @@ def answer_session(session: Session, config: Config) -> Answer:
     config: the one of the session, which made its samples.
     """
     session.require_any_stop()
-    return answer_samples(session.samples, session.rejects, session.with_base_frame(config),
+    return answer_samples(session.samples, session.rejects, session.config_with_base_frame(config),
                           session.frame_id, session)
 
 
@@ -188,7 +188,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         # 4. Robust estimate: linear starts, graduated non-convexity, outlier rejection.
         problem = synced.problem or targets.problem_of_known_poses(samples, config)
         solution = robust_solution(problem, rng, subsets=True, start=synced.estimate)
-        # 5. Shape of the target: estimate it where only this makes the samples agree.
+        # 5. Measure of the target: estimate it where only this makes the samples agree.
         solution = with_free_measure_if_needed(problem, solution, rng, synced.estimate)
         # 6. Consistency: refuse samples that contradict each other, or fit decisively better under
         # another assumption (a hypothesis), which the refusal names.

@@ -22,7 +22,7 @@ import re
 from handeye_ros import se3
 from handeye_ros.config import MICRO, UNITS
 from handeye_ros.data import Array, QUATERNION_TOLERANCE
-from handeye_ros.errors import count_of, InputError, nearest, UnknownNameError
+from handeye_ros.errors import count_of, InputError, did_you_mean, UnknownNameError
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -143,7 +143,7 @@ class Table:
         for name in names:
             if name not in self.columns:
                 others = [other for other in self.columns if other not in names]
-                raise TableError(self.path, f'has no column {name}{nearest(name, others)}')
+                raise TableError(self.path, f'has no column {name}{did_you_mean(name, others)}')
 
     def _values(self, name: str, kind: str, default: str) -> Array:
         """Return a column (n,) in its SI unit; raises TableError."""

@@ -49,7 +49,7 @@ def require_agreement(samples: Sequence[Sample], solution: Solution, baseline: E
     """
     Raise DataError for a solution that the samples contradict, or another assumption explains.
 
-    samples: of the stations of the problem, in order; baseline: the fit of the solution.
+    samples: of the stations of the problem, in order; baseline: the explanation by the solution.
     """
     problem, refusal = solution.full_problem, refusal_of_misfit(solution)
     config, poses = problem.config, problem.poses

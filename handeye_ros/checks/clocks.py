@@ -169,9 +169,7 @@ def _rest(stop: Stop, profiles: Sequence[Profile], changed: NDArray[np.bool_], c
     # the profiles at both ends may be of a robot that was moving for a part of the exposure
     change_before, change_after = first > 0, last < len(profiles) - 1
     at_rest, sample = profiles[first + change_before:last + 1 - change_after], None
-    T_base_flange = se3.mean_pose(se3.from_quaternion(
-        np.array([pose.translation for pose in stop.poses]),
-        np.array([pose.quaternion for pose in stop.poses])))
+    T_base_flange = se3.mean_pose(np.array([*map(se3.of_pose, stop.poses)]))
     if len(at_rest) > 2:
         with suppress(FeatureError):
             used, features = combined_features(at_rest, config)

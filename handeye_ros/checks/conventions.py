@@ -45,7 +45,7 @@ def convention_hypotheses(samples: Sequence[Sample], problem: Problem, baseline:
         poses = se3.from_quaternion(trajectory.values[:, :3], trajectory.values[:, 3:])
     stamps = [sample.stamp for sample in samples]
 
-    def fit_with(T: Array) -> Explanation:
+    def explained_with(T: Array) -> Explanation:
         if not trajectory:
             return explain_problem(replace(problem, poses=mount_poses(T, config)), stamps)
         corrected = replace(trajectory, values=np.column_stack([T[:, :3, 3], se3.quaternion(T)]))
@@ -53,10 +53,10 @@ def convention_hypotheses(samples: Sequence[Sample], problem: Problem, baseline:
                                config, stamps, clocks=True)
 
     for name, undone, advice in CONVENTION_ERRORS:
-        for fit in map(fit_with, undone(poses)):
-            comparison = fit.comparison_in_words(
+        for explanation in map(explained_with, undone(poses)):
+            comparison = explanation.comparison_in_words(
                 baseline, f'{name} undone'.format(other=other_mounting))
-            yield Hypothesis(fit, DataError(
+            yield Hypothesis(explanation, DataError(
                 f'the poses contradict the samples: {comparison}; '
                 f'{advice.format(other=other_mounting)}', reason='convention'))
 

@@ -4,11 +4,11 @@
 The engine of all named causes: the same stops, fitted again under one changed assumption.
 
 An `Explanation` is how well one set of assumptions explains some stops. A `Hypothesis` is one with
-the refusal that names what was changed. `refuse_by_best` compares hypotheses with the fit as
-configured, and raises the refusal of the best one if it explains the stops decisively better.
+the refusal that names what was changed. `refuse_by_best` compares hypotheses with the explanation
+as configured, and raises the refusal of the best one if it is decisively better.
 
-The score is the left-out residual of each stop, which pays for unknowns by itself (Geisser and
-Eddy 1979, JASA 74:153). With q_i the mean squared left-out residual of stop i, v the mean of those
+The score is the left-out square of each stop, which pays for unknowns by itself (Geisser and Eddy
+1979, JASA 74:153). With q_i the one of stop i, (12), v the mean of those
 explained (0.01 to 64) and m conditions a stop, the deviance of a fit is, (13),
 
     m sum_i min(log v + q_i / v, log 64 + 1)
@@ -68,7 +68,7 @@ class Explanation:
 
     @classmethod
     def of_solutions(cls, stamps: Sequence[int], *solutions: Solution) -> Explanation:
-        """Return the fit by solutions whose stations, one after the other, are the stops."""
+        """Return the explanation by solutions; their stations, in this order, are the stops."""
         squares = np.vstack([_left_out_squares(solution) for solution in solutions])
         return cls(stamps, solutions, {stamp: q for stamp, q in zip(stamps, squares, strict=True)
                                        if np.isfinite(q[0])})
@@ -109,19 +109,19 @@ class Explanation:
             for solution in self.solutions)
 
     def evidence_over(self, baseline: Explanation) -> float:
-        """Return twice the log of the odds, by the stops of this fit, for it against another."""
+        """Return twice the log of the odds, for this explanation of its stops against another."""
         explained_before = len(baseline.left_out_squares.keys() & self.stamps)
         if not self.solutions or (len(self.left_out_squares)
                                   < SMALLEST_EXPLAINED_SHARE * explained_before):
             return -math.inf
-        fitted = [fit for fit in (self, baseline) if fit.solutions]
+        fitted = [each.solutions for each in (self, baseline) if each.solutions]
         conditions = min(int(np.median(np.concatenate(
-            [solution.posterior.ranks for solution in fit.solutions]))) for fit in fitted)
-        noise = min(fit.solutions[0].posterior.expected_rms for fit in fitted)  # m
+            [solution.posterior.ranks for solution in solutions]))) for solutions in fitted)
+        noise = min(solutions[0].posterior.expected_rms for solutions in fitted)  # m
         unexplained = np.full(2, np.inf)
         before, after = (
-            np.array([fit.left_out_squares.get(stamp, unexplained) for stamp in self.stamps])
-            / [1.0, noise ** 2] for fit in (baseline, self))
+            np.array([each.left_out_squares.get(stamp, unexplained) for stamp in self.stamps])
+            / [1.0, noise ** 2] for each in (baseline, self))
         return min(stops_deviance(before[:, unit], conditions)
                    - stops_deviance(after[:, unit], conditions) for unit in range(2))
 
@@ -147,7 +147,7 @@ def _left_out_squares(solution: Solution) -> Array:
     whitened, metres = (np.bincount(station, residuals ** 2, minlength=n) for residuals in (
         posterior.postfit_residuals, posterior.linear.residuals))
     q = np.full((len(solution.full_problem.poses), 2), np.inf)
-    q[solution.used] = posterior.left_out_mean_squares()[0][:, None] * np.column_stack(
+    q[solution.used] = posterior.left_out_squares()[0][:, None] * np.column_stack(
         [np.ones(n), metres / np.maximum(whitened, 1e-300)])
     q[solution.stations_without_edges] = q[solution.indispensable_stations] = np.inf
     return q
@@ -185,9 +185,9 @@ def explain_samples(samples: Sequence[Sample], config: Config, stamps: Sequence[
             samples = with_estimated_clocks(samples, config).samples
         except DataError:  # the poses are of other times
             return Explanation(stamps)
-    fit = explain_problem(problem_of_known_poses(samples, config),
-                          [sample.stamp for sample in samples], all_starts)
-    return replace(fit, stamps=stamps)
+    explanation = explain_problem(problem_of_known_poses(samples, config),
+                                  [sample.stamp for sample in samples], all_starts)
+    return replace(explanation, stamps=stamps)
 
 
 def stops_deviance(q: Array, conditions: int) -> float:
@@ -204,12 +204,12 @@ class Hypothesis:
     """
     One changed assumption, or several that belong together.
 
-    fit: of the same stops with this change
+    explanation: of the same stops with this change
     refusal: the error that names this change
     changes: how many assumptions it changes
     """
 
-    fit: Explanation
+    explanation: Explanation
     refusal: DataError
     changes: int = 1
 
@@ -219,14 +219,14 @@ def refuse_by_best(baseline: Explanation, hypotheses: Iterable[Hypothesis], trie
     """
     Raise the refusal of the hypothesis that explains the stops best, if it is decisively better.
 
-    baseline: the fit of all stops as configured. Each change of an assumption needs odds of 1 to
-    FALSE_CAUSE_PROBABILITY, shared by all that are tried.
+    baseline: the explanation of all stops as configured. Each change of an assumption needs odds
+    of 1 to FALSE_CAUSE_PROBABILITY, shared by all that are tried.
     """
     largest_gain, refusal = 0.0, None
     for hypothesis in hypotheses:
         needed = hypothesis.changes * (DECISIVE_EVIDENCE + 2 * math.log(tried))
-        if hypothesis.fit.believable:
-            gain = hypothesis.fit.evidence_over(baseline) - needed
+        if hypothesis.explanation.believable:
+            gain = hypothesis.explanation.evidence_over(baseline) - needed
             if gain > largest_gain:
                 largest_gain, refusal = gain, hypothesis.refusal
     if refusal:

@@ -226,7 +226,7 @@ def missing_motion(solution: Solution, config: Config) -> str:
         return ('most of that comes from the corrected arm: correct it again with more samples '
                 '(handeye kinematics), in configurations like those of these')
     problem, frame = solution.problem, mount_frame(config)
-    rotation_known = worst_rotation(solution.reported_covariance)[0] <= config.limits.rotation
+    rotation_known = worst_rotation(reported)[0] <= config.limits.rotation
     if rotation_known and (views_alike := problem.target.views_alike(problem, solution.estimate)):
         return views_alike
     turns, axes = rms_turns_and_axes(solution.full_problem.poses)

@@ -48,44 +48,45 @@ def setting_hypotheses(session: Session, config: Config, baseline: Explanation
         return with_common_edge_shape([replace(result, stamp=stamp) for result, stamp in zip(
             results, stamps, strict=True) if isinstance(result, Sample)])
 
-    fits = dict[Values, Explanation]()  # those that leave no doubt
+    certain = dict[Values, Explanation]()  # those that leave no doubt
     for values in _likely_changes(config):
         changed = with_settings(config, dict(values))
         if 2 * len(samples_as(changed, profiles=1)) < len(stops):
             continue  # most show nothing: read no more of them
-        fit = explain_samples(samples_as(changed, MOST_PROFILES), changed, stamps)
+        tried = explain_samples(samples_as(changed, MOST_PROFILES), changed, stamps)
         if changed.target.type == 'plane':  # it does not explain the edges that are seen now
-            fit = replace(fit, left_out_squares={
-                stamp: q for stamp, q in fit.left_out_squares.items() if stamp not in show_edge})
-        if fit.believable and fit.within_noise and all(
+            tried = replace(tried, left_out_squares={
+                stamp: q for stamp, q in tried.left_out_squares.items() if stamp not in show_edge})
+        if tried.believable and tried.within_noise and all(
                 solution.posterior.is_determined and not len(solution.indispensable_stations)
-                for solution in fit.solutions):
-            fits[values] = fit
-    for values, fit in fits.items():
-        yield Hypothesis(fit, settings_refusal(dict(values), baseline, fit, [
-            other for other_values, other in fits.items()
+                for solution in tried.solutions):
+            certain[values] = tried
+    for values, explanation in certain.items():
+        yield Hypothesis(explanation, settings_refusal(dict(values), baseline, explanation, [
+            other for other_values, other in certain.items()
             if values[0][0] == TARGET_TYPE == other_values[0][0] and values[1:] == other_values[1:]
-            and len(other.left_out_squares) >= len(fit.left_out_squares)
-            and other.redundancy > fit.redundancy]), len(values))
+            and len(other.left_out_squares) >= len(explanation.left_out_squares)
+            and other.redundancy > explanation.redundancy]), len(values))
 
 
-def settings_refusal(values: Mapping[str, str], baseline: Explanation, fit: Explanation,
+def settings_refusal(values: Mapping[str, str], baseline: Explanation, changed: Explanation,
                      other_types: Sequence[Explanation] = ()) -> DataError:
     """
     Return the refusal that names the values of settings with which the stops fit.
 
-    other_types: fits with other types of target, which are named too.
+    changed: with these values; other_types: with other types of target, which are named too.
     """
     named = ' and '.join(f'{key} {value}' for key, value in values.items())
     to = ' and '.join(f'{key} to {value}' for key, value in values.items())
     if 'target.radius' in values:
-        to = (f'target.radius to {fit.solutions[0].estimate.state[-1]:.4f}, which these stops '
+        to = (f'target.radius to {changed.solutions[0].estimate.state[-1]:.4f}, which these stops '
               'show, or to 0 (unknown)')
     to += ''.join(f', or to {other.solutions[0].full_problem.config.target.type}, if it is one'
                   for other in other_types)
     if values == {TARGET_TYPE: 'plane'}:
         to += '; or, if the target has edges, cross them inside the field of view'
-    return DataError(f'{fit.comparison_in_words(baseline, named)}: set {to}', reason='settings')
+    comparison = changed.comparison_in_words(baseline, named)
+    return DataError(f'{comparison}: set {to}', reason='settings')
 
 
 def sign_hypothesis(samples: Sequence[Sample], config: Config, baseline: Explanation, clocks: bool
@@ -101,12 +102,12 @@ def sign_hypothesis(samples: Sequence[Sample], config: Config, baseline: Explana
     flipped_samples = with_common_edge_shape([replace(sample, features=sample.flipped)
                                               for sample in samples if sample.flipped])
     stamps = [sample.stamp for sample in samples if sample.flipped is not None]
-    fit = explain_samples(flipped_samples, flipped, stamps, clocks=clocks)
+    explanation = explain_samples(flipped_samples, flipped, stamps, clocks=clocks)
     values = {RANGE_SIGN: str(flipped.profile.range_sign)}
-    if fit.within_noise:
-        return Hypothesis(fit, settings_refusal(values, baseline, fit))
-    words = fit.comparison_in_words(baseline, f'{RANGE_SIGN} {values[RANGE_SIGN]}')
-    return Hypothesis(fit, UnexplainedError(
+    if explanation.within_noise:
+        return Hypothesis(explanation, settings_refusal(values, baseline, explanation))
+    words = explanation.comparison_in_words(baseline, f'{RANGE_SIGN} {values[RANGE_SIGN]}')
+    return Hypothesis(explanation, UnexplainedError(
         f'{words}, neither as well as the noise allows: check {RANGE_SIGN}, and that every sample '
         'shows the target itself and no clamp or second plate', reason='misfit'))
 

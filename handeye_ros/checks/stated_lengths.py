@@ -34,9 +34,9 @@ SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # named; more is another
 def with_free_measure_if_needed(problem: Problem, solution: Solution, rng: np.random.Generator,
                                 start: Estimate | None = None) -> Solution:
     """
-    Return the solution with a stated shape free, if only that makes the stations agree.
+    Return the solution with a stated measure free, if only that makes the stations agree.
 
-    solution: with the shape as stated; it is returned where that is good enough. start: the only
+    solution: with the measure as stated; it is returned where that is good enough. start: the only
     one to use, if given.
     """
     target, config = problem.target, problem.config
@@ -46,15 +46,15 @@ def with_free_measure_if_needed(problem: Problem, solution: Solution, rng: np.ra
     if fits or free_config == config:
         return solution
     free = robust_solution(replace(problem, config=free_config), rng, start=start)
-    shape = target.parameter_names[-1]
-    stated, _ = target.stated_values(config)[shape]
-    if abs(target.measures(free.estimate.state)[shape] - stated) > 0.5 * stated:
+    measure = target.parameter_names[-1]
+    stated, _ = target.stated_values(config)[measure]
+    if abs(target.measures(free.estimate.state)[measure] - stated) > 0.5 * stated:
         return solution  # another target
     n = len(problem.poses)
-    free_fit, stated_fit = (Explanation.of_solutions(range(n), each) for each in (free, solution))
-    # if a free shape explains more stations, the refinement can decide about the shape
-    explains_more = free_fit.believable and free.fully_used - solution.fully_used > 0.1 * n
-    better = explains_more or free_fit.evidence_over(stated_fit) > VERY_STRONG_EVIDENCE
+    with_free, as_stated = (Explanation.of_solutions(range(n), each) for each in (free, solution))
+    # if a free measure explains more stations, the refinement can decide about it
+    explains_more = with_free.believable and free.fully_used - solution.fully_used > 0.1 * n
+    better = explains_more or with_free.evidence_over(as_stated) > VERY_STRONG_EVIDENCE
     return free if better else solution
 
 
@@ -102,9 +102,9 @@ def scale_hypothesis(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypo
     if SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
         T = problem.robot_poses.copy()
         T[:, :3, 3] /= 1 + scale
-        fit = explain_problem(replace(problem, poses=mount_poses(T, problem.config)), stamps)
-        std = float(covariance[0, 0] * fit.square_per_freedom) ** 0.5
-        yield Hypothesis(fit, _scales_differ(abs(scale), std))
+        rescaled = explain_problem(replace(problem, poses=mount_poses(T, problem.config)), stamps)
+        std = float(covariance[0, 0] * rescaled.square_per_freedom) ** 0.5
+        yield Hypothesis(rescaled, _scales_differ(abs(scale), std))
 
 
 def require_one_scale(solution: Solution) -> None:

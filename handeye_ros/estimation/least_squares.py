@@ -222,25 +222,25 @@ def left_out_residuals(predicted_covariance: Array, whitened: Array) -> Array:
     return np.asarray(np.linalg.solve(regular, whitened[..., None])[..., 0])
 
 
-def outliers(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int
+def outliers(squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int
              ) -> NDArray[np.intp]:
     """
     Return the items to drop in this round, worst first: at most one, or one in 50 of 100 or more.
 
-    mean_squares: (n,) squared leave-one-out residuals per degree of freedom; total: initial number
-    of items; spare: number of items beyond those needed.
+    squares: (n,) left-out squares: mean products of residuals and leave-one-out residuals, (12);
+    total: initial number of items; spare: number of items beyond those needed.
     """
-    probability = chi2_sf(mean_squares * freedom, freedom)
-    most = max(1, min(len(mean_squares) // 50, spare)) if spare > 0 else 0
+    probability = chi2_sf(squares * freedom, freedom)
+    most = max(1, min(len(squares) // 50, spare)) if spare > 0 else 0
     # by the squares where probabilities are too small to differ
-    worst = np.lexsort((-mean_squares, probability))[:most]
+    worst = np.lexsort((-squares, probability))[:most]
     return np.asarray(worst[probability[worst] < FALSE_ALARM / total])
 
 
-def shared_variance_factor(mean_squares: Array, freedom: NDArray[np.intp] | int) -> float:
+def shared_variance_factor(squares: Array, freedom: NDArray[np.intp] | int) -> float:
     """Return the variance factor common to most items, at least 1; arguments as of outliers."""
     expected = chi2_isf(0.5, freedom) / freedom  # their median if the factor is 1
-    return max(1.0, float(np.median(mean_squares / expected)))
+    return max(1.0, float(np.median(squares / expected)))
 
 
 def drop_outliers(used: NDArray[np.intp], total: int, fewest: int,
@@ -255,8 +255,8 @@ def drop_outliers(used: NDArray[np.intp], total: int, fewest: int,
     used: numbers of the items to begin with, of `total`; fewest: number that at least remain
     fitted(the fit of the round before or None, used, dropped): the fit of the items used; dropped:
         the squares of those dropped so far, by item
-    left_out_squares(fit): (len(used),) mean squared left-out residuals of the items used, and
-        their degrees of freedom
+    left_out_squares(fit): (len(used),) left-out squares of the items used, and their degrees of
+        freedom
     surely_wrong(fit): places in `used` of items that are wrong though no square is too large
     """
     fit, dropped = fitted(None, used, {}), dict[int, float]()
@@ -316,9 +316,9 @@ def adjust(system: System[S], start: S, fewest: int) -> Adjusted[S]:
                         covariance * max(1.0, variance_factor), variance_factor)
 
     def left_out_squares(fit: Adjusted[S]) -> tuple[Array, int]:
-        mean_squares = (fit.residuals[fit.used] * fit.left_out).mean(axis=1)
+        of_used = (fit.residuals[fit.used] * fit.left_out).mean(axis=1)
         freedom = fit.residuals.shape[1]
-        return mean_squares / shared_variance_factor(mean_squares, freedom), freedom
+        return of_used / shared_variance_factor(of_used, freedom), freedom
 
     robust = graduated_fit(start, squares, system.few_weighted_steps)
     q = squares(robust)

@@ -34,12 +34,12 @@ def _log_half_t(freedom: float, scale: float) -> Array:
         TRIED_VARIANCES / (freedom * scale ** 2)))
 
 
-# For the report: 1.3 times as configured in the mean square, and with some chance several times.
+# For the report, conservative: 1.3 times as configured (RMS), and with some chance several times.
 REPORT_PRIOR = _log_half_t(3.0, 0.8)
 # Of one parameter, which says little about a scale: 1.7 times. Not a Cauchy prior: a sigma would
 # grow by half or more as samples are added that fit (see estimator.md).
 SINGLE_REPORT_PRIOR = _log_half_t(2.0, 0.8)
-# For the estimate: zero, unless the data show something (of the report: conservative scales).
+# For the estimate: near 0, unless the data show something.
 MAP_PRIOR = _log_half_t(1.0, 0.01)
 
 # Places of the variance factors: of the own errors of faces and arcs, and of edges; of distortion

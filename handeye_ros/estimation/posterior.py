@@ -292,12 +292,12 @@ class Posterior:
                                   T[:, :3, 3] + twists[:, :3])
         return corrected if problem.config.in_hand else se3.inverse(corrected)
 
-    def left_out_mean_squares(self) -> tuple[Array, NDArray[np.intp]]:
+    def left_out_squares(self) -> tuple[Array, NDArray[np.intp]]:
         """
-        Return per station the mean squared leave-one-out residual and its degrees of freedom.
+        Return the left-out square of each station, (12), and its degrees of freedom, (n,) each.
 
-        Whitened, and to first order from the fit without the station, (12): times its degrees of
-        freedom it is chi-squared distributed when the station is good. All points of a station
+        It is the mean product of whitened residuals and leave-one-out residuals: times its degrees
+        of freedom it is chi-squared distributed when the station is good. All points of a station
         share one pose, which has 6 degrees of freedom.
         """
         observations, e = self.problem.observations, self.postfit_residuals

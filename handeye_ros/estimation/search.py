@@ -109,7 +109,7 @@ def without_outliers(problem: Problem, robust: Linear) -> Solution:
         return Solution(posterior, posterior, full_problem, used, far | dropped)
 
     def left_out_squares(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
-        squares, freedom = solution.posterior.left_out_mean_squares()
+        squares, freedom = solution.posterior.left_out_squares()
         return squares / shared_variance_factor(squares, freedom), freedom
 
     return drop_outliers(np.flatnonzero(is_near), len(problem.poses), fewest, fitted,
@@ -139,7 +139,7 @@ def with_systematic_errors(agreed: Solution, config: Config | None = None) -> So
 
     return drop_outliers(
         agreed.used, len(full_problem.poses), problem.target.min_samples, fitted,
-        lambda solution: solution.for_report.left_out_mean_squares(),
+        lambda solution: solution.for_report.left_out_squares(),
         lambda solution: solution.surely_wrong)
 
 

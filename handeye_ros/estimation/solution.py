@@ -47,8 +47,9 @@ class Solution:
         at these would follow causes without evidence. With blocks as noise, the same
     full_problem: the problem with all stations and observations
     used: (n,) indices of those used
-    dropped_squares: mean square of each of the others when it was dropped: left-out, (12), over
-        the shared variance factor; of those far from the robust fit, of that fit
+    dropped_squares: the square by which each of the others was dropped, over what its noise
+        explains: its mean square in the robust fit, or its left-out square, (12), without blocks
+        over the shared variance factor, with blocks at the estimated noise
     probability_wrong: that one of few used stations is wrong
     surely_wrong: the place in `used` of the station that almost surely is, () without one
     added_covariances: (6, 6) by cause, added to the reported covariance of the transform, as by

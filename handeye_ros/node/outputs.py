@@ -86,7 +86,7 @@ class Outputs:
 
     @property
     def _config(self) -> Config:
-        return self._live.session.with_base_frame(self._live.config)
+        return self._live.session.config_with_base_frame(self._live.config)
 
     def close(self) -> None:
         """

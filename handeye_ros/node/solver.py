@@ -176,7 +176,7 @@ class LiveSolver:
     def _begin_review(self, is_requested: bool) -> Future[str]:
         """Begin the review, which answers too if requested; return the future of the message."""
         live, inputs = self._live, self._inputs()
-        config = live.session.with_base_frame(live.config)
+        config = live.session.config_with_base_frame(live.config)
         if snapshot := live.current_snapshot():
             self.view = extremes(np.concatenate([self.view, snapshot.points]))
         session = live.session_copy().without_messages(config)

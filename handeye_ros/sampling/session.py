@@ -392,7 +392,7 @@ class Session(Copyable):
         """Return whether samples.exclude contains the sample of a stop."""
         return stop.number in self.config.samples.exclude
 
-    def with_base_frame(self, config: Config) -> Config:
+    def config_with_base_frame(self, config: Config) -> Config:
         """Return settings with the frame of the poses as the base, if they name none."""
         return config if config.robot_base_frame else replace(
             config, robot_base_frame=self.base_frame)

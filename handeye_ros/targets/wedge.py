@@ -123,7 +123,7 @@ class Wedge(ProfileTarget):
         return super().retract(state, np.concatenate([delta[..., :4], turns], axis=-1))
 
     def measures(self, state: Array) -> dict[str, float]:
-        """Return the common turn of both faces, and the angle that it is half of to each (rad)."""
+        """Return the mean turn of both faces about the edge, and the angle between them (rad)."""
         first, second = state[16:].tolist()
         return {'turn': (first + second) / 2, 'angle': second - first}
 

@@ -160,7 +160,7 @@ def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
 
 def test_a_restart_keeps_the_frames_of_poses_and_profiles(tmp_path: Path) -> None:
     other = again(feed(stored(tmp_path), stops=3))
-    settings = other.session.with_base_frame(other.config)
+    settings = other.session.config_with_base_frame(other.config)
     assert settings.robot_base_frame == 'base', 'before the first message'
     foreign = [replace(pose, parent_frame='map') for pose in SPHERE.poses]
     feed(other, replace(SPHERE, poses=tuple(foreign)))

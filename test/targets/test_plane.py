@@ -20,7 +20,7 @@ PLANE = SCENARIOS['plane']
 def test_a_profile_without_an_edge_is_a_plane_and_no_face() -> None:
     x = np.linspace(-0.02, 0.02, 200)
     points = np.column_stack([x, 0.17 + 0.1 * x + 1e-5 * np.sin(1e5 * x)])
-    points[-30:, 1] += 0.05  # 5 mm of something else
+    points[-30:, 1] += 0.05  # something else, 50 mm farther
     line, beside = plane_features(points, Config())
     assert beside.centre[0] > line.centre[0]
     assert isinstance(line, FaceLine)
