@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 from handeye_ros import se3
 from handeye_ros.config import read_yaml
 from handeye_ros.data import Array
-from handeye_ros.errors import InputError, did_you_mean, unusable_file
+from handeye_ros.errors import did_you_mean, InputError, unusable_file
 from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.solution import Solution
@@ -304,8 +304,8 @@ def _ends(model: Any, base: str, flange: str) -> tuple[int, int]:
     links = {f.name: k for k, f in enumerate(frames) if f.type == _pinocchio().FrameType.BODY}
     for name in filter(None, (base, flange)):
         if name not in links:
-            raise InputError(f'the URDF has no link {name}{did_you_mean(name, list(links))}; its links '
-                             f'are {", ".join(links)}: check --base and --flange')
+            raise InputError(f'the URDF has no link {name}{did_you_mean(name, list(links))}; its '
+                             f'links are {", ".join(links)}: check --base and --flange')
     parents = {frames[frames[k].parentFrame].parentFrame for k in links.values()}
     last = [flange] if flange else [name for name in FLANGE_FRAMES if name in links][:1] or [
         name for name, k in links.items() if k not in parents]

@@ -22,7 +22,7 @@ import re
 from handeye_ros import se3
 from handeye_ros.config import MICRO, UNITS
 from handeye_ros.data import Array, QUATERNION_TOLERANCE
-from handeye_ros.errors import count_of, InputError, did_you_mean, UnknownNameError
+from handeye_ros.errors import count_of, did_you_mean, InputError, UnknownNameError
 import numpy as np
 from scipy.spatial.transform import Rotation
 
