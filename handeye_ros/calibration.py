@@ -28,7 +28,7 @@ from handeye_ros.data import (
     SampleReport,
     TIME_OFFSET,
 )
-from handeye_ros.estimation.blocks import LINE_BEND, with_columns
+from handeye_ros.estimation.blocks import blocks_with_columns, LINE_BEND
 from handeye_ros.estimation.posterior import Posterior
 from handeye_ros.estimation.problem import Estimate, mapped, Problem
 from handeye_ros.estimation.solution import Solution
@@ -56,7 +56,7 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
     problem, offset = solution.problem, clock_estimate(solution, TIME_OFFSET)
     if offset:  # to add to received stamps
         offset = replace(offset, value=problem.config.time_offset + offset.value)
-    used = [samples[i] for i in solution.used]
+    used = [samples[i] for i in solution.used_stations]
     measured, residuals, left_out = residuals_and_left_out(used, solution)
     rms_of_samples = rms_by(measured.station, residuals, len(used)).tolist()
     reports = [SampleReport(sample.stamp, True, edges, rms_of_sample,
@@ -105,13 +105,13 @@ def report_of_row(number: int, kind: str, used: bool, off: float) -> SampleRepor
 def _described_target(solution: Solution, config: Config) -> dict[str, Any]:
     """Return the estimates of the target and of all nuisance parameters."""
     described = solution.problem.target.describe(solution.estimate.state, solution.target_std)
-    described |= reported_parameters(solution) | {'joint': _joint(solution)}
+    described |= reported_parameters(solution) | {'joint': _joint_covariance(solution)}
     described = {key: value for key, value in described.items() if not key.startswith(TIME_OFFSET)}
     notes = '; '.join(notes_of(solution, config))
     return described | ({'note': notes} if notes else {})
 
 
-def _joint(solution: Solution) -> dict[str, Any]:
+def _joint_covariance(solution: Solution) -> dict[str, Any]:
     """
     Return the values for a later check: target state, joint covariance, factors of the noise.
 
@@ -121,10 +121,10 @@ def _joint(solution: Solution) -> dict[str, Any]:
     problem, posterior = solution.problem, solution.posterior
     size, free = 6 + len(problem.target.parameter_names), problem.free_columns
     covariance = np.zeros((size, size))
-    u = posterior.unknowns
+    u = posterior.unknown_count
     covariance[np.ix_(free, free)] = posterior.covariance[:u, :u]
     return {'state': solution.estimate.state.tolist(), 'covariance': covariance.ravel().tolist(),
-            'variance_factors': solution.for_report.noise.variance_factors.tolist()}
+            'variance_factors': solution.report_posterior.noise.variance_factors.tolist()}
 
 
 def edges_used(problem: Problem) -> list[str]:
@@ -227,8 +227,8 @@ class BlockEstimate:
 def block_estimates(posterior: Posterior) -> dict[str, BlockEstimate]:
     """Return the first parameter of each block, by the name of the block."""
     estimates = dict[str, BlockEstimate]()
-    variances = np.diag(posterior.covariance)[posterior.unknowns:]
-    for block, columns in with_columns(posterior.blocks):
+    variances = np.diag(posterior.covariance)[posterior.unknown_count:]
+    for block, columns in blocks_with_columns(posterior.blocks):
         value, variance = float(posterior.nuisance[columns][0]), float(variances[columns][0])
         # share of the information that is not the prior's
         data_share = max(1 - variance / posterior.prior_scale(block) ** 2, 1e-9)
@@ -241,16 +241,16 @@ def block_estimates(posterior: Posterior) -> dict[str, BlockEstimate]:
 
 def reported_parameters(solution: Solution) -> dict[str, Any]:
     """Return the reported nuisance parameters: values of single ones, scales of others."""
-    for_report, report = solution.for_report, dict[str, Any]()
-    estimates = block_estimates(for_report)
-    for block in sorted(for_report.blocks, key=lambda block: block.count > 1):
+    report_posterior, report = solution.report_posterior, dict[str, Any]()
+    estimates = block_estimates(report_posterior)
+    for block in sorted(report_posterior.blocks, key=lambda block: block.count > 1):
         if block.reported_as and block.count == 1:
             estimate = estimates[block.name]
             report |= {block.reported_as: block.origin + estimate.value,
                        f'{block.reported_as}_std': estimate.std}
         elif block.reported_as:
             report[block.reported_as] = math.hypot(report.get(block.reported_as, 0.0),
-                                                   block.std * for_report.prior_scale(block))
+                                                   block.std * report_posterior.prior_scale(block))
     return report
 
 
@@ -259,7 +259,7 @@ def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
     estimate = block_estimates(solution.posterior).get(name)
     if estimate is None:
         return None
-    reported = block_estimates(solution.for_report)[name]
+    reported = block_estimates(solution.report_posterior)[name]
     return ClockEstimate(estimate.value,
                          math.hypot(reported.std, reported.value - estimate.value))
 
@@ -267,13 +267,13 @@ def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
 def notes_of(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the remarks on an answer in words: clocks, laser, target, edges, surfaces."""
     yield from clock_notes(solution)
-    bend = block_estimates(solution.for_report).get(LINE_BEND)
+    bend = block_estimates(solution.report_posterior).get(LINE_BEND)
     if bend and abs(bend.significance) > SURE_SIGMAS and abs(bend.value) > SMALLEST_BEND:
         yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
                f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '
                'the transform is that of the plane which fits it best')
     yield from _measure_notes(solution, config)
-    if unused_edges := lost_edges(solution):
+    if unused_edges := unused_edges_in_words(solution):
         yield unused_edges
     problem, target = solution.problem, solution.problem.target
     # the far edge of a plate, as p_far, shows its direction as the near one does
@@ -281,9 +281,9 @@ def notes_of(solution: Solution, config: Config) -> Iterator[str]:
     for edge in sorted({target.kinds[k].partition('_')[0] for k in target.required_edges} - seen):
         yield (f'no sample shows edge {edge} of the target: cross it too, or set target.type to '
                'line if the target has one edge only')
-    n = len(solution.used)
+    n = len(solution.used_stations)
     shown, used = (np.bincount(each.observations.station, minlength=n)
-                   for each in (solution.full_problem.subset(solution.used), problem))
+                   for each in (solution.full_problem.subset(solution.used_stations), problem))
     if not target.required_edges and (shown > used).any():
         yield (f'{np.count_nonzero(shown > used)} of {n} samples show '
                f'other surfaces too than the {target.name} that was used in all of them')
@@ -310,7 +310,7 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the notes on measures of the target that contradict the configuration."""
     target = solution.problem.target
     measures, stated_to_solver = map(target.stated_values, (config, solution.problem.config))
-    estimates, reported = map(block_estimates, (solution.posterior, solution.for_report))
+    estimates, reported = map(block_estimates, (solution.posterior, solution.report_posterior))
     values = target.measures(solution.estimate.state)
     stds = dict(zip(target.parameter_names, solution.target_std.tolist(), strict=True))
     freed = [name for name, (_, tolerance) in measures.items()
@@ -337,12 +337,12 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
                    'answer uses the estimate')
 
 
-def lost_edges(solution: Solution) -> str:
+def unused_edges_in_words(solution: Solution) -> str:
     """Return in words the edges that an answer does not use, '' if it uses all."""
-    stations, estimate = solution.stations_without_edges, solution.estimate
+    stations, estimate = solution.stations_with_unused_edges, solution.estimate
     if not len(stations):
         return ''
-    shown = int(solution.full_problem.subset(solution.used).shows_edge.sum())
+    shown = int(solution.full_problem.subset(solution.used_stations).shows_edge.sum())
     unused = solution.full_problem.subset(stations)
     where = unused.target.describe_strays(unused.observations, unused.points_in_base(estimate.X),
                                           estimate.state, unused.config)

@@ -21,7 +21,7 @@ from handeye_ros.checks.refusals import missing_motion, require_certain
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Indices, Reject, rms, Sample
 from handeye_ros.errors import DataError, InputError, SingularError
-from handeye_ros.estimation.noise import Noise
+from handeye_ros.estimation.noise import NoiseScales
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import least_squares_fit
 from handeye_ros.frames import T_sensor_plane
@@ -65,7 +65,7 @@ class ComparedStations:
     config: Config
     problem: Problem
     estimate: Estimate
-    noise: Noise
+    noise: NoiseScales
 
     field_text: ClassVar[str] = FIELD_TEXT
 
@@ -266,7 +266,7 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
         answer = pipeline.answer_samples(samples, rejects, config, session=session)
         solution = answer.require_solution()
         # the others know no motion
-        used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used)
+        used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used_stations)
         stations = ComparedStations(used, config, solution.problem, solution.estimate,
                                     solution.posterior.noise)
         return stations, solution.estimate.X, answer.refusal

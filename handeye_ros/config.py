@@ -529,7 +529,7 @@ def assignment(text: str) -> tuple[str, str]:
     return key, in_si(value, next((p.unit for p in parameters() if p.key == key), ''))
 
 
-def flipped_range(config: Config) -> Config:
+def with_flipped_range(config: Config) -> Config:
     """Return the configuration with the opposite profile.range_sign."""
     return replace(config, profile=replace(config.profile, range_sign=-config.profile.range_sign))
 

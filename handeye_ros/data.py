@@ -13,7 +13,7 @@ from numbers import Integral
 from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar
 
 from handeye_ros.config import ProfileConfig
-from handeye_ros.errors import form_of, InputError, require_type
+from handeye_ros.errors import InputError, require_type, type_in_words
 import numpy as np
 from numpy.typing import NDArray
 
@@ -85,8 +85,8 @@ class Profile:
         points = self.points
         if not isinstance(points, np.ndarray) or points.shape[1:] != (2,) or (
                 points.dtype.kind != 'f'):
-            raise InputError(f'points of a profile is {form_of(points)}, expected an array (n, 2) '
-                             'of floats: along the laser line, and range (m)')
+            raise InputError(f'points of a profile is {type_in_words(points)}, expected an array '
+                             '(n, 2) of floats: along the laser line, and range (m)')
 
     def read(self, config: ProfileConfig | None = None) -> Profile:
         """
@@ -155,7 +155,7 @@ class TimedPose:
             values = getattr(self, name)
             if not isinstance(values, np.ndarray) or values.shape != (size,) or (
                     values.dtype.kind not in 'fiu'):
-                raise InputError(f'{name} of a pose is {form_of(values)}, expected an array '
+                raise InputError(f'{name} of a pose is {type_in_words(values)}, expected an array '
                                  f'({size},) of numbers')
 
     def require_values(self) -> None:
@@ -307,11 +307,11 @@ class Sample:
     stamp: of the first profile used, of a pass of its middle one
     T_base_flange: (4, 4)
     profiles: how many it comes from
-    flipped: features of the first profile with the opposite range sign, to detect a wrong setting;
+    flipped_features: of the first profile with the opposite range sign, to detect a wrong setting;
         None where they were not asked for, () of a target without edges or where none are seen
     trajectory: trajectory of a moving robot (sampling.trajectory)
     clock_values: by which a moving robot has this pose at the stamp; 0 before they are known
-    per_profile: samples of the single profiles of a pass, whose middle one this sample repeats
+    profile_samples: samples of the single profiles of a pass, whose middle one this sample repeats
     centroid: mean of the points of the first profile used, (3,): across its plane, along the line,
         and range (metres); None where it is unknown
     """
@@ -320,10 +320,10 @@ class Sample:
     T_base_flange: Array
     features: tuple[Feature, ...]
     profiles: int = 1
-    flipped: tuple[Feature, ...] | None = None
+    flipped_features: tuple[Feature, ...] | None = None
     trajectory: Any = None
     clock_values: ClockValues = ClockValues()
-    per_profile: tuple[Sample, ...] = ()
+    profile_samples: tuple[Sample, ...] = ()
     centroid: Array | None = None
 
     @property
@@ -334,7 +334,7 @@ class Sample:
     @property
     def station_samples(self) -> tuple[Sample, ...]:
         """Return the sample of each of its stations: of a pass one per profile, else this one."""
-        return self.per_profile or (self,)
+        return self.profile_samples or (self,)
 
 
 @dataclass(frozen=True)

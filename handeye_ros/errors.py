@@ -81,7 +81,7 @@ def did_you_mean(word: str, known: Sequence[str]) -> str:
     return f'; did you mean "{close[0]}"?' if close else ''
 
 
-def form_of(value: Any) -> str:
+def type_in_words(value: Any) -> str:
     """Return in words what a value is."""
     return (f'an array {value.shape} of {value.dtype}' if hasattr(value, 'dtype')
             else f'a {type(value).__name__}')
@@ -90,7 +90,7 @@ def form_of(value: Any) -> str:
 def require_type(name: str, value: object, *types: type) -> None:
     """Raise InputError, which names the argument, for a value of none of some types."""
     if not isinstance(value, types):
-        raise InputError(f'{name}: {form_of(value)}, expected {types[0].__name__}')
+        raise InputError(f'{name}: {type_in_words(value)}, expected {types[0].__name__}')
 
 
 def path_of(name: str, value: Path | str) -> Path:

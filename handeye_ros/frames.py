@@ -75,7 +75,7 @@ def axes_across(direction: Array, frame: str) -> str:
     return f'{frame} {" or ".join(sorted(names[:2]))}'
 
 
-def sensor_warning(frame: str, sensor: str) -> str:
+def frame_mismatch_warning(frame: str, sensor: str) -> str:
     """Return a warning if profiles are of another frame than a calibration's sensor, else ''."""
     if frame in ('', sensor):
         return ''

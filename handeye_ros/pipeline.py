@@ -28,18 +28,18 @@ from handeye_ros.checks.refusals import (
     require_distinct_frame,
     require_edges,
     require_features,
-    require_left_out,
     require_no_half_turn_twin,
+    require_predicted,
     require_rotations,
     require_samples,
-    require_tested,
+    require_testable,
 )
 from handeye_ros.checks.stated_lengths import (
     require_one_scale,
     with_free_lengths_if_needed,
     with_free_measure_if_needed,
 )
-from handeye_ros.checks.surfaces import NotOfTargetError
+from handeye_ros.checks.surfaces import OtherSurfaceError
 from handeye_ros.config import Config
 from handeye_ros.data import (
     AnyProfile,
@@ -181,7 +181,8 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         require_distinct_frame(frame_id, config)
         require_samples(samples, rejects, target)
         require_features(samples, target)
-        require_rotations(mount_poses_of(samples, config), mount_frame(config), target.one_axis)
+        require_rotations(mount_poses_of(samples, config), mount_frame(config),
+                          target.lost_with_one_axis)
         # 3. Synchronisation of a sweep: the time offset gives each profile its pose.
         synced = with_estimated_clocks(samples, config)
         samples, rejects = synced.samples, [*rejects, *synced.rejects]
@@ -206,7 +207,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         # ignores the edges seen.
         if config.kinematics:
             solution = with_arm_errors(solution, Path(config.kinematics))
-        require_tested(solution)
+        require_testable(solution)
         require_no_half_turn_twin(solution)
         solution, move_warning = with_possible_move(solution)
         require_certain(solution.transform_covariance, config,
@@ -218,21 +219,21 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         candidate = calibration_of(
             samples, rejects, solution, config, frame_id,
             [*filter(None, [move_warning]), *(session.warnings if session else warnings)])
-        require_left_out(candidate.quality.holdout_rms, candidate.quality.residual_rms,
-                         config.limits.residual)
+        require_predicted(candidate.quality.holdout_rms, candidate.quality.residual_rms,
+                          config.limits.residual)
         calibration = candidate
     except DataError as error:
         # 10. Diagnosis of a refusal without a certain cause: do other settings or clocks explain
         # the stops? Stops that show another surface are left out, if the others carry an answer.
         refusal = with_known_cause(error, baseline, session, config) if session else error
     answer = Answer(samples, solution, samples_agree, calibration, refusal)
-    if session and isinstance(refusal, NotOfTargetError):
+    if session and isinstance(refusal, OtherSurfaceError):
         others = _answer_without_stops(refusal, session, config)
         return others if others.calibration else answer
     return answer
 
 
-def _answer_without_stops(not_of_target: NotOfTargetError, session: Session, config: Config
+def _answer_without_stops(not_of_target: OtherSurfaceError, session: Session, config: Config
                           ) -> Answer:
     """Return the answer of a session without the stops that do not show the target."""
     rejects = [Reject(stamp, f'shows {not_of_target.why}') for stamp in not_of_target.stamps]

@@ -125,14 +125,14 @@ def agreements(session: Session, answer: Answer, config: Config) -> dict[int, Ag
     index_of = {station.stamp: k for k, sample in enumerate(samples)
                 for station in sample.station_samples}
     sample_of_station = np.array([index_of[station.stamp] for station in answer.samples])
-    sample_of_used = sample_of_station[solution.used]
+    sample_of_used = sample_of_station[solution.used_stations]
     # a pass is used if the answer uses most of its profiles
     is_used = 2 * np.bincount(sample_of_used, minlength=n) >= np.maximum(
         np.bincount(sample_of_station, minlength=n), 1)
     # each sample is predicted from the others, of a pass with all of its profiles
     fold = np.unique(sample_of_used, return_inverse=True)[1].reshape(-1)
     measured, *residuals_of_points = residuals_and_left_out(
-        [answer.samples[i] for i in solution.used], solution, fold)
+        [answer.samples[i] for i in solution.used_stations], solution, fold)
     residual, left_out = (rms_by(sample_of_used[measured.station], of_points, n)
                           for of_points in residuals_of_points)
     if not fold.any():  # a single one

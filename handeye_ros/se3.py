@@ -93,7 +93,7 @@ def transform_values(T: Array) -> dict[str, dict[str, float]]:
             'rotation': dict(zip('xyzw', map(float, quaternion(T)), strict=True))}
 
 
-def from_values(values: Mapping[str, Mapping[str, float]]) -> Array:
+def transform_from_values(values: Mapping[str, Mapping[str, float]]) -> Array:
     """Return the transform (4, 4) of plain values, as transform_values gives them."""
     translation, rotation = values['translation'], values['rotation']
     return from_quaternion(np.array([translation[axis] for axis in 'xyz']),
@@ -121,7 +121,7 @@ def perturb(T: Array, delta: Array) -> Array:
                      T[..., :3, 3] + delta[..., :3])
 
 
-def wrt_perturbation(levers: Array) -> Array:
+def perturbation_jacobian(levers: Array) -> Array:
     """
     Return the derivatives (..., 3, 6) of points by a perturbation of their frame.
 
@@ -133,13 +133,13 @@ def wrt_perturbation(levers: Array) -> Array:
 
 def mapped_covariance(levers: Array, covariance: Array) -> Array:
     """Return the mean covariance (3, 3) of points at levers (k, 3), by that of their frame."""
-    J = wrt_perturbation(levers)
+    J = perturbation_jacobian(levers)
     return np.asarray(np.einsum('kij,jl,kml->im', J, covariance, J) / len(J))
 
 
 def mapped_std(levers: Array, covariance: Array) -> Array:
     """Return the RMS errors (...) of points at levers (k, 3), for covariances (..., 6, 6)."""
-    J = wrt_perturbation(levers).reshape(-1, 6)
+    J = perturbation_jacobian(levers).reshape(-1, 6)
     return np.asarray(np.sqrt(np.einsum('...ij,ij->...', covariance, J.T @ J / len(levers))))
 
 

@@ -114,7 +114,8 @@ def test_stacks_give_what_single_transforms_give() -> None:
 def test_points_move_with_their_frame_as_the_derivatives_say(T, point, delta) -> None:
     before, delta = se3.apply(T, point[None])[0], 1e-6 * delta
     moved = se3.apply(se3.perturb(T, delta), point[None])[0] - before
-    assert np.allclose(moved, se3.wrt_perturbation(before - T[:3, 3]) @ delta, rtol=0, atol=1e-9)
+    predicted = se3.perturbation_jacobian(before - T[:3, 3]) @ delta
+    assert np.allclose(moved, predicted, rtol=0, atol=1e-9)
 
 
 def test_the_error_of_mapped_points_is_that_of_points_that_moved() -> None:

@@ -23,15 +23,15 @@ from handeye_ros.checks.hypotheses import (
 )
 from handeye_ros.checks.moved import move_hypotheses
 from handeye_ros.checks.refusals import (
-    FEW_TURNS,
+    misfit_refusal,
     missing_motion,
-    refusal_of_misfit,
     require_certain,
     rms_turns_and_axes,
+    SMALL_SECOND_TURN,
     UnexplainedError,
 )
 from handeye_ros.checks.settings import setting_hypotheses, sign_hypothesis
-from handeye_ros.checks.stated_lengths import scale_hypothesis
+from handeye_ros.checks.stated_lengths import scale_hypotheses
 from handeye_ros.checks.surfaces import require_one_surface
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
@@ -41,7 +41,7 @@ from handeye_ros.sampling.session import Session
 
 # variance factors, blocks as noise, above which the other range sign is tried; and (3 sigma) other
 # conventions, though the samples do not contradict the solution
-SIGN_TRIED, CONVENTION_TRIED = 0.6, 9.0
+SIGN_TRIAL_FACTOR, CONVENTION_TRIAL_FACTOR = 0.6, 9.0
 
 
 def require_agreement(samples: Sequence[Sample], solution: Solution, baseline: Explanation
@@ -51,16 +51,16 @@ def require_agreement(samples: Sequence[Sample], solution: Solution, baseline: E
 
     samples: of the stations of the problem, in order; baseline: the explanation by the solution.
     """
-    problem, refusal = solution.full_problem, refusal_of_misfit(solution)
+    problem, refusal = solution.full_problem, misfit_refusal(solution)
     config, poses = problem.config, problem.poses
-    doubt = math.inf if refusal else solution.posterior.square_per_freedom
+    doubt = math.inf if refusal else solution.posterior.reduced_chi_squared
     # the opposite sign of the range, and known errors in the conventions of the poses
     hypotheses = list[Hypothesis]()
-    if doubt > SIGN_TRIED or solution.fully_used < len(poses):
+    if doubt > SIGN_TRIAL_FACTOR or solution.fully_used_count < len(poses):
         hypotheses.append(sign_hypothesis(samples, config, baseline, clocks=refusal is not None))
-    if doubt >= CONVENTION_TRIED:
+    if doubt >= CONVENTION_TRIAL_FACTOR:
         hypotheses += convention_hypotheses(samples, problem, baseline)
-    tried = MANY_TRIED if doubt >= CONVENTION_TRIED else 1
+    tried = MANY_TRIED if doubt >= CONVENTION_TRIAL_FACTOR else 1
     refuse_by_best(baseline, hypotheses, tried)
     # orientations or a lack of rotation that would look like a move
     if refusal and orientations_scatter(poses):
@@ -69,15 +69,15 @@ def require_agreement(samples: Sequence[Sample], solution: Solution, baseline: E
                         'orientations of the poses are scattered in all directions, as when '
                         'angles in degrees are read as radians: convert the angles of the poses',
                         reason='convention')
-    if refusal and rms_turns_and_axes(poses)[0][1] < FEW_TURNS:
+    if refusal and rms_turns_and_axes(poses)[0][1] < SMALL_SECOND_TURN:
         require_certain(solution.transform_covariance, config, missing_motion(solution, config))
     # the scale of the robot, and a sensor or target that moved
     if refusal:
-        refuse_by_best(baseline, [*scale_hypothesis(solution, baseline.stamps),
+        refuse_by_best(baseline, [*scale_hypotheses(solution, baseline.stamps),
                                   *move_hypotheses(problem, baseline.stamps)], tried)
         raise refusal
     if not config.sampling.moving:  # of a sweep that fits both are weighed later
-        refuse_by_best(baseline, scale_hypothesis(solution, baseline.stamps), tried)
+        refuse_by_best(baseline, scale_hypotheses(solution, baseline.stamps), tried)
 
 
 def with_known_cause(refusal: DataError, baseline: Explanation, session: Session, config: Config

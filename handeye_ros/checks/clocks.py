@@ -25,7 +25,6 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, CLOCK_DRIFT, NS, Profile, Sample
 from handeye_ros.errors import BadValueError, DataError, FeatureError
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.features import combined_features
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import decoded, Stop
@@ -53,8 +52,7 @@ def require_same_clock(session: Session, config: Config) -> None:
     """Raise DataError (clocks_differ) where the samples of stops fit poses of another time."""
     rests = _rests(session, config)
     if rests:
-        samples = with_common_edge_shape(session.samples)
-        baseline = explain_samples(samples, config, [sample.stamp for sample in samples])
+        baseline = explain_samples(session.samples, config)
         refuse_by_best(baseline, _delay_hypotheses(rests, config))
 
 
@@ -93,7 +91,6 @@ def _delay_hypotheses(rests: Sequence[_Rest], config: Config) -> Iterator[Hypoth
         with suppress(BadValueError):  # it may be out of the range of the key
             with_values(config, {'time_offset': offset})
             setting = f'set time_offset to {offset:.1f} (it is {config.time_offset:g}), or '
-        samples = with_common_edge_shape(samples)
         yield Hypothesis(explain_samples(samples, config, stamps), DataError(
             'the samples do not fit the poses of their time, but as if the profiles were '
             f'{abs(delay):.1f} s {"late" if delay > 0 else "early"}: the clocks of sensor and '

@@ -33,6 +33,7 @@ from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import CONVINCING_SQUARE, quick_solution, robust_solution
 from handeye_ros.estimation.solution import Solution
+from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.sweep import with_estimated_clocks
@@ -45,7 +46,7 @@ DECISIVE_EVIDENCE = -2 * math.log(FALSE_CAUSE_PROBABILITY)
 MANY_TRIED = 40  # assumptions that may be tried in all where nothing fits
 # variance factors: of a stop that is not explained, the least
 UNEXPLAINED_FACTOR, SMALLEST_FACTOR = 64.0, 0.01
-FEWEST_CONDITIONS = 6  # smallest redundancy of a fit that is believed
+SMALLEST_REDUNDANCY = 6  # smallest redundancy of a fit that is believed
 # smallest number of explained stops, as a share of those explained as configured: fewer may fit by
 # chance
 SMALLEST_EXPLAINED_SHARE = 0.9
@@ -74,7 +75,7 @@ class Explanation:
                                        if np.isfinite(q[0])})
 
     @property
-    def square_per_freedom(self) -> float:
+    def reduced_chi_squared(self) -> float:
         """Return the squared whitened residual of all solutions per degree of freedom."""
         freedom = sum(solution.posterior.degrees_of_freedom for solution in self.solutions)
         return sum(each.posterior.sum_of_squares for each in self.solutions) / max(freedom, 1)
@@ -88,13 +89,13 @@ class Explanation:
     def agrees(self) -> bool:
         """Return whether most stops fit, about as well as the configured noise predicts."""
         most = (1 - LARGEST_DROPPED_SHARE) * len(self.stamps)
-        return bool(self.redundancy > 0 and self.square_per_freedom < CONVINCING_SQUARE
+        return bool(self.redundancy > 0 and self.reduced_chi_squared < CONVINCING_SQUARE
                     and len(self.left_out_squares) > most)
 
     @property
     def believable(self) -> bool:
         """Return whether the stops agree, and not by chance."""
-        return self.agrees and self.redundancy >= FEWEST_CONDITIONS
+        return self.agrees and self.redundancy >= SMALLEST_REDUNDANCY
 
     @property
     def within_noise(self) -> bool:
@@ -142,14 +143,14 @@ class Explanation:
 
 def _left_out_squares(solution: Solution) -> Array:
     """Return q of (13), (n, 2), of all stations of a solution, inf where it explains none."""
-    posterior, n = solution.posterior, len(solution.used)
+    posterior, n = solution.posterior, len(solution.used_stations)
     station = posterior.problem.observations.station
     whitened, metres = (np.bincount(station, residuals ** 2, minlength=n) for residuals in (
         posterior.postfit_residuals, posterior.linear.residuals))
     q = np.full((len(solution.full_problem.poses), 2), np.inf)
-    q[solution.used] = posterior.left_out_squares()[0][:, None] * np.column_stack(
+    q[solution.used_stations] = posterior.left_out_squares()[0][:, None] * np.column_stack(
         [np.ones(n), metres / np.maximum(whitened, 1e-300)])
-    q[solution.stations_without_edges] = q[solution.indispensable_stations] = np.inf
+    q[solution.stations_with_unused_edges] = q[solution.indispensable_stations] = np.inf
     return q
 
 
@@ -171,13 +172,16 @@ def explain_problem(problem: Problem, stamps: Sequence[int], all_starts: bool = 
     return Explanation.of_solutions(stamps, solution) if solution else Explanation(stamps)
 
 
-def explain_samples(samples: Sequence[Sample], config: Config, stamps: Sequence[int],
+def explain_samples(samples: Sequence[Sample], config: Config, stamps: Sequence[int] = (),
                     all_starts: bool = False, clocks: bool = False) -> Explanation:
     """
     Return the explanation by the samples of some of the stops; see explain_problem.
 
-    clocks: of a sweep, search them anew, as these samples show them.
+    stamps: of all stops that are to be explained, () for those of the samples; clocks: of a sweep,
+    search them anew, as these samples show them.
     """
+    samples = with_common_edge_shape(samples)
+    stamps = stamps or [sample.stamp for sample in samples]
     if len(samples) < target_for(config).min_samples:
         return Explanation(stamps)
     if clocks:

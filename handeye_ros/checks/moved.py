@@ -27,11 +27,11 @@ from handeye_ros.checks.hypotheses import (
 )
 from handeye_ros.data import Array, rms, SEED
 from handeye_ros.errors import DataError, degrees, mm
-from handeye_ros.estimation.blocks import ParameterBlock, with_columns
+from handeye_ros.estimation.blocks import blocks_with_columns, ParameterBlock
 from handeye_ros.estimation.least_squares import chi2_isf
-from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise
+from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, NoiseScales
 from handeye_ros.estimation.posterior import Posterior, posterior_at
-from handeye_ros.estimation.problem import Estimate, Linear, Problem
+from handeye_ros.estimation.problem import Estimate, Linearisation, Problem
 from handeye_ros.estimation.search import quick_solution, reassigned
 from handeye_ros.estimation.solution import (
     cover,
@@ -42,10 +42,10 @@ from handeye_ros.frames import mount_frame, target_frame
 import numpy as np
 from numpy.typing import NDArray
 
-SENSOR, TARGET = range(2)  # a body that moves: an index of gains, derivatives, arms
+SENSOR, TARGET = range(2)  # a body that moves: an index of derivatives, levers, Bayes factors
 POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
-MOMENTS_TRIED = 160  # of a small move, most of them, before it is examined
-STATIONS_TRIED = 100  # over the number of stations: moments from which the likeliest is sought
+CHANGE_POINTS_TRIED = 160  # of a small move, most of them, before it is examined
+STATIONS_TRIED = 100  # over the number of stations: change points to begin with
 MOVE_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 TIME_STD = 0.01  # of the times that may be wrong instead, 1 sigma (s)
 SIZE_FACTORS = (1.0, 0.25)  # factors on MOVE_STD, of equal prior probability
@@ -67,16 +67,16 @@ def move_hypotheses(problem: Problem, stamps: Sequence[int]) -> Iterator[Hypothe
     stamps: of the stations.
     """
     n, fewest = len(problem.poses), problem.target.min_samples
-    moments = np.linspace(fewest, n - fewest, 15 if n >= 2 * fewest else 0)
-    for station in np.unique(moments.round().astype(int)).tolist():
+    change_points = np.linspace(fewest, n - fewest, 15 if n >= 2 * fewest else 0)
+    for station in np.unique(change_points.round().astype(int)).tolist():
         first, second = (quick_solution(problem.subset(part))
                          for part in np.split(np.arange(n), [station]))
         if first and second and (_same_transform(first, second) or _same_target(first, second)):
             yield Hypothesis(Explanation.of_solutions(stamps, first, second),
-                             _moved_between(first, second))
+                             _move_refusal(first, second))
 
 
-def _moved_between(first: Solution, second: Solution) -> DataError:
+def _move_refusal(first: Solution, second: Solution) -> DataError:
     """Return the refusal of a recording in which something moved between two parts."""
     config = first.full_problem.config
     count, others = (len(part.full_problem.poses) for part in (first, second))
@@ -96,7 +96,7 @@ def _moved_between(first: Solution, second: Solution) -> DataError:
 
 def _same_transform(first: Solution, second: Solution) -> bool:
     """Return whether two parts may have the same transform: then the target moved between them."""
-    covariance = sum(part.transform_covariance * max(part.posterior.square_per_freedom, 1.0)
+    covariance = sum(part.transform_covariance * max(part.posterior.reduced_chi_squared, 1.0)
                      for part in (first, second))
     delta = se3.difference(second.estimate.X, first.estimate.X)
     return bool(delta @ np.linalg.solve(covariance, delta) < chi2_isf(FALSE_CAUSE_PROBABILITY, 6))
@@ -121,8 +121,9 @@ def _same_target(first: Solution, second: Solution) -> bool:
     r = np.concatenate([posteriors[0].prefit_residuals, second_at.prefit_residuals])
     joint = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
     increase = joint @ joint - posteriors[0].sum_of_squares - posteriors[1].sum_of_squares
-    factor = max(*(posterior.square_per_freedom for posterior in posteriors), 1.0)
-    return bool(increase < factor * chi2_isf(FALSE_CAUSE_PROBABILITY, posteriors[0].unknowns - 6))
+    factor = max(*(posterior.reduced_chi_squared for posterior in posteriors), 1.0)
+    freedom = posteriors[0].unknown_count - 6
+    return bool(increase < factor * chi2_isf(FALSE_CAUSE_PROBABILITY, freedom))
 
 
 # -- outliers at one end, though one answer fits the others
@@ -134,7 +135,7 @@ def outliers_at_one_end(solution: Solution) -> str:
 
     '' if they are not, or if wrong stations in a random order are so too with PARTED_P.
     """
-    n, used = len(solution.full_problem.poses), solution.used
+    n, used = len(solution.full_problem.poses), solution.used_stations
     dropped = n - len(used)
     if solution.problem.is_sweep or math.comb(n, dropped) < 2 / PARTED_P:
         return ''
@@ -154,9 +155,9 @@ def with_possible_move(solution: Solution) -> tuple[Solution, str]:
     Return a refined solution, and a warning on a move and its time, '' if there is none.
 
     With a warning, the covariance covers the transform with that move as well, but where all
-    dropped stations are at one end. Raises DataError as require_no_sure_move does.
+    dropped stations are at one end. Raises DataError as possible_move does.
     """
-    move = require_no_sure_move(solution)
+    move = possible_move(solution)
     if not move:
         return solution, outliers_at_one_end(solution)
     away = se3.difference(move.moved.estimate.X, move.unmoved.estimate.X)
@@ -167,7 +168,7 @@ def with_possible_move(solution: Solution) -> tuple[Solution, str]:
         POSSIBLE_MOVE: cover(covariance, with_move) - covariance}), move.in_words()
 
 
-def require_no_sure_move(solution: Solution) -> _Move | None:
+def possible_move(solution: Solution) -> _Move | None:
     """
     Return the move that may have been, None without one or with all dropped stations at one end.
 
@@ -206,26 +207,27 @@ class _Move:
         alternatives = [self.unmoved]
         if self.solution.problem.is_sweep:
             near = self.station + _margin(self.solution) * np.arange(-2, 3)
-            reported = self.solution.for_report
+            reported = self.solution.report_posterior
             alternatives.append(
                 with_noise_reestimated(reported, (_wrong_times(reported, near),)))
         return min(other.deviance for other in alternatives) - self.moved.deviance
 
     @cached_property
-    def step(self) -> Array:
+    def displacement(self) -> Array:
         """
         Return the translation (m) and rotation vector (rad) of the move, (6,).
 
         Of the sensor in the axes of the mount, of the target in those of the base; see _levers.
         """
         values = {block.name: self.moved.nuisance[columns] * block.std
-                  for block, columns in with_columns(self.moved.blocks)}
+                  for block, columns in blocks_with_columns(self.moved.blocks)}
         return np.concatenate([values['translation'], values['rotation']])
 
     @property
     def may_be_robot_error(self) -> bool:
         """Return whether the points move no more than the robot's smooth error may be (step 4)."""
-        shifts = self.step[:3] + np.cross(self.step[3:], _levers(self.moved.linear)[self.body])
+        translation, turn = np.split(self.displacement, 2)
+        shifts = translation + np.cross(turn, _levers(self.moved.linear)[self.body])
         # the smaller estimate of that error, as a move can only explain it
         smooth = min(max((block.std * each.prior_scale(block) for block in each.blocks
                           if block.name == 'robot_smooth'), default=0.0)
@@ -238,9 +240,9 @@ class _Move:
     def permutation_p_value(self) -> float:
         """Return the share of random orders of the stations with as clear a move (step 5)."""
         solution = self.solution
-        in_time, *in_random_orders = _bayes_factors(
+        in_time, *in_random_orders = _log_bayes_factors(
             posterior_at(solution.problem, solution.estimate, self.moved.noise),
-            _moments(solution, PARTS_EXCHANGED), RANDOM_ORDERS).max(axis=(1, 2))
+            _change_points(solution, PARTS_EXCHANGED), RANDOM_ORDERS).max(axis=(1, 2))
         return float(np.mean(in_random_orders >= in_time))
 
     def in_words(self) -> str:
@@ -248,11 +250,12 @@ class _Move:
         config, poses = self.solution.full_problem.config, self.solution.full_problem.poses
         what, frame = (('sensor', mount_frame(config)) if self.body == SENSOR
                        else ('target', target_frame(config)))
-        shift, turn = np.linalg.norm(self.step.reshape(2, 3), axis=1).tolist()
-        return (f'after the first {self.solution.used[self.station]} of {len(poses)} samples the '
-                f'{what} seems to have moved in {frame} by about {mm(shift)} and {degrees(turn)}, '
-                'or the tool or base of the robot was switched, or robot or sensor drift: check '
-                'that it is fixed firmly, and take all samples again')
+        shift, turn = np.linalg.norm(self.displacement.reshape(2, 3), axis=1).tolist()
+        count = self.solution.used_stations[self.station]
+        return (f'after the first {count} of {len(poses)} samples the {what} seems to have moved '
+                f'in {frame} by about {mm(shift)} and {degrees(turn)}, or the tool or base of the '
+                'robot was switched, or robot or sensor drift: check that it is fixed firmly, and '
+                'take all samples again')
 
 
 def _likeliest_move(solution: Solution) -> _Move | None:
@@ -262,20 +265,20 @@ def _likeliest_move(solution: Solution) -> _Move | None:
     The screen, step 1, is followed by step 2: the move and the noise with it are estimated in
     turn, until the same move is the likeliest.
     """
-    problem, reported, n = solution.problem, solution.for_report, len(solution.used)
+    problem, reported, n = solution.problem, solution.report_posterior, len(solution.used_stations)
     if n < problem.target.min_samples + 4:  # too few to tell a move from an outlier
         return None
-    noises = [reported]
+    posteriors = [reported]
     if not problem.is_sweep:
         # of a few stations, estimated noise absorbs a move; configured may be too large
-        noises.append(posterior_at(problem, solution.estimate, Noise()))
-    moments = _moments(solution, MOMENTS_TRIED)
-    factors = np.max([_bayes_factors(each, moments)[0] for each in noises], axis=0)
+        posteriors.append(posterior_at(problem, solution.estimate, NoiseScales()))
+    change_points = _change_points(solution, CHANGE_POINTS_TRIED)
+    factors = np.max([_log_bayes_factors(each, change_points)[0] for each in posteriors], axis=0)
     if factors.max() < -WARNING_EVIDENCE:
         return None
-    first_tried = moments[np.argsort(-factors, axis=0)[:max(STATIONS_TRIED // n, 1)]]
+    first_tried = change_points[np.argsort(-factors, axis=0)[:max(STATIONS_TRIED // n, 1)]]
     # a moment a few profiles off leaves an error that only a much worse robot would explain
-    all_moments = _moments(solution, n)
+    all_change_points = _change_points(solution, n)
     tried = dict[tuple[int, int], Posterior]()
     for (_, body), first in np.ndenumerate(first_tried):
         station = int(first)
@@ -284,20 +287,22 @@ def _likeliest_move(solution: Solution) -> _Move | None:
             tried[body, station] = moved
             # noise and scales estimated with the move do not absorb it: its time is clearer
             again = posterior_at(problem, solution.estimate, moved.noise)
-            station = int(all_moments[np.argmax(_bayes_factors(again, all_moments)[0, :, body])])
+            factors = _log_bayes_factors(again, all_change_points)[0, :, body]
+            station = int(all_change_points[np.argmax(factors)])
     (body, station), moved = min(tried.items(), key=lambda item: item[1].deviance)
     return _Move(solution, body, station, moved, with_noise_reestimated(reported))
 
 
 def _margin(solution: Solution) -> int:
     """Return the fewest stations before and after a move."""
-    return max(2, len(solution.used) // PARTS_EXCHANGED) if solution.problem.is_sweep else 2
+    return (max(2, len(solution.used_stations) // PARTS_EXCHANGED)
+            if solution.problem.is_sweep else 2)
 
 
-def _moments(solution: Solution, count: int) -> NDArray[np.intp]:
+def _change_points(solution: Solution, count: int) -> NDArray[np.intp]:
     """Return at most a number of stations, evenly spaced, before which something may move."""
-    margin = _margin(solution)
-    return np.unique(np.linspace(margin, len(solution.used) - margin, count).round().astype(int))
+    margin, n = _margin(solution), len(solution.used_stations)
+    return np.unique(np.linspace(margin, n - margin, count).round().astype(int))
 
 
 def _blocks_of_move(posterior: Posterior, body: int, station: int) -> tuple[ParameterBlock, ...]:
@@ -323,14 +328,14 @@ def _wrong_times(posterior: Posterior, stations: NDArray[np.intp]) -> ParameterB
     return ParameterBlock('times', columns * TIME_STD, TIME_STD, largest_variance=1.0)
 
 
-def _wrt_moves(linear: Linear) -> Array:
+def _wrt_moves(linear: Linearisation) -> Array:
     """Return the derivatives (2, m, 6) by moves of sensor and target, in prior sigmas."""
     wrt_turn = np.cross(_levers(linear)[TARGET], linear.wrt_base)
     wrt_move = np.stack([linear.jacobian[:, :6], np.hstack([linear.wrt_base, wrt_turn])])
     return np.asarray(wrt_move * MOVE_STD)
 
 
-def _levers(linear: Linear) -> tuple[Array, Array]:
+def _levers(linear: Linearisation) -> tuple[Array, Array]:
     """
     Return the points (m, 3) from what a sensor, and a target, turns about when it moves.
 
@@ -341,17 +346,18 @@ def _levers(linear: Linear) -> tuple[Array, Array]:
     return linear.lever, p - p.mean(axis=0)
 
 
-def _bayes_factors(posterior: Posterior, moments: NDArray[np.intp], random_orders: int = 0
-                   ) -> Array:
+def _log_bayes_factors(posterior: Posterior, change_points: NDArray[np.intp],
+                       random_orders: int = 0) -> Array:
     """
     Return 2 log Bayes factors (1 + orders, k, 2) of moves of sensor and target, (14).
 
-    Before each of the k moments: in the order of time, and in random orders of the parts between.
+    Before each of the k change points: in the order of time, and in random orders of the parts
+    between.
     """
     A, gain, e = posterior.jacobian, posterior.gain, posterior.postfit_residuals
     D = np.array([posterior.whitening(columns) for columns in _wrt_moves(posterior.linear)])
     parts = np.split(np.arange(len(A)), np.searchsorted(
-        posterior.problem.observations.station, moments))
+        posterior.problem.observations.station, change_points))
     # sums over each part: D'D, A'D, C A'D, D'e
     sums = (np.array([np.swapaxes(D[:, rows], 1, 2) @ D[:, rows] for rows in parts]),
             np.array([A[rows].T @ D[:, rows] for rows in parts]),

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-from handeye_ros.calibration import lost_edges
+from handeye_ros.calibration import unused_edges_in_words
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import count_of, DataError, degrees, mm
@@ -36,7 +36,7 @@ SURELY_WRONG_P = 0.99
 STRAY_EDGES = 9.0  # variance factor of edges (3 sigma) above which they are of something else
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
 # rad RMS about the second axis: tilts by 12 degrees to both sides; less may look like a move
-FEW_TURNS = 0.12
+SMALL_SECOND_TURN = 0.12
 MISFIT_FACTOR, MISFIT_TIMES = 40.0, 4.0  # of a misfit: variance factor, residuals over the noise
 # residuals of a sensor turned by half, over those of the answer, that surely tell them apart
 TWIN_RATIO = 5.0
@@ -87,7 +87,7 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
 def require_features(samples: Sequence[Sample], target: ProfileTarget) -> None:
     """Raise DataError for a sample without the features that every one of the target has."""
     for sample in samples:
-        for missing in Counter(target.least_features) - Counter(map(type, sample.features)):
+        for missing in Counter(target.required_features) - Counter(map(type, sample.features)):
             raise DataError(
                 f'the sample with the stamp {sample.stamp} lacks a feature ({missing.noun}) that '
                 f'the target {target.name} needs in every sample: gather the samples with this '
@@ -123,7 +123,7 @@ def rms_turns_and_axes(poses: Array) -> tuple[Array, Array]:
     return np.sqrt(np.maximum(squares[::-1], 0.0)), axes.T[::-1]
 
 
-def refusal_of_misfit(solution: Solution) -> UnexplainedError | None:
+def misfit_refusal(solution: Solution) -> UnexplainedError | None:
     """Return the refusal of a solution that its samples contradict, None where they agree."""
     limits, rms = solution.full_problem.config.limits, solution.posterior.residual_rms
     dropped = solution.dropped_squares
@@ -142,7 +142,7 @@ def refusal_of_misfit(solution: Solution) -> UnexplainedError | None:
             'target', reason='misfit')
     times = rms / solution.posterior.expected_rms
     if times > limits.scatter or (
-            solution.posterior.square_per_freedom > MISFIT_FACTOR and times > MISFIT_TIMES):
+            solution.posterior.reduced_chi_squared > MISFIT_FACTOR and times > MISFIT_TIMES):
         beyond = f' (limits.scatter is {limits.scatter:g})' if times > limits.scatter else ''
         return UnexplainedError(
             f'the residuals of {mm(rms)} RMS are {times:.1f} times what the configured noise '
@@ -152,14 +152,14 @@ def refusal_of_misfit(solution: Solution) -> UnexplainedError | None:
     return None
 
 
-def require_tested(solution: Solution) -> None:
+def require_testable(solution: Solution) -> None:
     """
     Raise UnexplainedError for an answer with too few redundant conditions to test it.
 
     Also if a sample is probably wrong, and without it too few conditions would remain or others
     may be wrong too.
     """
-    used, dropped = len(solution.used), len(solution.dropped_squares)
+    used, dropped = len(solution.used_stations), len(solution.dropped_squares)
     redundancy = solution.posterior.redundancy
 
     def needed(outliers: int) -> int:
@@ -227,10 +227,11 @@ def missing_motion(solution: Solution, config: Config) -> str:
                 '(handeye kinematics), in configurations like those of these')
     problem, frame = solution.problem, mount_frame(config)
     rotation_known = worst_rotation(reported)[0] <= config.limits.rotation
-    if rotation_known and (views_alike := problem.target.views_alike(problem, solution.estimate)):
-        return views_alike
+    alike_views = problem.target.alike_views_in_words(problem, solution.estimate)
+    if rotation_known and alike_views:
+        return alike_views
     turns, axes = rms_turns_and_axes(solution.full_problem.poses)
-    if turns[1] > FEW_TURNS:
+    if turns[1] > SMALL_SECOND_TURN:
         return SHOW_ALL_OF_THE_VIEW
     return (f'the poses turn by only {degrees(turns[1])} RMS about '
             f'{direction_in_words(axes[1], frame)}; tilt the tool about this axis by 15 degrees '
@@ -259,7 +260,8 @@ def require_edges(solution: Solution) -> None:
     used = int(solution.problem.shows_edge.sum())
     if used < target.min_samples:
         raise UnexplainedError(
-            f'only {used} of the {len(solution.used)} usable samples show an edge of the target, '
+            f'only {used} of the {len(solution.used_stations)} usable samples show an edge of the '
+            'target, '
             f'and {target.name} needs {target.min_samples}: cross the edges with the laser, '
             'steeply and inside the field of view, or calibrate from the plane alone (target.type '
             'plane)', reason='edges')
@@ -267,7 +269,7 @@ def require_edges(solution: Solution) -> None:
     if shown - used > LARGEST_DROPPED_SHARE * shown:
         dropped = len(solution.dropped_squares)
         why = '; '.join(filter(None, (f'{dropped} contradict the others' if dropped else '',
-                                      lost_edges(solution))))
+                                      unused_edges_in_words(solution))))
         raise UnexplainedError(
             f'only {used} of the {shown} samples that show an edge agree on the target, and such '
             f'an answer cannot be trusted ({why}): check target.size, that the edges are straight '
@@ -275,7 +277,7 @@ def require_edges(solution: Solution) -> None:
             'alone (target.type plane)', reason='edges')
 
 
-def require_left_out(left_out: float, residual: float, limit: float) -> None:
+def require_predicted(left_out: float, residual: float, limit: float) -> None:
     """Raise UnexplainedError for samples that differ too much (m RMS) when they are left out."""
     if not left_out <= limit:
         noisy = residual > 0.5 * left_out  # else the fit follows single samples

@@ -4,7 +4,8 @@
 Hypotheses about the configuration: the same profiles of the same stops, read with other settings.
 
 Each changes one setting, or two that belong together. The opposite sign of the range is also tried
-where an answer is accepted: by the features that each sample has with that sign (Sample.flipped).
+where an answer is accepted: by the features that each sample has with that sign
+(Sample.flipped_features).
 """
 from __future__ import annotations
 
@@ -20,10 +21,9 @@ from handeye_ros.checks.hypotheses import (
     stops_to_explain,
 )
 from handeye_ros.checks.refusals import UnexplainedError
-from handeye_ros.config import Config, flipped_range, TargetConfig, with_assignments
+from handeye_ros.config import Config, TargetConfig, with_assignments, with_flipped_range
 from handeye_ros.data import EdgePoint, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import evenly, Stop
@@ -45,8 +45,8 @@ def setting_hypotheses(session: Session, config: Config, baseline: Explanation
     def samples_as(changed: Config, profiles: int) -> list[Sample]:
         results = [result_of(replace(stop, profiles=stop.profiles[:profiles]), changed)
                    for stop in few_profiles]
-        return with_common_edge_shape([replace(result, stamp=stamp) for result, stamp in zip(
-            results, stamps, strict=True) if isinstance(result, Sample)])
+        return [replace(result, stamp=stamp) for result, stamp in zip(results, stamps, strict=True)
+                if isinstance(result, Sample)]
 
     certain = dict[Values, Explanation]()  # those that leave no doubt
     for values in _likely_changes(config):
@@ -98,10 +98,10 @@ def sign_hypothesis(samples: Sequence[Sample], config: Config, baseline: Explana
     UnexplainedError. samples: of the stations of the baseline; clocks: of a sweep, those of the
     samples are in doubt too.
     """
-    flipped = flipped_range(config)
-    flipped_samples = with_common_edge_shape([replace(sample, features=sample.flipped)
-                                              for sample in samples if sample.flipped])
-    stamps = [sample.stamp for sample in samples if sample.flipped is not None]
+    flipped = with_flipped_range(config)
+    flipped_samples = [replace(sample, features=sample.flipped_features)
+                       for sample in samples if sample.flipped_features]
+    stamps = [sample.stamp for sample in samples if sample.flipped_features is not None]
     explanation = explain_samples(flipped_samples, flipped, stamps, clocks=clocks)
     values = {RANGE_SIGN: str(flipped.profile.range_sign)}
     if explanation.within_noise:

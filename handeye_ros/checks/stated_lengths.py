@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from handeye_ros.calibration import block_estimates, BlockEstimate, NOTED_SIGMAS
 from handeye_ros.checks.hypotheses import explain_problem, Explanation, Hypothesis
-from handeye_ros.checks.moved import require_no_sure_move
+from handeye_ros.checks.moved import possible_move
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import scale_twists
 from handeye_ros.estimation.least_squares import covariance_of
@@ -41,8 +41,8 @@ def with_free_measure_if_needed(problem: Problem, solution: Solution, rng: np.ra
     """
     target, config = problem.target, problem.config
     free_config = replace(config, target=replace(config.target, **target.free_measure))
-    fits = not (solution.dropped_squares or len(solution.stations_without_edges)
-                or solution.posterior.square_per_freedom > CONVINCING_SQUARE)
+    fits = not (solution.dropped_squares or len(solution.stations_with_unused_edges)
+                or solution.posterior.reduced_chi_squared > CONVINCING_SQUARE)
     if fits or free_config == config:
         return solution
     free = robust_solution(replace(problem, config=free_config), rng, start=start)
@@ -53,7 +53,8 @@ def with_free_measure_if_needed(problem: Problem, solution: Solution, rng: np.ra
     n = len(problem.poses)
     with_free, as_stated = (Explanation.of_solutions(range(n), each) for each in (free, solution))
     # if a free measure explains more stations, the refinement can decide about it
-    explains_more = with_free.believable and free.fully_used - solution.fully_used > 0.1 * n
+    more = free.fully_used_count - solution.fully_used_count
+    explains_more = with_free.believable and more > 0.1 * n
     better = explains_more or with_free.evidence_over(as_stated) > VERY_STRONG_EVIDENCE
     return free if better else solution
 
@@ -72,7 +73,7 @@ def with_free_lengths_if_needed(solution: Solution) -> Solution:
     if not lengths:
         return solution
     free = with_systematic_errors(solution, free_config)
-    with_stated, with_free = (block_estimates(each.for_report) for each in (solution, free))
+    with_stated, with_free = (block_estimates(each.report_posterior) for each in (solution, free))
     wrong = any(abs(with_free[name].value)
                 > max(FREED_FROM_SIGMAS * with_free[name].std, 2 * stated[name][1])
                 for name in lengths if name in with_free)
@@ -86,7 +87,7 @@ def _shows_scale(estimates: Mapping[str, BlockEstimate]) -> bool:
     return scale is not None and abs(scale.value) > FREED_FROM_SIGMAS * scale.std
 
 
-def scale_hypothesis(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypothesis]:
+def scale_hypotheses(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypothesis]:
     """
     Yield the hypothesis that robot and sensor differ in scale, if they may.
 
@@ -94,7 +95,9 @@ def scale_hypothesis(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypo
     that a wrong measure is not taken for a scale. stamps: of the stations.
     """
     problem, posterior = solution.full_problem, solution.posterior
-    wrt_measures = posterior.linear.jacobian[:, 6:][:, problem.stated_stds > 0]
+    stated = problem.target.stated_values(problem.config)
+    is_stated = [name in stated and stated[name][1] > 0 for name in problem.target.parameter_names]
+    wrt_measures = posterior.linear.jacobian[:, 6:][:, is_stated]
     wrt_scale = -posterior.linear.wrt_twists(scale_twists(posterior.problem))
     J = np.hstack([posterior.whitening(np.hstack([wrt_scale, wrt_measures])), posterior.jacobian])
     covariance = covariance_of(J)
@@ -103,8 +106,8 @@ def scale_hypothesis(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypo
         T = problem.robot_poses.copy()
         T[:, :3, 3] /= 1 + scale
         rescaled = explain_problem(replace(problem, poses=mount_poses(T, problem.config)), stamps)
-        std = float(covariance[0, 0] * rescaled.square_per_freedom) ** 0.5
-        yield Hypothesis(rescaled, _scales_differ(abs(scale), std))
+        std = float(covariance[0, 0] * rescaled.reduced_chi_squared) ** 0.5
+        yield Hypothesis(rescaled, _scale_refusal(abs(scale), std))
 
 
 def require_one_scale(solution: Solution) -> None:
@@ -113,14 +116,14 @@ def require_one_scale(solution: Solution) -> None:
 
     Raises DataError: scale, or moved where the evidence for a move is decisive.
     """
-    scale = block_estimates(solution.for_report).get('robot_scale')
+    scale = block_estimates(solution.report_posterior).get('robot_scale')
     if scale and abs(scale.sigmas_off_stated) > NOTED_SIGMAS and abs(scale.value) > max(
             SMALLEST_SCALE_ERROR, NOTED_SIGMAS * scale.std):
-        require_no_sure_move(solution)
-        raise _scales_differ(abs(scale.value), scale.std)
+        possible_move(solution)
+        raise _scale_refusal(abs(scale.value), scale.std)
 
 
-def _scales_differ(scale: float, std: float) -> DataError:
+def _scale_refusal(scale: float, std: float) -> DataError:
     return DataError(
         f'the lengths of robot and sensor differ by {100 * scale:.2f} +- {100 * std:.2f} %: one '
         'of them has a wrong scale; measure a known length with each, and correct the unit or '

@@ -3,7 +3,7 @@
 """
 Whether some stops show another surface than the target: their number, and what they show.
 
-Where the stops are known, NotOfTargetError is raised, by which the pipeline leaves them out where
+Where the stops are known, OtherSurfaceError is raised, by which the pipeline leaves them out where
 the others carry an answer (pipeline.py); else a plain DataError.
 
 A clamp, a second plate or the table have edges too, which agree among themselves, so that no
@@ -21,7 +21,6 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine, Reject, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.frames import mount_poses
-from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
@@ -37,7 +36,7 @@ ADVICE = ('take samples where the laser crosses the target alone; if it does, ch
           'profile.range_sign and profile.axes')
 
 
-class NotOfTargetError(DataError):
+class OtherSurfaceError(DataError):
     """
     Some stops show the edge of another surface.
 
@@ -73,7 +72,7 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
         above = at_edge[~is_at_level] - level
         # only wrong axes or a wrong sign make the ground beneath a face
         if np.nanmedian(above) > 0 and _agree_on_target(stops[is_at_level], config):
-            raise NotOfTargetError(stops[~is_at_level], _surface_in_words(above))
+            raise OtherSurfaceError(stops[~is_at_level], _surface_in_words(above))
     if several and refusal.reason in ('misfit', 'edges'):
         listed = '; '.join(
             f'{(level - np.nanmin(at_edge)) * 1e3:.1f} mm: {_numbers(stops[is_at_level])}'
@@ -106,16 +105,16 @@ def _heights_over_plane(stops: NDArray[np.object_], config: Config
         return np.full(len(stops), np.nan), [], 0
     estimate = fit.solutions[0].estimate
     poses = mount_poses(np.array([stop.sample.T_base_flange for stop in stops]), config)
-    T_plane_sensor = inverse(estimate.state.reshape(4, 4)) @ poses @ estimate.X
+    T_target_plane = inverse(estimate.state.reshape(4, 4)) @ poses @ estimate.X
     at_edge = np.array([_face_heights(stop.sample, T)[0]
-                        for stop, T in zip(stops, T_plane_sensor, strict=True)])
-    shown = [_face_heights(result, T) for result, T in zip(results, T_plane_sensor, strict=True)]
+                        for stop, T in zip(stops, T_target_plane, strict=True)])
+    shown = [_face_heights(result, T) for result, T in zip(results, T_target_plane, strict=True)]
     return at_edge, shown, len(fit.left_out_squares)
 
 
-def _face_heights(result: Sample | Reject, T_plane_sensor: Array) -> Array:
+def _face_heights(result: Sample | Reject, T_target_plane: Array) -> Array:
     """Return the heights (m) of faces over a plane, towards the sensor; NaN if not parallel."""
-    by_x, _, by_z, offset = T_plane_sensor[2] * np.sign(T_plane_sensor[2, 3])
+    by_x, _, by_z, offset = T_target_plane[2] * np.sign(T_target_plane[2, 3])
     return np.array([
         by_x * face.centre[0] + by_z * face.centre[1] + offset
         if abs(by_x * face.direction[0] + by_z * face.direction[1]) < LARGEST_INCLINATION
@@ -138,9 +137,7 @@ def _is_near(heights: Array, level: Array | float) -> NDArray[np.bool_]:
 
 def _agree_on_target(stops: NDArray[np.object_], config: Config) -> bool:
     """Return whether stops, however few, agree on the target as configured."""
-    samples = with_common_edge_shape([stop.sample for stop in stops])
-    return explain_samples(samples, config, [sample.stamp for sample in samples],
-                           all_starts=True).agrees
+    return explain_samples([stop.sample for stop in stops], config, all_starts=True).agrees
 
 
 def _surface_in_words(heights: Array) -> str:

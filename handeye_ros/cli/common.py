@@ -149,9 +149,9 @@ def collect_samples(recording: 'Recording', settings: 'Config') -> 'Session':
 
 def warn_of_frame(recording: 'Recording', calibration: 'Calibration') -> None:
     """Warn where the profiles are of another frame than the sensor of a calibration."""
-    from handeye_ros.frames import sensor_warning
+    from handeye_ros.frames import frame_mismatch_warning
     frame = next((profile.frame_id for profile in recording.profiles), '')
-    warn(sensor_warning(frame, calibration.child_frame))
+    warn(frame_mismatch_warning(frame, calibration.child_frame))
 
 
 @contextmanager

@@ -68,7 +68,7 @@ def solve(
             answer = pipeline.answer_session(opened.session, settings)
         if budget and answer.samples_agree:
             solution = answer.require_solution()
-            causes = table.budget_table(budget_of(solution), len(solution.used))
+            causes = table.budget_table(budget_of(solution), len(solution.used_stations))
             if not answer.calibration:  # what a refused answer is uncertain from
                 show(causes)
         calibration = answer.require_calibration()

@@ -217,7 +217,7 @@ def motions_by_poses(poses: Array, X: Array, field: Array, in_hand: bool) -> Arr
     Return the derivatives (6, n, 6) of the best-fit transform by the errors of the poses.
 
     poses: (n, 4, 4), inverted unless in_hand; field: (k, 2) points of the sensor plane over which
-    the transform fits best. The error of a pose is as in Linear.wrt_pose: in the robot's base
+    the transform fits best. The error of a pose is as in Linearisation.wrt_pose: in the robot's
     frame, its rotation about the flange.
 
     Motions of the transform and of the target, common to all stations, shift each point as nearly
@@ -228,13 +228,13 @@ def motions_by_poses(poses: Array, X: Array, field: Array, in_hand: bool) -> Arr
     lever = field @ X[:3, [0, 2]].T  # from the sensor, then from the mount
     in_mount = lever + X[:3, 3]
     in_base = se3.apply(poses, in_mount)
-    mount = R @ se3.wrt_perturbation(lever)
-    target = -se3.wrt_perturbation(in_base)
+    mount = R @ se3.perturbation_jacobian(lever)
+    target = -se3.perturbation_jacobian(in_base)
     if in_hand:
-        robot = se3.wrt_perturbation(in_base - origin)
+        robot = se3.perturbation_jacobian(in_base - origin)
     else:  # the poses are those of the base in the flange; the errors are in the base
         from_flange = in_mount + (np.swapaxes(R, 2, 3) @ origin[..., None])[..., 0]
-        robot = -R @ se3.wrt_perturbation(from_flange)
+        robot = -R @ se3.perturbation_jacobian(from_flange)
     motions = np.concatenate([mount, target], axis=3).reshape(len(R), -1, 12)
     scale = np.sqrt((motions ** 2).sum(axis=(0, 1)))
     motions = motions / scale

@@ -18,7 +18,7 @@ PoseModel:
                        stations=np.arange(len(stamps)))
     problem = Problem(target, poses, observations, config, offset)
     solution = with_systematic_errors(robust_solution(problem, rng, start=start))
-    solution.problem.pose_values, solution.problem.poses  # as estimated
+    solution.problem.pose_parameters, solution.problem.poses  # as estimated
 
 With eye_on_base, a PoseModel also gives T_base_flange, not the inverted poses.
 """
@@ -40,7 +40,7 @@ from handeye_ros.estimation.basis import (
     plane_motions,
 )
 from handeye_ros.estimation.noise import TURN_LENGTH
-from handeye_ros.estimation.problem import Linear, Problem
+from handeye_ros.estimation.problem import Linearisation, Problem
 import numpy as np
 
 LINE_BEND = 'line_bend'
@@ -58,10 +58,10 @@ class ParameterBlock:
     columns: (m, k) K_b in (2), derivatives of the residuals by the parameters in prior sigmas
     std: the configured prior sigma (m, rad, s or 1)
     twists: (n, 6, k) derivatives of the poses by the parameters (not in sigmas), as in
-        Linear.wrt_pose; None: they do not change
+        Linearisation.wrt_pose; None: they do not change
     best_fit(linear): (6, k) derivatives of the transform that maps points best, (9); None: 0
     parameter: index of the target's parameter that the block is; None: of none
-    pose_value: index of the value of the pose model that it is; None: of none
+    pose_parameter_index: index of the value of the pose model that it is; None: of none
     value: (1,) of that parameter or value in the estimate it is linearised at, less the stated
     least_variance, largest_variance: bounds of tau^2
     reported_as: key in the answer, '' for none
@@ -72,9 +72,9 @@ class ParameterBlock:
     columns: Array
     std: float
     twists: Array | None = None
-    best_fit: Callable[[Linear], Array] | None = None
+    best_fit: Callable[[Linearisation], Array] | None = None
     parameter: int | None = None
-    pose_value: int | None = None
+    pose_parameter_index: int | None = None
     value: Array | None = None
     least_variance: float = 0.0
     largest_variance: float = 400.0  # 20 times the sigma
@@ -88,11 +88,11 @@ class ParameterBlock:
 
 
 Blocks = Iterable[ParameterBlock]
-BlockSource = Callable[[Linear], Blocks]
+BlockSource = Callable[[Linearisation], Blocks]
 """A function that gives blocks at an estimate."""
 
 
-def blocks_at(linear: Linear) -> tuple[ParameterBlock, ...]:
+def blocks_at(linear: Linearisation) -> tuple[ParameterBlock, ...]:
     """Return all blocks at an estimate."""
     model = linear.problem.pose_model
     sources: list[BlockSource] = [linear.problem.target.blocks]
@@ -101,7 +101,7 @@ def blocks_at(linear: Linear) -> tuple[ParameterBlock, ...]:
                  if block.std > 0 and block.columns.any())
 
 
-def stated_measures(linear: Linear) -> Blocks:
+def stated_measures(linear: Linearisation) -> Blocks:
     """Yield the blocks of the target's stated measures."""
     target, state = linear.problem.target, linear.estimate.state
     names = target.parameter_names
@@ -121,7 +121,7 @@ def scale_twists(problem: Problem) -> Array:
     return twists
 
 
-def robot_scale(linear: Linear) -> Blocks:
+def robot_scale(linear: Linearisation) -> Blocks:
     """Yield the block of one scale error of all lengths of the robot."""
     std, twists = linear.problem.config.noise.robot_scale, scale_twists(linear.problem)
     yield ParameterBlock('robot_scale', linear.wrt_twists(twists) * std, std, twists,
@@ -139,8 +139,9 @@ def wrt_smooth(wrt_pose: Array, smooth: Array, axes: Array = ROBOT_AXES) -> Arra
     return np.asarray(derivatives.reshape(len(wrt_pose), -1))
 
 
-def smooth_errors(name: str, linear: Linear, smooth: Array, std: float, axes: Array = ROBOT_AXES,
-                  best_fit: Callable[[Linear], Array] | None = None, reported_as: str = ''
+def smooth_errors(name: str, linear: Linearisation, smooth: Array, std: float,
+                  axes: Array = ROBOT_AXES,
+                  best_fit: Callable[[Linearisation], Array] | None = None, reported_as: str = ''
                   ) -> ParameterBlock:
     """
     Return the block of smooth errors of the poses, one parameter for each axis and function.
@@ -152,14 +153,14 @@ def smooth_errors(name: str, linear: Linear, smooth: Array, std: float, axes: Ar
     return ParameterBlock(name, columns * std, std, twists, best_fit, reported_as=reported_as)
 
 
-def robot_smooth(linear: Linear) -> Blocks:
+def robot_smooth(linear: Linearisation) -> Blocks:
     """Yield the block of the robot's smooth errors, of position and rotation."""
     if std := linear.problem.config.noise.robot_smooth:
         yield smooth_errors('robot_smooth', linear, linear.problem.smooth_error_basis, std,
                             best_fit=_motions_of_smooth, reported_as='robot_position_error')
 
 
-def _motions_of_smooth(linear: Linear) -> Array:
+def _motions_of_smooth(linear: Linearisation) -> Array:
     """Return best-fit motions (6, k) by the robot's smooth errors, of unit size; see best_fit."""
     problem, field = linear.problem, grid_over(linear.problem.observations.points, (-1, 0, 1))
     motions = motions_by_poses(problem.poses, linear.estimate.X, field,
@@ -168,7 +169,7 @@ def _motions_of_smooth(linear: Linear) -> Array:
     return np.asarray(np.einsum('xna,nk->xak', motions, problem.smooth_error_basis).reshape(6, -1))
 
 
-def points_on_target(linear: Linear) -> Array:
+def points_on_target(linear: Linearisation) -> Array:
     """
     Return the points (m, 2) of the sensor plane, moved to where their conditions hold.
 
@@ -181,7 +182,7 @@ def points_on_target(linear: Linear) -> Array:
     return np.asarray(linear.problem.observations.points - gradient * share[:, None])
 
 
-def sensor_scale(linear: Linear) -> Blocks:
+def sensor_scale(linear: Linearisation) -> Blocks:
     """Yield the block of one scale error of the sensor, nearly collinear with the robot's."""
     std, gradient = 0.3 * linear.problem.config.noise.robot_scale, linear.wrt_point
     points = points_on_target(linear)
@@ -189,7 +190,7 @@ def sensor_scale(linear: Linear) -> Blocks:
     yield ParameterBlock('sensor_scale', stretched[:, None] * std, std)
 
 
-def sensor_distortion(linear: Linear) -> Blocks:
+def sensor_distortion(linear: Linearisation) -> Blocks:
     """Yield the blocks of the sensor's distortion: polynomials in its plane, one per degree."""
     distortion = linear.problem.config.noise.distortion
     fields = distortion_fields(points_on_target(linear), DEGREES) if distortion else []
@@ -201,13 +202,13 @@ def sensor_distortion(linear: Linear) -> Blocks:
             best_fit=partial(_motions_of_degree, i), reported_as='distortion_error')
 
 
-def _motions_of_degree(i: int, linear: Linear) -> Array:
+def _motions_of_degree(i: int, linear: Linearisation) -> Array:
     """Return best-fit motions (6, k) by the distortion of one degree, of unit size."""
     motions = field_motions(linear.problem.observations.points, DEGREES)
     return np.asarray(plane_motions(linear.estimate.X) @ motions[i])
 
 
-def line_bend(linear: Linear) -> Blocks:
+def line_bend(linear: Linearisation) -> Blocks:
     """Yield the block of a light plane that is bent: its points are not at y = 0."""
     std = linear.problem.config.noise.line_bend
     across = linear.jacobian[:, :3] @ linear.estimate.X[:3, 1]
@@ -215,7 +216,7 @@ def line_bend(linear: Linear) -> Blocks:
     yield ParameterBlock(LINE_BEND, columns, std, best_fit=_motion_of_bend, reported_as=LINE_BEND)
 
 
-def _motion_of_bend(linear: Linear) -> Array:
+def _motion_of_bend(linear: Linearisation) -> Array:
     """
     Return the motion (6, 3) from the plane that fits best to the one that touches the middle.
 
@@ -230,20 +231,21 @@ def _motion_of_bend(linear: Linear) -> Array:
     return motion
 
 
-def pose_parameters(linear: Linear) -> Blocks:
+def pose_parameters(linear: Linearisation) -> Blocks:
     """Yield the blocks of the parameters in the problem's pose model, such as a time offset."""
     problem, model = linear.problem, linear.problem.pose_model
     if model is None:
         return
     for k, (name, std) in enumerate(zip(model.names, model.stds, strict=True)):
         twists = problem.pose_twists[:, :, [k]]
-        yield ParameterBlock(name, linear.wrt_twists(twists) * std, std, twists, pose_value=k,
-                             value=problem.pose_values[[k]],
+        yield ParameterBlock(name, linear.wrt_twists(twists) * std, std, twists,
+                             pose_parameter_index=k,
+                             value=problem.pose_parameters[[k]],
                              least_variance=model.least_variance, reported_as=name)
 
 
-def with_columns(blocks: Sequence[ParameterBlock], first: int = 0
-                 ) -> Iterator[tuple[ParameterBlock, slice]]:
+def blocks_with_columns(blocks: Sequence[ParameterBlock], first: int = 0
+                        ) -> Iterator[tuple[ParameterBlock, slice]]:
     """
     Yield each block with the columns of its parameters among those of all blocks.
 
@@ -254,7 +256,7 @@ def with_columns(blocks: Sequence[ParameterBlock], first: int = 0
         first += block.count
 
 
-def best_fit_motions(linear: Linear, blocks: Sequence[ParameterBlock]) -> Array:
+def best_fit_motions(linear: Linearisation, blocks: Sequence[ParameterBlock]) -> Array:
     """Return G (6, q), derivatives of the best-fit transform by the parameters of blocks, (9)."""
     motions = [block.best_fit(linear) * block.std if block.best_fit else
                np.zeros((6, block.count)) for block in blocks]

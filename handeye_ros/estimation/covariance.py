@@ -15,9 +15,9 @@ from dataclasses import replace
 from handeye_ros import se3
 from handeye_ros.data import Array, BudgetTerm
 from handeye_ros.estimation.basis import grid_over
-from handeye_ros.estimation.blocks import with_columns
+from handeye_ros.estimation.blocks import blocks_with_columns
 from handeye_ros.estimation.least_squares import chi2_sf
-from handeye_ros.estimation.noise import covariance_parts, Noise, POSE_FACTOR
+from handeye_ros.estimation.noise import covariance_parts, NoiseScales, POSE_FACTOR
 from handeye_ros.estimation.posterior import Posterior, posterior_at
 from handeye_ros.estimation.solution import Solution
 import numpy as np
@@ -33,12 +33,13 @@ def with_possibly_wrong_station(solution: Solution) -> Solution:
     """
     Return a solution with its contamination, (10), and the station that is almost surely wrong.
 
-    Between problem.stations_for_noise stations and twice as many the probabilities fade to 0.
+    Between problem.noise_station_count stations and twice as many the probabilities fade to 0.
     Stations dropped as wrong make another wrong one likelier.
     """
-    problem, n, dropped = solution.problem, len(solution.used), len(solution.dropped_squares)
-    faded = min(1.0, 2 - n / problem.stations_for_noise)
-    configured = posterior_at(problem, solution.estimate, Noise())
+    problem = solution.problem
+    n, dropped = len(solution.used_stations), len(solution.dropped_squares)
+    faded = min(1.0, 2 - n / problem.noise_station_count)
+    configured = posterior_at(problem, solution.estimate, NoiseScales())
     explained, log_likelihood_ratio, added = _each_station_wrong(configured)
     # posterior probability that each is the only wrong one, against that none is (odds 1); all
     # odds are divided by the largest, as their exponentials may be no numbers
@@ -53,7 +54,7 @@ def with_possibly_wrong_station(solution: Solution) -> Solution:
     sure = probability[worst] > SURE_ODDS * (1 - probability[worst]) and p_of_others > SMALLEST_P
     return replace(solution, added_covariances={ONE_WRONG: np.tensordot(probability, added, 1)},
                    probability_wrong=float(probability.sum()),
-                   surely_wrong=(worst,) if sure else ())
+                   surely_wrong_places=(worst,) if sure else ())
 
 
 def _each_station_wrong(configured: Posterior) -> tuple[Array, Array, Array]:
@@ -101,9 +102,9 @@ def budget(solution: Solution) -> list[BudgetTerm]:
     (8), (10) and a corrected arm add to it. `best-fit transform` is the remainder, what (9)
     changes. A part without a positive variance of mapped points is left out.
     """
-    reported = solution.for_report
+    reported = solution.report_posterior
     parts = _parts_of_noise(reported)
-    for block, columns in with_columns(reported.blocks, reported.unknowns):
+    for block, columns in blocks_with_columns(reported.blocks, reported.unknown_count):
         C_xn = reported.covariance[:6, columns]
         parts[block.name] = C_xn * reported.prior_information[columns] @ C_xn.T
     shift = np.outer(solution.shift_for_report, solution.shift_for_report)

@@ -6,11 +6,11 @@ The least squares of the estimators, over items of data, and which items are out
 An item is what is right or wrong as a whole: a station, a row of a table, a pair of poses. It has
 one or several residuals (rows of the system) with one weight.
 
-`System.least_squares` is Levenberg-Marquardt. `graduated_fit` reaches a fit from a rough start in
-spite of outliers, (11) (graduated non-convexity, Yang et al. 2020, RA-L 5:1127). `drop_outliers`
-then drops the items that the others do not predict, by leave-one-out residuals, (12). `adjust`
-does all three for a table. In an inverse, a direction that the data do not show keeps a large,
-finite variance.
+`LeastSquares.minimised` is Levenberg-Marquardt. `graduated_fit` reaches a fit from a rough start
+in spite of outliers, (11) (graduated non-convexity, Yang et al. 2020, RA-L 5:1127).
+`drop_outliers` then drops the items that the others do not predict, by leave-one-out residuals,
+(12). `robust_least_squares` does all three for a table. In an inverse, a direction that the data
+do not show keeps a large, finite variance.
 """
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class System(Generic[S]):
+class LeastSquares(Generic[S]):
     """
     A least-squares problem: rows(state), and retract(state, step (u,)), the state after a step.
 
@@ -78,8 +78,8 @@ class System(Generic[S]):
     retract: Callable[[S, Array], S]
     item: NDArray[np.intp]
 
-    def least_squares(self, start: S, weights: Array | None = None, iterations: int = 50,
-                      converged: float = 1e-8) -> S:
+    def minimised(self, start: S, weights: Array | None = None, iterations: int = 50,
+                  converged: float = 1e-8) -> S:
         """
         Return the state with the least squared whitened residuals.
 
@@ -114,7 +114,7 @@ class System(Generic[S]):
 
     def few_weighted_steps(self, state: S, weights: Array) -> S:
         """Return the state after a few steps to the least squares, with weights (n,) of items."""
-        return self.least_squares(state, weights, iterations=4, converged=1e-3)
+        return self.minimised(state, weights, iterations=4, converged=1e-3)
 
 
 def many_least_squares(linear: Callable[[States], tuple[Array, Array]],
@@ -246,24 +246,24 @@ def shared_variance_factor(squares: Array, freedom: NDArray[np.intp] | int) -> f
 def drop_outliers(used: NDArray[np.intp], total: int, fewest: int,
                   fitted: Callable[[F | None, NDArray[np.intp], dict[int, float]], F],
                   left_out_squares: Callable[[F], tuple[Array, NDArray[np.intp] | int]],
-                  surely_wrong: Callable[[F], Sequence[int]] = lambda fit: ()) -> F:
+                  surely_wrong_places: Callable[[F], Sequence[int]] = lambda fit: ()) -> F:
     """
     Return the fit of the items that agree.
 
     Each round fits the items used, and drops those that the others do not predict, (12).
 
     used: numbers of the items to begin with, of `total`; fewest: number that at least remain
-    fitted(the fit of the round before or None, used, dropped): the fit of the items used; dropped:
-        the squares of those dropped so far, by item
+    fitted(the fit of the previous round or None, used, dropped): the fit of the items used;
+        dropped: the squares of those dropped so far, by item
     left_out_squares(fit): (len(used),) left-out squares of the items used, and their degrees of
         freedom
-    surely_wrong(fit): places in `used` of items that are wrong though no square is too large
+    surely_wrong_places(fit): in `used`, of items that are wrong though no square is too large
     """
     fit, dropped = fitted(None, used, {}), dict[int, float]()
     while True:
         squares, freedom = left_out_squares(fit)
         spare = max(len(used) - fewest, 0)
-        wrong = [*outliers(squares, freedom, total, spare)] or [*surely_wrong(fit)][:spare]
+        wrong = [*outliers(squares, freedom, total, spare)] or [*surely_wrong_places(fit)][:spare]
         if not wrong:
             return fit
         dropped = {**dropped, **{int(used[place]): float(squares[place]) for place in wrong}}
@@ -272,7 +272,7 @@ def drop_outliers(used: NDArray[np.intp], total: int, fewest: int,
 
 
 @dataclass(frozen=True, eq=False)
-class Adjusted(Generic[S]):
+class RobustFit(Generic[S]):
     """
     Result of robust least squares over n items of k residuals.
 
@@ -290,7 +290,7 @@ class Adjusted(Generic[S]):
     variance_factor: float
 
 
-def adjust(system: System[S], start: S, fewest: int) -> Adjusted[S]:
+def robust_least_squares(system: LeastSquares[S], start: S, fewest: int) -> RobustFit[S]:
     """
     Return the least-squares state without outliers, from a start near it.
 
@@ -298,30 +298,30 @@ def adjust(system: System[S], start: S, fewest: int) -> Adjusted[S]:
     """
     n = int(system.item[-1]) + 1
 
-    def squares(state: S) -> Array:
+    def mean_squares(state: S) -> Array:
         rows = system.rows(state)
         return np.asarray((rows.whitener()(rows.residuals) ** 2).reshape(n, -1).mean(axis=1))
 
-    def fitted(before: Adjusted[S] | None, used: NDArray[np.intp], _: object) -> Adjusted[S]:
+    def fitted(previous: RobustFit[S] | None, used: NDArray[np.intp], _: object) -> RobustFit[S]:
         is_used = np.isin(np.arange(n), used)
-        state = system.least_squares(before.state if before else robust, is_used.astype(float))
-        rows, of_used = system.rows(state), is_used[system.item]
+        state = system.minimised(previous.state if previous else robust, is_used.astype(float))
+        rows, is_used_row = system.rows(state), is_used[system.item]
         whiten = rows.whitener()
         whitened = whiten(rows.residuals)
-        r, J = whitened[of_used], whiten(rows.jacobian())[of_used]
+        r, J = whitened[is_used_row], whiten(rows.jacobian())[is_used_row]
         covariance = covariance_of(J)
-        left_out = leave_one_out(r, J, covariance, system.item[of_used])
+        left_out = leave_one_out(r, J, covariance, system.item[is_used_row])
         variance_factor = float(r @ r / max(len(r) - J.shape[1], 1))
-        return Adjusted(state, used, whitened.reshape(n, -1), left_out.reshape(len(used), -1),
-                        covariance * max(1.0, variance_factor), variance_factor)
+        return RobustFit(state, used, whitened.reshape(n, -1), left_out.reshape(len(used), -1),
+                         covariance * max(1.0, variance_factor), variance_factor)
 
-    def left_out_squares(fit: Adjusted[S]) -> tuple[Array, int]:
-        of_used = (fit.residuals[fit.used] * fit.left_out).mean(axis=1)
+    def left_out_squares(fit: RobustFit[S]) -> tuple[Array, int]:
+        squares = (fit.residuals[fit.used] * fit.left_out).mean(axis=1)
         freedom = fit.residuals.shape[1]
-        return of_used / shared_variance_factor(of_used, freedom), freedom
+        return squares / shared_variance_factor(squares, freedom), freedom
 
-    robust = graduated_fit(start, squares, system.few_weighted_steps)
-    q = squares(robust)
+    robust = graduated_fit(start, mean_squares, system.few_weighted_steps)
+    q = mean_squares(robust)
     limit = max(GROSS_SQUARE * max(1.0, typical_square(q)), np.sort(q)[:fewest][-1])
     return drop_outliers(np.flatnonzero(q <= limit), n, fewest, fitted, left_out_squares)
 

@@ -16,7 +16,7 @@ from functools import lru_cache
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import eigen, inverse_roots
-from handeye_ros.estimation.problem import Linear, StationGroup
+from handeye_ros.estimation.problem import Linearisation, StationGroup
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,20 +35,20 @@ def _log_half_t(freedom: float, scale: float) -> Array:
 
 
 # For the report, conservative: 1.3 times as configured (RMS), and with some chance several times.
-REPORT_PRIOR = _log_half_t(3.0, 0.8)
+LOG_REPORT_PRIOR = _log_half_t(3.0, 0.8)
 # Of one parameter, which says little about a scale: 1.7 times. Not a Cauchy prior: a sigma would
 # grow by half or more as samples are added that fit (see estimator.md).
-SINGLE_REPORT_PRIOR = _log_half_t(2.0, 0.8)
+LOG_SINGLE_REPORT_PRIOR = _log_half_t(2.0, 0.8)
 # For the estimate: near 0, unless the data show something.
-MAP_PRIOR = _log_half_t(1.0, 0.01)
+LOG_MAP_PRIOR = _log_half_t(1.0, 0.01)
 
 # Places of the variance factors: of the own errors of faces and arcs, and of edges; of distortion
 # that differs between stations; of the poses; of the white errors of pose values, such as time.
-FACE_FACTOR, EDGE_FACTOR, LOCAL_DISTORTION_FACTOR, POSE_FACTOR, POSE_VALUE_FACTOR = range(5)
+FACE_FACTOR, EDGE_FACTOR, LOCAL_DISTORTION_FACTOR, POSE_FACTOR, POSE_PARAMETER_FACTOR = range(5)
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class NoiseScales:
     """
     Factors on the configured variances in (3), and the scales of blocks.
 
@@ -62,7 +62,7 @@ class Noise:
     blocks_as_noise: bool = False
 
 
-BLOCKS_AS_NOISE = Noise(blocks_as_noise=True)  # and all else as configured: of the search
+BLOCKS_AS_NOISE = NoiseScales(blocks_as_noise=True)  # and all else as configured: of the search
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ class Whitening:
         return whitened
 
 
-def covariance_parts(linear: Linear, group: StationGroup) -> Array:
+def covariance_parts(linear: Linearisation, group: StationGroup) -> Array:
     """
     Return the parts of the covariance, (3), as (p, stations, c, c), for variance factors of 1.
 
@@ -96,9 +96,9 @@ def covariance_parts(linear: Linear, group: StationGroup) -> Array:
     local_distortion = (LOCAL_SHARE * noise.distortion) ** 2
     pose_variances = np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
     # no covariance between the components, so that any factors keep the sum positive
-    features = _outer(linear.wrt_feature[group.rows]) * group.shared
+    features = _outer(linear.wrt_feature[group.rows]) * group.same_point
     features += 1e-9 ** 2 * np.eye(group.rows.shape[1])  # (1 nm)^2: exact points weigh, too
-    parts = [*features * group.components,
+    parts = [*features * group.factor_masks,
              group.correlation * _outer(linear.wrt_point[group.rows], local_distortion),
              _outer(linear.wrt_pose[group.rows], pose_variances)]
     if linear.wrt_jitter is not None:
@@ -106,7 +106,7 @@ def covariance_parts(linear: Linear, group: StationGroup) -> Array:
     return np.array(parts)
 
 
-def total_covariance(linear: Linear, group: StationGroup, noise: Noise) -> Array:
+def total_covariance(linear: Linearisation, group: StationGroup, noise: NoiseScales) -> Array:
     """Return the covariance (stations, c, c), (3), with the blocks if they count as noise."""
     problem, config = linear.problem, linear.problem.config.noise
     parts = covariance_parts(linear, group)
@@ -116,7 +116,7 @@ def total_covariance(linear: Linear, group: StationGroup, noise: Noise) -> Array
         total += group.correlation * _outer(linear.wrt_point[group.rows], config.distortion ** 2)
         total += _outer(linear.wrt_pose[group.rows], config.robot_smooth ** 2 * axes)
         feature_errors = problem.target.feature_errors(linear)
-        total += _outer(feature_errors[group.rows]) * group.shared
+        total += _outer(feature_errors[group.rows]) * group.same_point
     return total
 
 
@@ -127,48 +127,47 @@ def _outer(factor: Array, variances: Array | float = 1.0) -> Array:
 
 
 @lru_cache(maxsize=4)  # the search asks twice: for the residuals, then for the step from there
-def whitening(linear: Linear, noise: Noise) -> Whitening:
+def whitening(linear: Linearisation, noise: NoiseScales) -> Whitening:
     """Return the map that whitens residuals to unit covariance."""
     groups = linear.problem.observations.station_groups
     return Whitening(tuple(group.rows for group in groups), tuple(
         inverse_roots(total_covariance(linear, group, noise)) for group in groups))
 
 
-def prior_variances(covariance: Array, value: Array, counts: Sequence[int], before: Array,
+def prior_variances(covariance: Array, value: Array, counts: Sequence[int], present: Array,
                     largest: Array) -> tuple[Array, Array]:
     """
     Return tau^2 of each block, (6), for the estimate and for the report: (d,) each.
 
     covariance (q, q), value (q,): of the parameters of all blocks, in configured sigmas, estimated
-    with tau^2 of before (d,); counts: (d,) number of parameters of each block; largest: (d,) bound
-    of tau^2.
+    with tau^2 of present (d,); counts: (d,) number of parameters of each block; largest: (d,)
+    bound of tau^2.
     """
     variances = []
-    for end, count, present, bound in zip(np.cumsum(counts), counts, before, largest, strict=True):
+    for end, count, tau2, bound in zip(np.cumsum(counts), counts, present, largest, strict=True):
         block = slice(end - count, end)
-        variances.append(_variances_of_block(covariance[block, block], value[block], present,
-                                             bound))
-    for_estimate, for_report = np.reshape(variances, (-1, 2)).T
-    return for_estimate, for_report
+        variances.append(_variances_of_block(covariance[block, block], value[block], tau2, bound))
+    for_estimate, report_posterior = np.reshape(variances, (-1, 2)).T
+    return for_estimate, report_posterior
 
 
-def _variances_of_block(covariance: Array, value: Array, before: float, largest: float
+def _variances_of_block(covariance: Array, value: Array, present: float, largest: float
                         ) -> tuple[float, float]:
     """Return tau^2 of one block of k parameters; arguments as of prior_variances."""
     # the axes l along which the parameters are independent
     posterior, axes = eigen(covariance)
-    posterior = np.clip(posterior, 1e-12 * before, (1 - 1e-9) * before)
+    posterior = np.clip(posterior, 1e-12 * present, (1 - 1e-9) * present)
     # lambda_l and gamma_l: what the data say without the prior
-    information, gradient = 1 / posterior - 1 / before, (axes.T @ value) / posterior
+    information, gradient = 1 / posterior - 1 / present, (axes.T @ value) / posterior
     # with each tau^2 tried (s, k): the posterior variance, and the squared estimate over it
     growth = 1 + TRIED_VARIANCES[:, None] * information
     variance = TRIED_VARIANCES[:, None] / growth
     squares = variance * gradient ** 2
     log_likelihood = 0.5 * (squares - np.log(growth)).sum(axis=1)
     log_likelihood[largest < TRIED_VARIANCES] = -np.inf
-    prior = SINGLE_REPORT_PRIOR if len(value) == 1 else REPORT_PRIOR
+    prior = LOG_SINGLE_REPORT_PRIOR if len(value) == 1 else LOG_REPORT_PRIOR
     second_moment = (variance * (1 + squares)).sum(axis=1)
-    return (_matching_variance(MAP_PRIOR + log_likelihood, squares.sum(axis=1)),
+    return (_matching_variance(LOG_MAP_PRIOR + log_likelihood, squares.sum(axis=1)),
             _matching_variance(prior + log_likelihood, second_moment))
 
 

@@ -18,7 +18,7 @@ from functools import cached_property
 from handeye_ros import se3
 from handeye_ros.data import Array, rms
 from handeye_ros.estimation.basis import farthest_points, scaled_pose_vectors
-from handeye_ros.estimation.blocks import blocks_at, ParameterBlock, with_columns
+from handeye_ros.estimation.blocks import blocks_at, blocks_with_columns, ParameterBlock
 from handeye_ros.estimation.least_squares import (
     bounded_inverse,
     covariance_of,
@@ -28,13 +28,13 @@ from handeye_ros.estimation.noise import (
     BLOCKS_AS_NOISE,
     covariance_parts,
     FACTOR_FREEDOM,
-    Noise,
+    NoiseScales,
     prior_variances,
     total_covariance,
     Whitening,
     whitening,
 )
-from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem
+from handeye_ros.estimation.problem import Estimate, Linearisation, linearise, Problem
 import numpy as np
 from numpy.typing import NDArray
 
@@ -53,8 +53,8 @@ class Posterior:
     normal_matrix: (u + q, u + q) A' A
     """
 
-    linear: Linear
-    noise: Noise
+    linear: Linearisation
+    noise: NoiseScales
     blocks: tuple[ParameterBlock, ...]
     whitening: Whitening
     prefit_residuals: Array
@@ -62,8 +62,8 @@ class Posterior:
     normal_matrix: Array
 
     @classmethod
-    def of_linear(cls, linear: Linear, noise: Noise, blocks: tuple[ParameterBlock, ...]
-                  ) -> Posterior:
+    def of_linear(cls, linear: Linearisation, noise: NoiseScales,
+                  blocks: tuple[ParameterBlock, ...]) -> Posterior:
         """Return the posterior of a linearised problem with the parameters of blocks."""
         residuals = linear.residuals
         for block in blocks:
@@ -81,7 +81,7 @@ class Posterior:
         return self.linear.problem
 
     @property
-    def unknowns(self) -> int:
+    def unknown_count(self) -> int:
         """Return the number of unknowns without the nuisance parameters."""
         return len(self.problem.free_columns)
 
@@ -90,7 +90,7 @@ class Posterior:
         return float(self.noise.block_variances.get(block.name, 1.0) ** 0.5)
 
     @property
-    def variances(self) -> Array:
+    def block_variances(self) -> Array:
         """Return tau^2 of each block (d,)."""
         return np.array([self.noise.block_variances.get(block.name, 1.0) for block in self.blocks])
 
@@ -98,7 +98,7 @@ class Posterior:
     def prior_information(self) -> Array:
         """Return the diagonal (u + q,) of P in (5): no information about the unknowns."""
         counts = [block.count for block in self.blocks]
-        return np.append(np.zeros(self.unknowns), np.repeat(1 / self.variances, counts))
+        return np.append(np.zeros(self.unknown_count), np.repeat(1 / self.block_variances, counts))
 
     @cached_property
     def information(self) -> Array:
@@ -116,13 +116,13 @@ class Posterior:
     def step(self) -> Array:
         """Return the change (u + q,) of unknowns and nuisance parameters to the minimum, (5)."""
         if self.noise.blocks_as_noise:  # the search ends where no step is left
-            return np.zeros(self.unknowns)
+            return np.zeros(self.unknown_count)
         return np.asarray(-self.covariance @ (self.jacobian.T @ self.prefit_residuals))
 
     @property
     def nuisance(self) -> Array:
         """Return the estimates (q,) of the nuisance parameters."""
-        return self.step[self.unknowns:]
+        return self.step[self.unknown_count:]
 
     @cached_property
     def postfit_residuals(self) -> Array:
@@ -132,20 +132,20 @@ class Posterior:
     @cached_property
     def estimate(self) -> Estimate:
         """Return the estimate after the last step, the stated measures of the target too."""
-        moved = self.problem.retracted(self.linear.estimate, self.step[:self.unknowns])
+        moved = self.problem.retracted(self.linear.estimate, self.step[:self.unknown_count])
         delta = np.zeros(len(self.problem.target.parameter_names))
-        for block, columns in with_columns(self.blocks):
+        for block, columns in blocks_with_columns(self.blocks):
             if block.parameter is not None and block.value is not None:
                 delta[block.parameter] = (self.nuisance[columns] * block.std - block.value)[0]
         return Estimate(moved.X, self.problem.target.retract(moved.state, delta))
 
-    def relinearise(self) -> Linear:
+    def relinearise(self) -> Linearisation:
         """Return the problem linearised after the step, with the poses at their values then."""
-        problem, values = self.problem, self.problem.pose_values.copy()
-        for block, columns in with_columns(self.blocks):
-            if block.pose_value is not None:
-                values[block.pose_value] = self.nuisance[columns][0] * block.std
-        return linearise(problem.with_pose_values(values), self.estimate)
+        problem, values = self.problem, self.problem.pose_parameters.copy()
+        for block, columns in blocks_with_columns(self.blocks):
+            if block.pose_parameter_index is not None:
+                values[block.pose_parameter_index] = self.nuisance[columns][0] * block.std
+        return linearise(problem.with_pose_parameters(values), self.estimate)
 
     @cached_property
     def gain(self) -> Array:
@@ -159,8 +159,8 @@ class Posterior:
     def estimated_factors(self, prior: Array | float = 1.0) -> Array:
         """Return the variance factors (5,) from residuals and their prior phi_0, (7)."""
         # e' V~ e, and the trace of V~ (I - A C A'), of each factor
-        before, groups = self.noise.variance_factors, self.problem.observations.station_groups
-        sums = np.zeros((len(before), 2))
+        present, groups = self.noise.variance_factors, self.problem.observations.station_groups
+        sums = np.zeros((len(present), 2))
         for group, root in zip(groups, self.whitening.roots, strict=True):
             parts = covariance_parts(self.linear, group)
             whitened_parts = (root @ parts @ np.swapaxes(root, 1, 2)).reshape(len(parts), -1)
@@ -169,20 +169,20 @@ class Posterior:
             expected = np.eye(e.shape[1]) - self.predicted_covariance(group.rows)
             sums[:len(parts)] += whitened_parts @ np.column_stack(
                 [products.ravel(), expected.ravel()])
-        squares, trace = before * sums.T
-        after = before * (squares + FACTOR_FREEDOM * prior / before) / (
+        squares, trace = present * sums.T
+        after = present * (squares + FACTOR_FREEDOM * prior / present) / (
             np.maximum(trace, 0.0) + FACTOR_FREEDOM)
         return np.asarray(np.clip(after, 1e-4, 1e8))
 
     def estimated_block_variances(self) -> tuple[Array, Array]:
         """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
-        u, least = self.unknowns, [block.least_variance for block in self.blocks]
-        for_estimate, for_report = prior_variances(
+        u, least = self.unknown_count, [block.least_variance for block in self.blocks]
+        for_estimate, report_posterior = prior_variances(
             self.covariance[u:, u:], self.nuisance, [block.count for block in self.blocks],
-            self.variances, np.array([block.largest_variance for block in self.blocks]))
-        return np.maximum(for_estimate, least), np.maximum(for_report, least)
+            self.block_variances, np.array([block.largest_variance for block in self.blocks]))
+        return np.maximum(for_estimate, least), np.maximum(report_posterior, least)
 
-    def with_variances(self, variances: Array) -> Posterior:
+    def with_block_variances(self, variances: Array) -> Posterior:
         """Return the posterior with variances (d,) of blocks, relative to the configured ones."""
         named = dict(zip([block.name for block in self.blocks], variances.tolist(), strict=True))
         return replace(self, noise=replace(self.noise, block_variances=named))
@@ -201,9 +201,9 @@ class Posterior:
         current = self
         for _ in range(steps if self.blocks else 0):
             _, variances = current.estimated_block_variances()
-            if np.abs(np.log(variances / current.variances)).max() < 0.03:
+            if np.abs(np.log(variances / current.block_variances)).max() < 0.03:
                 break
-            current = current.with_variances(variances)
+            current = current.with_block_variances(variances)
         return current
 
     @cached_property
@@ -215,7 +215,7 @@ class Posterior:
         """
         station = self.problem.observations.station
         ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
-        J = self.jacobian[:, :self.unknowns]
+        J = self.jacobian[:, :self.unknown_count]
         J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
         for group in self.problem.observations.station_groups:
             s = np.linalg.svd(J[group.rows], compute_uv=False)
@@ -230,14 +230,14 @@ class Posterior:
         return float(r @ r + self.step ** 2 @ self.prior_information)
 
     @property
-    def square_per_freedom(self) -> float:
+    def reduced_chi_squared(self) -> float:
         """Return the squared whitened residual per degree of freedom."""
         return self.sum_of_squares / max(self.degrees_of_freedom, 1)
 
     @property
     def degrees_of_freedom(self) -> int:
         """Return the number of conditions less the number of unknowns."""
-        return len(self.prefit_residuals) - self.unknowns
+        return len(self.prefit_residuals) - self.unknown_count
 
     @property
     def redundancy(self) -> int:
@@ -247,8 +247,8 @@ class Posterior:
         A repeated pose adds no information; of very many poses only some are counted.
         """
         problem = self.problem
-        distinct = farthest_points(scaled_pose_vectors(problem.poses), problem.stations_for_noise)
-        return int(self.ranks[distinct].sum()) - self.unknowns
+        distinct = farthest_points(scaled_pose_vectors(problem.poses), problem.noise_station_count)
+        return int(self.ranks[distinct].sum()) - self.unknown_count
 
     @property
     def residual_rms(self) -> float:
@@ -268,7 +268,7 @@ class Posterior:
         """Return -2 log of the marginal likelihood, the prior of the noise factors included."""
         log_det_V = -2 * sum(float(np.log(np.einsum('nii->ni', root)).sum())
                              for root in self.whitening.roots)
-        factors, priors = self.noise.variance_factors, self.prior_information[self.unknowns:]
+        factors, priors = self.noise.variance_factors, self.prior_information[self.unknown_count:]
         prior_of_factors = FACTOR_FREEDOM * float((np.log(factors) + 1 / factors - 1).sum())
         return float(log_det_V + np.linalg.slogdet(self.information)[1] - np.log(priors).sum()
                      + self.sum_of_squares + prior_of_factors)
@@ -282,7 +282,7 @@ class Posterior:
         problem, T = self.problem, self.problem.robot_poses
         values = np.zeros((len(T), 1)) + (self.nuisance if nuisance is None else nuisance)
         twists = np.zeros((len(T), 6))
-        for block, columns in with_columns(self.blocks):
+        for block, columns in blocks_with_columns(self.blocks):
             if block.twists is not None:
                 # the poses already include the parameters that they depend on, as estimated
                 included = self.nuisance[columns] * (block.value is not None)
@@ -320,7 +320,7 @@ class Posterior:
         fold: (n,) fold of each station, from 0. Also returns the poses (n, 4, 4), corrected by the
         robot's smooth error as estimated from the other folds.
         """
-        fold_of_row, u = fold[self.problem.observations.station], self.unknowns
+        fold_of_row, u = fold[self.problem.observations.station], self.unknown_count
         steps = np.empty((fold.max() + 1, len(self.prior_information)))
         for k in range(len(steps)):
             rows = np.flatnonzero(fold_of_row == k)[None]
@@ -331,7 +331,7 @@ class Posterior:
                 self.corrected_poses(self.nuisance + steps[fold, u:]))
 
 
-def posterior_at(problem: Problem, estimate: Estimate, noise: Noise) -> Posterior:
+def posterior_at(problem: Problem, estimate: Estimate, noise: NoiseScales) -> Posterior:
     """Return the posterior at an estimate; all blocks are its parameters if they are no noise."""
     linear = linearise(problem, estimate)
     return Posterior.of_linear(linear, noise, () if noise.blocks_as_noise else blocks_at(linear))

@@ -39,15 +39,15 @@ class StationGroup:
 
     rows: (s, c) row numbers
     correlation: (s, c, c) of the distortion
-    shared: (s, c, c) 1 where two observations are on one point, whose error they share
-    components: (2, s, c, c) 1 where both observations are of faces or arcs, or both are edge
+    same_point: (s, c, c) 1 where two observations are on one point, whose error they share
+    factor_masks: (2, s, c, c) 1 where both observations are of faces or arcs, or both are edge
         points: each has a variance factor
     """
 
     rows: NDArray[np.intp]
     correlation: Array
-    shared: Array
-    components: Array
+    same_point: Array
+    factor_masks: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +91,10 @@ class Observations:
             squared = np.einsum('nijk,nijk->nij', apart, apart)
             correlation = np.exp(-0.5 * squared / DISTORTION_LENGTH ** 2)
             same_feature = feature[:, :, None] == feature[:, None, :]
-            shared = (same_feature & (squared < SAME_POINT ** 2)).astype(float)
+            same_point = (same_feature & (squared < SAME_POINT ** 2)).astype(float)
             pairs = [mask[:, :, None] & mask[:, None, :] for mask in (~is_edge, is_edge)]
-            grouped.append(StationGroup(rows, correlation, shared, np.array(pairs, dtype=float)))
+            grouped.append(StationGroup(rows, correlation, same_point,
+                                        np.array(pairs, dtype=float)))
         return tuple(grouped)
 
     def same(self, other: Observations) -> bool:
@@ -135,7 +136,7 @@ class PoseModel:
     stds: tuple[float, ...]
     stations: NDArray[np.intp]
     least_variance: float = 0.0
-    blocks: Callable[[Linear], Iterable[ParameterBlock]] | None = None
+    blocks: Callable[[Linearisation], Iterable[ParameterBlock]] | None = None
     jitter: Array | None = None
 
     def at(self, values: Array) -> tuple[Array, Array]:
@@ -162,7 +163,7 @@ class Problem:
     A calibration problem: poses (n, 4, 4) of the mount, their observations, and settings.
 
     pose_model: parameters that the poses depend on, or None
-    pose_values: (k,) their values
+    pose_parameters: (k,) their values
     pose_twists: (n, 6, k) derivatives of the robot's poses by these
     long_errors: whether the robot's smooth error has long wavelengths only
     """
@@ -172,18 +173,18 @@ class Problem:
     observations: Observations
     config: Config
     pose_model: PoseModel | None = None
-    pose_values: Array = field(default_factory=lambda: np.zeros(0))
+    pose_parameters: Array = field(default_factory=lambda: np.zeros(0))
     pose_twists: Array = field(default_factory=lambda: np.zeros((0, 6, 0)))
     long_errors: bool = False
 
     def __post_init__(self) -> None:
         """Set the pose values to 0, and their twists, if it comes without."""
-        if not len(self.pose_values):
-            object.__setattr__(self, 'pose_values', np.zeros(len(self.pose_stds)))
+        if not len(self.pose_parameters):
+            object.__setattr__(self, 'pose_parameters', np.zeros(len(self.pose_stds)))
         if self.pose_model is None:
             object.__setattr__(self, 'pose_twists', np.zeros((len(self.poses), 6, 0)))
         elif not len(self.pose_twists):
-            object.__setattr__(self, 'pose_twists', self.pose_model.at(self.pose_values)[1])
+            object.__setattr__(self, 'pose_twists', self.pose_model.at(self.pose_parameters)[1])
 
     @cached_property
     def free_columns(self) -> NDArray[np.intp]:
@@ -236,20 +237,14 @@ class Problem:
         return smooth_basis(self.robot_poses, self.long_errors)
 
     @property
-    def stations_for_noise(self) -> int:
+    def noise_station_count(self) -> int:
         """Return the number of stations that tell noise and scales."""
         return ENOUGH_PROFILES if self.is_sweep else ENOUGH_STATIONS
 
     @property
     def is_large(self) -> bool:
         """Return whether a part of the stations suffices to tell noise and scales."""
-        return len(self.poses) >= 2 * self.stations_for_noise
-
-    @property
-    def stated_stds(self) -> Array:
-        """Return 1 sigma (k,) of the target's stated parameters, 0 for others."""
-        stated = self.target.stated_values(self.config)
-        return np.array([stated.get(name, (0.0, 0.0))[1] for name in self.target.parameter_names])
+        return len(self.poses) >= 2 * self.noise_station_count
 
     @property
     def shows_edge(self) -> NDArray[np.bool_]:
@@ -269,13 +264,13 @@ class Problem:
         return Estimate(se3.perturb(estimate.X, delta[..., :6]),
                         self.target.retract(estimate.state, delta[..., 6:]))
 
-    def with_pose_values(self, values: Array) -> Problem:
+    def with_pose_parameters(self, values: Array) -> Problem:
         """Return the problem with the poses of its pose model, if it has one, at values (k,)."""
         if self.pose_model is None:
             return self
         poses, twists = self.pose_model.at(values)
         return replace(self, poses=poses if self.config.in_hand else se3.inverse(poses),
-                       pose_values=values, pose_twists=twists)
+                       pose_parameters=values, pose_twists=twists)
 
     def subset(self, stations: NDArray[np.intp]) -> Problem:
         """Return the problem with only the given stations (ascending indices)."""
@@ -289,7 +284,7 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class Linearisation:
     """
     Residuals (..., m) in m at an estimate, and their Jacobian (..., m, 6 + k).
 
@@ -341,7 +336,7 @@ class Linear:
         return np.asarray((self.wrt_pose[:, None] @ twists[station])[:, 0])
 
 
-def without_edges(problem: Problem, assigned: Problem) -> NDArray[np.bool_]:
+def has_unused_edges(problem: Problem, assigned: Problem) -> NDArray[np.bool_]:
     """Return which stations (n,) show an edge, but of which none is assigned."""
     return problem.shows_edge & ~assigned.shows_edge
 
@@ -351,7 +346,7 @@ def mapped(points: Array, T: Array) -> Array:
     return np.asarray((T[:, :3, [0, 2]] @ points[:, :, None])[..., 0] + T[:, :3, 3])
 
 
-def linearise(problem: Problem, estimate: Estimate) -> Linear:
+def linearise(problem: Problem, estimate: Estimate) -> Linearisation:
     """
     Return residuals and derivatives r, J at an estimate, (2).
 
@@ -367,4 +362,4 @@ def linearise(problem: Problem, estimate: Estimate) -> Linear:
     wrt_mount = np.einsum('mji,...mj->...mi', R, conditions.dg_dp)
     jacobian = np.concatenate([wrt_mount, np.cross(lever, wrt_mount), conditions.dg_dparameters],
                               axis=-1)
-    return Linear(problem, estimate, conditions.g, jacobian, lever, conditions.dg_dp)
+    return Linearisation(problem, estimate, conditions.g, jacobian, lever, conditions.dg_dp)

@@ -29,22 +29,22 @@ from handeye_ros.estimation.least_squares import (
     drop_outliers,
     graduated_fit,
     GROSS_SQUARE,
+    LeastSquares,
     many_least_squares,
     Rows,
     shared_variance_factor,
     States,
-    System,
     typical_square,
 )
-from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise, whitening
+from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, NoiseScales, whitening
 from handeye_ros.estimation.posterior import Posterior
 from handeye_ros.estimation.problem import (
     Estimate,
-    Linear,
+    has_unused_edges,
+    Linearisation,
     linearise,
     Problem,
     UNUSED,
-    without_edges,
 )
 from handeye_ros.estimation.solution import converged_fit, posteriors_of_fit, Solution
 import numpy as np
@@ -87,7 +87,7 @@ def quick_solution(problem: Problem) -> Solution | None:
     return None
 
 
-def without_outliers(problem: Problem, robust: Linear) -> Solution:
+def without_outliers(problem: Problem, robust: Linearisation) -> Solution:
     """
     Return the least squares of the stations that agree with a robust fit, and with each other.
 
@@ -100,11 +100,11 @@ def without_outliers(problem: Problem, robust: Linear) -> Solution:
     is_near = squares <= limit * max(1.0, typical_square(squares))
     is_near[np.argsort(squares, kind='stable')[:fewest]] = True
     far = {int(station): float(squares[station]) for station in np.flatnonzero(~is_near)}
-    full_problem = problem.with_pose_values(robust.problem.pose_values)
+    full_problem = problem.with_pose_parameters(robust.problem.pose_parameters)
 
-    def fitted(before: Solution | None, used: NDArray[np.intp], dropped: dict[int, float]
+    def fitted(previous: Solution | None, used: NDArray[np.intp], dropped: dict[int, float]
                ) -> Solution:
-        linear = least_squares_fit(robust.problem.subset(used), (before or robust).estimate)
+        linear = least_squares_fit(robust.problem.subset(used), (previous or robust).estimate)
         posterior = Posterior.of_linear(linear, BLOCKS_AS_NOISE, ())
         return Solution(posterior, posterior, full_problem, used, far | dropped)
 
@@ -129,43 +129,44 @@ def with_systematic_errors(agreed: Solution, config: Config | None = None) -> So
                              for each in (agreed.full_problem, agreed.problem))
     part = converged_fit(problem, agreed.estimate) if problem.is_large else None
 
-    def fitted(before: Solution | None, used: NDArray[np.intp], dropped: dict[int, float]
+    def fitted(previous: Solution | None, used: NDArray[np.intp], dropped: dict[int, float]
                ) -> Solution:
-        of_used = problem.subset(np.flatnonzero(np.isin(agreed.used, used)))
+        of_used = problem.subset(np.flatnonzero(np.isin(agreed.used_stations, used)))
         posteriors = posteriors_of_fit(of_used, part or converged_fit(of_used, agreed.estimate),
-                                       before.for_report if part and before else None)
+                                       previous.report_posterior if part and previous else None)
         solution = Solution(*posteriors, full_problem, used, {**agreed.dropped_squares, **dropped})
         return solution if part else with_possibly_wrong_station(solution)
 
     return drop_outliers(
-        agreed.used, len(full_problem.poses), problem.target.min_samples, fitted,
-        lambda solution: solution.for_report.left_out_squares(),
-        lambda solution: solution.surely_wrong)
+        agreed.used_stations, len(full_problem.poses), problem.target.min_samples, fitted,
+        lambda solution: solution.report_posterior.left_out_squares(),
+        lambda solution: solution.surely_wrong_places)
 
 
-def refined_robustly(problem: Problem, start: Estimate) -> Linear:
+def refined_robustly(problem: Problem, start: Estimate) -> Linearisation:
     """
     Return the fit that graduated non-convexity reaches from a start, (11).
 
     After each round the observations are assigned again to the parts of the target (`reassigned`),
     and the next weights come from these. The values that the poses depend on are unknowns, too.
     """
-    def refit(linear: Linear, weights: Array) -> Linear:
+    def refit(linear: Linearisation, weights: Array) -> Linearisation:
         # the priors of the pose values, the last item, keep their weight
-        moved = _system(linear.problem).few_weighted_steps(linear, np.append(weights, 1.0))
+        moved = _least_squares_of(linear.problem).few_weighted_steps(
+            linear, np.append(weights, 1.0))
         complete = replace(moved.problem, observations=problem.observations)
         assigned = reassigned(complete, moved.estimate, moved.problem)
         return moved if assigned is moved.problem else linearise(assigned, moved.estimate)
     return graduated_fit(linearise(reassigned(problem, start), start), mean_squares, refit)
 
 
-def station_squares(problem: Problem, robust: Linear) -> Array:
+def station_squares(problem: Problem, robust: Linearisation) -> Array:
     """Return the mean squares (n,) of stations; of those without edges, LARGEST_SQUARE or more."""
-    least = np.where(without_edges(problem, robust.problem), LARGEST_SQUARE, 0.0)
+    least = np.where(has_unused_edges(problem, robust.problem), LARGEST_SQUARE, 0.0)
     return np.maximum(mean_squares(robust), least)
 
 
-def mean_log_square(problem: Problem, robust: Linear) -> float:
+def mean_log_square(problem: Problem, robust: Linearisation) -> float:
     """
     Return the mean over all stations of ln(SMALL_SQUARE + q), the least for the best estimate.
 
@@ -174,7 +175,7 @@ def mean_log_square(problem: Problem, robust: Linear) -> float:
     return float(np.log(SMALL_SQUARE + station_squares(problem, robust)).mean())
 
 
-def is_convincing(problem: Problem, robust: Linear) -> bool:
+def is_convincing(problem: Problem, robust: Linearisation) -> bool:
     """
     Return whether nearly all stations fit, within the errors of an inaccurate robot.
 
@@ -184,7 +185,7 @@ def is_convincing(problem: Problem, robust: Linear) -> bool:
     squares = station_squares(problem, robust)
     typical = typical_square(squares)
     misfits = squares > LARGEST_SQUARE * max(1.0, typical)
-    misfits |= without_edges(problem, robust.problem)
+    misfits |= has_unused_edges(problem, robust.problem)
     largest = UNRIVALLED_SQUARE if problem.shows_several else CONVINCING_SQUARE
     return typical <= largest and bool(misfits.mean() <= 0.1)
 
@@ -197,17 +198,17 @@ def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Ite
         yield next(part.target.starts(part, rng))
 
 
-def reassigned(problem: Problem, estimate: Estimate, before: Problem | None = None) -> Problem:
+def reassigned(problem: Problem, estimate: Estimate, previous: Problem | None = None) -> Problem:
     """
     Return the problem with its observations assigned again, without those that do not fit.
 
-    before: the problem assigned at another estimate. It is returned, or the problem itself, if the
-    observations stay the same, to keep its cached properties.
+    previous: the problem assigned at another estimate. It is returned, or the problem itself, if
+    the observations stay the same, to keep its cached properties.
     """
     p = problem.points_in_base(estimate.X)
     assigned = problem.target.reassign(problem.observations, p, estimate.state, problem.config)
     used = assigned.select(assigned.kind != UNUSED)
-    for unchanged in (before, problem):
+    for unchanged in (previous, problem):
         if unchanged and used.same(unchanged.observations):
             return unchanged
     return replace(problem, observations=used)
@@ -248,7 +249,7 @@ def distinct(X: Array) -> list[int]:
     return indices
 
 
-def mean_squares(linear: Linear) -> Array:
+def mean_squares(linear: Linearisation) -> Array:
     """Return the mean squared whitened residuals (n,) of the stations, blocks as noise."""
     station, n = linear.problem.observations.station, len(linear.problem.poses)
     whitened = whitening(linear, BLOCKS_AS_NOISE)(linear.residuals)
@@ -256,7 +257,8 @@ def mean_squares(linear: Linear) -> Array:
     return np.asarray(squares / np.maximum(np.bincount(station, minlength=n), 1))
 
 
-def _system(problem: Problem, noise: Noise = BLOCKS_AS_NOISE) -> System[Linear]:
+def _least_squares_of(problem: Problem, noise: NoiseScales = BLOCKS_AS_NOISE
+                      ) -> LeastSquares[Linearisation]:
     """
     Return the least-squares system of a problem, with the pose values among its unknowns.
 
@@ -265,7 +267,7 @@ def _system(problem: Problem, noise: Noise = BLOCKS_AS_NOISE) -> System[Linear]:
     unknown = np.flatnonzero(problem.pose_stds)
     stds, k, u = problem.pose_stds[unknown], len(unknown), len(problem.free_columns)
 
-    def rows(linear: Linear) -> Rows:
+    def rows(linear: Linearisation) -> Rows:
         m = len(linear.residuals)
 
         def jacobian() -> Array:
@@ -277,18 +279,19 @@ def _system(problem: Problem, noise: Noise = BLOCKS_AS_NOISE) -> System[Linear]:
 
         def whiten(values: Array) -> Array:
             return np.concatenate([whitening(linear, noise)(values[:m]), values[m:]])
-        prior_residuals = linear.problem.pose_values[unknown] / stds
+        prior_residuals = linear.problem.pose_parameters[unknown] / stds
         return Rows(np.append(linear.residuals, prior_residuals), jacobian, lambda: whiten)
 
-    def retract(linear: Linear, step: Array) -> Linear:
-        values = linear.problem.pose_values.copy()
+    def retract(linear: Linearisation, step: Array) -> Linearisation:
+        values = linear.problem.pose_parameters.copy()
         values[unknown] += step[u:]
-        moved = linear.problem.with_pose_values(values)
+        moved = linear.problem.with_pose_parameters(values)
         return linearise(moved, moved.retracted(linear.estimate, step[:u]))
     item = np.append(problem.observations.station, np.full(k, len(problem.poses)))
-    return System(rows, retract, item)
+    return LeastSquares(rows, retract, item)
 
 
-def least_squares_fit(problem: Problem, start: Estimate, noise: Noise = BLOCKS_AS_NOISE) -> Linear:
+def least_squares_fit(problem: Problem, start: Estimate, noise: NoiseScales = BLOCKS_AS_NOISE
+                      ) -> Linearisation:
     """Return the fit with the least squared whitened residuals."""
-    return _system(problem, noise).least_squares(linearise(problem, start))
+    return _least_squares_of(problem, noise).minimised(linearise(problem, start))

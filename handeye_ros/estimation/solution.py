@@ -17,13 +17,19 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import (
     best_fit_motions,
     blocks_at,
+    blocks_with_columns,
     ParameterBlock,
-    with_columns,
 )
 from handeye_ros.estimation.least_squares import FREE_DIRECTION
-from handeye_ros.estimation.noise import LOCAL_DISTORTION_FACTOR, Noise
+from handeye_ros.estimation.noise import LOCAL_DISTORTION_FACTOR, NoiseScales
 from handeye_ros.estimation.posterior import Posterior, posterior_at
-from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem, without_edges
+from handeye_ros.estimation.problem import (
+    Estimate,
+    has_unused_edges,
+    Linearisation,
+    linearise,
+    Problem,
+)
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,26 +49,26 @@ class Solution:
     The stations that agree and their posterior; first with blocks as noise, then with blocks.
 
     posterior: of the stations used, for the estimate
-    for_report: the one whose covariance is reported, (8), at the conservative scales; an estimate
-        at these would follow causes without evidence. With blocks as noise, the same
+    report_posterior: the one whose covariance is reported, (8), at the conservative scales; an
+        estimate at these would follow causes without evidence. With blocks as noise, the same
     full_problem: the problem with all stations and observations
-    used: (n,) indices of those used
+    used_stations: (n,) their indices
     dropped_squares: the square by which each of the others was dropped, over what its noise
         explains: its mean square in the robust fit, or its left-out square, (12), without blocks
         over the shared variance factor, with blocks at the estimated noise
     probability_wrong: that one of few used stations is wrong
-    surely_wrong: the place in `used` of the station that almost surely is, () without one
+    surely_wrong_places: in used_stations, of the one that almost surely is; () without one
     added_covariances: (6, 6) by cause, added to the reported covariance of the transform, as by
         (10)
     """
 
     posterior: Posterior
-    for_report: Posterior
+    report_posterior: Posterior
     full_problem: Problem
-    used: NDArray[np.intp]
+    used_stations: NDArray[np.intp]
     dropped_squares: Mapping[int, float]
     probability_wrong: float = 0.0
-    surely_wrong: tuple[int, ...] = ()
+    surely_wrong_places: tuple[int, ...] = ()
     added_covariances: Mapping[str, Array] = field(default_factory=dict)
 
     @property
@@ -82,7 +88,7 @@ class Solution:
 
         It covers the errors of both the mount's transform and the best-fit transform.
         """
-        u, C = self.posterior.unknowns, self.for_report.covariance
+        u, C = self.posterior.unknown_count, self.report_posterior.covariance
         reported = C[:u, :u].copy()
         if self.posterior.noise.blocks_as_noise:
             return reported
@@ -99,47 +105,49 @@ class Solution:
     @property
     def shift_for_report(self) -> Array:
         """Return d (6,): how far the scales for the report would move the estimate, (8)."""
-        return se3.difference(self.for_report.estimate.X, self.estimate.X)
+        return se3.difference(self.report_posterior.estimate.X, self.estimate.X)
 
     @property
     def _best_fit(self) -> Array:
         """Return the mean square (6, 6) of the best-fit transform about the estimate, (9)."""
-        reported = self.for_report
+        reported = self.report_posterior
         G = best_fit_motions(reported.linear, reported.blocks)
-        L = np.hstack([np.eye(6, reported.unknowns), G])
+        L = np.hstack([np.eye(6, reported.unknown_count), G])
         d_fit = self.shift_for_report + G @ reported.nuisance
         return np.asarray(L @ reported.covariance @ L.T + np.outer(d_fit, d_fit))
 
     @property
     def target_std(self) -> Array:
         """Return 1 sigma (k,) of the target's parameters, 0 for known ones."""
-        std, reported = np.zeros(len(self.problem.target.parameter_names)), self.for_report
+        std, reported = np.zeros(len(self.problem.target.parameter_names)), self.report_posterior
         variances = np.diag(reported.covariance)
-        std[self.problem.free_columns[6:] - 6] = np.sqrt(variances[6:reported.unknowns])
-        for block, columns in with_columns(reported.blocks, reported.unknowns):
+        std[self.problem.free_columns[6:] - 6] = np.sqrt(variances[6:reported.unknown_count])
+        for block, columns in blocks_with_columns(reported.blocks, reported.unknown_count):
             if block.parameter is not None:
                 std[block.parameter] = block.std * variances[columns][0] ** 0.5
         return std
 
     @property
-    def stations_without_edges(self) -> NDArray[np.intp]:
+    def stations_with_unused_edges(self) -> NDArray[np.intp]:
         """Return the used stations that show an edge, but of which none is used."""
-        return self.used[without_edges(self.full_problem.subset(self.used), self.problem)]
+        shown = self.full_problem.subset(self.used_stations)
+        return self.used_stations[has_unused_edges(shown, self.problem)]
 
     @property
-    def fully_used(self) -> int:
+    def fully_used_count(self) -> int:
         """Return the number of used stations but those without edges."""
-        return len(self.used) - len(self.stations_without_edges)
+        return len(self.used_stations) - len(self.stations_with_unused_edges)
 
     @property
     def indispensable_stations(self) -> NDArray[np.intp]:
         """Return the used stations that determine something that no other one shows."""
-        station, needed = self.problem.observations.station, np.zeros(len(self.used), dtype=bool)
+        station = self.problem.observations.station
+        needed = np.zeros(len(self.used_stations), dtype=bool)
         for group in self.problem.observations.station_groups:
             # 1 where all that is known of a direction comes from the station itself
             shares = np.linalg.eigvalsh(self.posterior.predicted_covariance(group.rows))
             needed[station[group.rows[:, 0]]] = shares[:, -1] > 1 - LEFT_BY_OTHERS
-        return self.used[needed]
+        return self.used_stations[needed]
 
 
 def cover(first: Array, second: Array) -> Array:
@@ -158,30 +166,30 @@ def cover(first: Array, second: Array) -> Array:
 class ConvergedFit:
     """Where the least squares (4) converged, and noise and scales for the estimate and report."""
 
-    linear: Linear
-    noise_of_estimate: Noise
-    noise_of_report: Noise
+    linear: Linearisation
+    noise_of_estimate: NoiseScales
+    noise_of_report: NoiseScales
 
 
-def posteriors_of_fit(problem: Problem, fit: ConvergedFit, before: Posterior | None = None
+def posteriors_of_fit(problem: Problem, fit: ConvergedFit, previous: Posterior | None = None
                       ) -> tuple[Posterior, Posterior]:
     """
     Return the posteriors for the estimate and for the report, with all blocks.
 
     The latter is at wider scales, with long errors of the robot only. fit: of the stations of the
-    problem, or of a part of them; before: the posterior for the report of a few stations more,
+    problem, or of a part of them; previous: the posterior for the report of a few stations more,
     whose scales are hardly different.
     """
-    problem = problem.with_pose_values(fit.linear.problem.pose_values)
+    problem = problem.with_pose_parameters(fit.linear.problem.pose_parameters)
     posterior = posterior_at(problem, fit.linear.estimate, fit.noise_of_estimate)
     if len(problem.poses) > len(fit.linear.problem.poses):  # one step from the scales of the part
         at_report_scales = replace(posterior, noise=replace(
             fit.noise_of_estimate, block_variances=fit.noise_of_report.block_variances))
         for_estimate, _ = at_report_scales.estimated_block_variances()
-        posterior = posterior.with_variances(for_estimate)
-    noise, steps = (before.noise, 1) if before else (fit.noise_of_report, LAST_STEPS)
-    for_report = posterior_at(replace(problem, long_errors=True), fit.linear.estimate, noise)
-    return posterior, for_report.with_scales_for_report(steps)
+        posterior = posterior.with_block_variances(for_estimate)
+    noise, steps = (previous.noise, 1) if previous else (fit.noise_of_report, LAST_STEPS)
+    report_posterior = posterior_at(replace(problem, long_errors=True), fit.linear.estimate, noise)
+    return posterior, report_posterior.with_scales_for_report(steps)
 
 
 def converged_fit(problem: Problem, start: Estimate) -> ConvergedFit:
@@ -192,18 +200,18 @@ def converged_fit(problem: Problem, start: Estimate) -> ConvergedFit:
     """
     n = len(problem.poses)
     if problem.is_large:
-        problem = problem.subset(np.arange(0, n, round(n / problem.stations_for_noise)))
-    reached, converged = _iterated(posterior_at(problem, start, Noise()))
+        problem = problem.subset(np.arange(0, n, round(n / problem.noise_station_count)))
+    reached, converged = _iterated(posterior_at(problem, start, NoiseScales()))
     if not converged:  # the nearest is the answer, as uncertain as any
         return ConvergedFit(reached.linear, reached.noise, reached.noise)
     # both scales follow from the posterior at those for the report
     at_report_scales = reached.with_scales_for_report(LAST_STEPS - 1)
-    for_estimate, for_report = map(reached.with_variances,
-                                   at_report_scales.estimated_block_variances())
+    for_estimate, report_posterior = map(reached.with_block_variances,
+                                         at_report_scales.estimated_block_variances())
     # the noise of the estimate, at its own scales; that of the report stays as it converged
     for _ in range(LAST_STEPS):
         for_estimate = for_estimate.with_estimated_factors(MAP_PRIOR_FACTORS)
-    return ConvergedFit(for_estimate.relinearise(), for_estimate.noise, for_report.noise)
+    return ConvergedFit(for_estimate.relinearise(), for_estimate.noise, report_posterior.noise)
 
 
 def _iterated(start: Posterior) -> tuple[Posterior, bool]:
@@ -219,7 +227,7 @@ def _iterated(start: Posterior) -> tuple[Posterior, bool]:
     shortest = np.inf
     for number in range(MOST_STEPS):
         sigmas = np.sqrt(np.diag(current.covariance))
-        length = float(np.abs(current.step / sigmas)[:current.unknowns].max())
+        length = float(np.abs(current.step / sigmas)[:current.unknown_count].max())
         if length < shortest:
             nearest, shortest = current, length
         factors = current.estimated_factors()
@@ -228,7 +236,8 @@ def _iterated(start: Posterior) -> tuple[Posterior, bool]:
         linear = current.relinearise()
         following = Posterior.of_linear(linear, noise, blocks_at(linear)).with_scales_for_report(1)
         if number >= FULL_STEPS and len(current.blocks) == len(following.blocks):
-            following = following.with_variances(np.sqrt(following.variances * current.variances))
+            following = following.with_block_variances(
+                np.sqrt(following.block_variances * current.block_variances))
         current = following
         if length < CONVERGED_SIGMAS and steady:
             break

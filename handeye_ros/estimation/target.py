@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from handeye_ros.estimation.blocks import ParameterBlock
-    from handeye_ros.estimation.problem import Estimate, Linear, Observations, Problem
+    from handeye_ros.estimation.problem import Estimate, Linearisation, Observations, Problem
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Target(ABC):
     free_measure: settings of the target with which its last measure is unknown, where it has one
     free_lengths: settings of the target with which its stated lengths may be wrong, where it has
         some
-    one_axis: what rotations about one axis alone leave undetermined, in words
+    lost_with_one_axis: what rotations about one axis alone leave undetermined, in words
     face_count: how many of its faces, each a piece of the profile, one view has
     """
 
@@ -60,10 +60,10 @@ class Target(ABC):
     min_samples = 6
     free_measure: ClassVar[Mapping[str, Any]] = {}
     free_lengths: ClassVar[Mapping[str, Any]] = {}
-    one_axis = 'the position along it is free'
+    lost_with_one_axis = 'the position along it is free'
     face_count = 1
 
-    def half_turn_misfit(self, linear: Linear) -> tuple[str, float]:
+    def half_turn_misfit(self, linear: Linearisation) -> tuple[str, float]:
         """
         Return about which place of the view half a turn changes least, and by how much (m RMS).
 
@@ -75,7 +75,7 @@ class Target(ABC):
         c = np.linalg.lstsq(n, (n * s).sum(axis=1) - r, rcond=None)[0]
         return 'at one point', rms(r + ((c - s) * n).sum(axis=1))
 
-    def views_alike(self, problem: Problem, estimate: Estimate) -> str:
+    def alike_views_in_words(self, problem: Problem, estimate: Estimate) -> str:
         """Return in words how the views of the target are too much alike, '' if they are not."""
         return ''
 
@@ -141,11 +141,11 @@ class Target(ABC):
         return ''
 
     @abstractmethod
-    def blocks(self, linear: Linear) -> Iterable[ParameterBlock]:
+    def blocks(self, linear: Linearisation) -> Iterable[ParameterBlock]:
         """Return the blocks of nuisance parameters of its own (see blocks.py)."""
 
     @abstractmethod
-    def feature_errors(self, linear: Linear) -> Array:
+    def feature_errors(self, linear: Linearisation) -> Array:
         """
         Return derivatives (m, 1) of the residuals by a unit-variance error of each feature.
 

@@ -20,7 +20,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample, SEED
 from handeye_ros.estimation.posterior import posterior_at
-from handeye_ros.estimation.problem import Linear, linearise, Observations, Problem
+from handeye_ros.estimation.problem import Linearisation, linearise, Observations, Problem
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.view import BORDER_NORMALS, View
@@ -177,8 +177,8 @@ def stations_like(template: Problem, solution: Solution, poses: Array, places: A
     return linear.problem.subset(visible), points[visible][:, anchored].mean(axis=1)
 
 
-def _shows_the_same(linear: Linear, points: Array, same_point: Array, template: Linear, view: View
-                    ) -> NDArray[np.bool_]:
+def _shows_the_same(linear: Linearisation, points: Array, same_point: Array,
+                    template: Linearisation, view: View) -> NDArray[np.bool_]:
     """
     Return which stations (n,) of linear see the target as the template does.
 
@@ -193,7 +193,7 @@ def _shows_the_same(linear: Linear, points: Array, same_point: Array, template: 
                       & _from_same_side(A, same_point, template))
 
 
-def _crossed_steeply(A: Array, same_point: Array, template: Linear) -> NDArray[np.bool_]:
+def _crossed_steeply(A: Array, same_point: Array, template: Linearisation) -> NDArray[np.bool_]:
     """
     Return which stations (n,) see edges and faces at a large enough angle.
 
@@ -207,7 +207,7 @@ def _crossed_steeply(A: Array, same_point: Array, template: Linear) -> NDArray[n
     return np.asarray((steep > np.sin(crossing) ** 2).all(axis=1))
 
 
-def _from_same_side(A: Array, same_point: Array, template: Linear) -> NDArray[np.bool_]:
+def _from_same_side(A: Array, same_point: Array, template: Linearisation) -> NDArray[np.bool_]:
     """
     Return which stations (n,) see each surface from the side from which the template sees it.
 
@@ -220,7 +220,7 @@ def _from_same_side(A: Array, same_point: Array, template: Linear) -> NDArray[np
 
 
 def _linear(template: Problem, solution: Solution, poses: Array, points: Array, noise: Array
-            ) -> Linear:
+            ) -> Linearisation:
     """
     Return the conditions of stations like the template, linearised at the solution's estimate.
 
@@ -245,7 +245,8 @@ def _on_target(template: Problem, solution: Solution, poses: Array, points: Arra
     return points
 
 
-def _corner_seen(A: Array, points: Array, template: Linear, view: View) -> NDArray[np.bool_]:
+def _corner_seen(A: Array, points: Array, template: Linearisation, view: View
+                 ) -> NDArray[np.bool_]:
     """
     Return which stations (n,) have the corner of two faces in view, and sharp enough.
 
@@ -287,7 +288,7 @@ def std_with_one_more(solution: Solution, levers: Array, added: Problem) -> floa
 
     added: the problem of that station alone. Here all blocks are shared with the others.
     """
-    reported = solution.for_report
+    reported = solution.report_posterior
     problem = reported.problem
     observations = [problem.observations, replace(
         added.observations, station=added.observations.station + len(problem.poses))]

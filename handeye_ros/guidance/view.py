@@ -149,7 +149,7 @@ def noun(target: ProfileTarget) -> str:
 
 def next_move(taken: int, target: ProfileTarget, config: Config, view: View) -> AdvisedMove:
     """Return the move after a number of samples (at least one)."""
-    is_round, two_edges = Arc in target.least_features, len(target.required_edges) > 1
+    is_round, two_edges = Arc in target.required_features, len(target.required_edges) > 1
     moves = SPHERE_MOVES if is_round else TWO_EDGES_MOVES if two_edges else ONE_EDGE_MOVES
     turn, *shares, beside = moves[taken % len(moves)]
     tilt = np.round(np.array(shares[:2]) * config.guidance.tilt, 3)

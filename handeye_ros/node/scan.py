@@ -24,7 +24,7 @@ from handeye_ros.bags.messages import returns_of
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Profile, RawProfile, TimedPose
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.frames import sensor_warning
+from handeye_ros.frames import frame_mismatch_warning
 from handeye_ros.node.main import own_arguments, run_for_exit_code, spin
 from handeye_ros.node.outputs import cloud, log_new_warnings
 from handeye_ros.node.state import MessageCount
@@ -72,7 +72,7 @@ class ScanNode(Node):
         """Keep the points of a profile until its pose is known."""
         returns = returns_of(profile)
         self.message_counts['profile'].add(profile.stamp)
-        if doubt := sensor_warning(profile.frame_id, self._sensor):
+        if doubt := frame_mismatch_warning(profile.frame_id, self._sensor):
             self.get_logger().warning(doubt, throttle_duration_sec=WARNING_PERIOD)
         self._append(self._profiles, returns)
 

@@ -195,7 +195,8 @@ def _edges(live: LiveSession) -> dict[int, str]:
     number_by_stamp = {sample.stamp: stop.number
                        for stop in live.session_copy().stops if stop.sample
                        for sample in stop.sample.station_samples}
-    used, edges_of_used = answer.solution.used.tolist(), edges_used(answer.solution.problem)
+    used = answer.solution.used_stations.tolist()
+    edges_of_used = edges_used(answer.solution.problem)
     return {number_by_stamp.get(answer.samples[station].stamp, 0): edges
             for station, edges in zip(used, edges_of_used, strict=True)}
 

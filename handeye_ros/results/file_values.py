@@ -86,7 +86,7 @@ def transform_from(path: Path, key: str, value: Any) -> Array:
     if abs(length - 1) > 1e-6:
         raise unusable_file(path, f'{key}.rotation is a quaternion of length {length:.6g}, '
                             'expected 1')
-    return se3.from_values(checked)
+    return se3.transform_from_values(checked)
 
 
 def input_values(file: Path) -> dict[str, str]:

@@ -173,7 +173,7 @@ def _xyz(values: Mapping[str, float]) -> Array:
 
 
 def _plate(target: Mapping[str, Any], size: tuple[float, ...], seen: Array) -> Outline:
-    T = se3.from_values(target['pose'])
+    T = se3.transform_from_values(target['pose'])
     angle = target.get('edge_angle', np.pi / 2)
     flat = se3.apply(se3.inverse(T), seen)
     length, width = size or flat[:, :2].max(axis=0, initial=DRAWN_EDGE_LENGTH / 2)

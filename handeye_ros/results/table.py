@@ -162,7 +162,7 @@ def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         shown = next((shown for shown in ESTIMATES if re.fullmatch(shown.keys, key)), None)
         name = f'target {key.replace("_", " ")}'
         if key == 'pose':
-            T = se3.from_values(value)
+            T = se3.transform_from_values(value)
             x, y, z = 1e3 * T[:3, 3]
             yield f'{name}, x y z', f'{x:.3f} {y:.3f} {z:.3f} mm'
             roll, pitch, yaw = np.degrees(se3.rpy(T))

@@ -27,9 +27,9 @@ from handeye_ros.estimation.least_squares import (
     covariance_of,
     drop_outliers,
     identity,
+    LeastSquares,
     leave_one_out,
     Rows,
-    System,
 )
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, prior_variances, whitening
 from handeye_ros.estimation.problem import Estimate, linearise, Problem
@@ -109,10 +109,10 @@ class ArmPoints:
         to_fixed = to_mount @ np.swapaxes(T[:, :3, :3], 1, 2)
         values = to_fixed @ (in_fixed - target)[:, :, None]
         wrt_X_and_target = np.concatenate(
-            [to_mount @ se3.wrt_perturbation(lever), -to_fixed], axis=2)
+            [to_mount @ se3.perturbation_jacobian(lever), -to_fixed], axis=2)
         wrt_shift, from_flange = (to_fixed, in_fixed - T[:, :3, 3]) if self.in_hand else (
             -to_mount, target @ T[:, :3, :3])
-        wrt_pose = wrt_shift @ se3.wrt_perturbation(from_flange)
+        wrt_pose = wrt_shift @ se3.perturbation_jacobian(from_flange)
         return Residuals(values.ravel(), np.repeat(np.arange(n), 3),
                          wrt_X_and_target.reshape(3 * n, -1), wrt_pose.reshape(3 * n, 6))
 
@@ -243,11 +243,11 @@ class ArmFit:
         return covariance_of(self.with_priors[1])
 
     @property
-    def system(self) -> System[ArmFit]:
+    def system(self) -> LeastSquares[ArmFit]:
         """Return the least squares with these weights; all errors of the robot are one item."""
         item = np.append(self.station[self.rows], np.full(len(self.errors), len(self.q)))
-        return System(lambda fit: Rows(fit.with_priors[0], lambda: fit.with_priors[1]),
-                      ArmFit.stepped, item)
+        return LeastSquares(lambda fit: Rows(fit.with_priors[0], lambda: fit.with_priors[1]),
+                            ArmFit.stepped, item)
 
     def stepped(self, step: Array) -> ArmFit:
         """Return the estimate after a step (u,)."""
@@ -262,7 +262,7 @@ class ArmFit:
 
     def solved(self) -> ArmFit:
         """Return the least-squares estimate with these weights, near this one."""
-        return self.system.least_squares(self, iterations=20, converged=1e-4)
+        return self.system.minimised(self, iterations=20, converged=1e-4)
 
 
 def noise_and_variances(fit: ArmFit, conservative: bool = False) -> tuple[Array, Array]:

@@ -23,7 +23,7 @@ from handeye_ros.checks.refusals import require_certain, require_samples
 from handeye_ros.config import Config, UNITS
 from handeye_ros.data import Array, Calibration, Indices, NS, Sample, SEED
 from handeye_ros.errors import DataError, InputError, mm
-from handeye_ros.estimation.least_squares import adjust
+from handeye_ros.estimation.least_squares import robust_least_squares
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solution import cover
@@ -127,7 +127,7 @@ def fit_of_sources(sources: Sequence[Source], arm: Arm) -> ArmFit:
                                  np.random.default_rng(SEED), subsets=True)
         # the arm's errors and a smooth one of their own stand for robot_smooth from here on
         without_smooth = replace(config, noise=replace(noise, robot_smooth=0.0))
-        measured.append(ArmProfiles(source.q[agreed.used],
+        measured.append(ArmProfiles(source.q[agreed.used_stations],
                                     replace(agreed.problem, config=without_smooth)))
         estimates.append(agreed.estimate)
         apart = se3.difference(estimates[-1].X, estimates[0].X)
@@ -263,7 +263,7 @@ def fit_of_rows(rows: PointRows, arm: Arm) -> ArmFit:
     start = ArmFit.of_arm(
         arm, [ArmPoints(rows.q[part], rows.points[part], rows.in_hand) for part in parts], X,
         [np.median(places[part], axis=0) for part in parts], np.full(3, INACCURATE_RMS))
-    adjusted = adjust(start.system, start, FEWEST_STOPS)
+    adjusted = robust_least_squares(start.system, start, FEWEST_STOPS)
     used = np.isin(np.arange(len(rows.q)), adjusted.used)
     return with_estimated_weights(replace(adjusted.state, used=used).solved())
 

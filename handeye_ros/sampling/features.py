@@ -15,7 +15,7 @@ from dataclasses import replace
 from functools import partial
 
 from handeye_ros import se3, targets
-from handeye_ros.config import Config, flipped_range
+from handeye_ros.config import Config, with_flipped_range
 from handeye_ros.data import (
     AnyProfile,
     Arc,
@@ -84,10 +84,10 @@ def _pass_of(stop: Stop, config: Config) -> Sample:
     T = interpolate(stop.poses, [profile.stamp for profile, _ in shown])
     single = tuple(
         Sample(profile.stamp, pose, features,
-               flipped=_flipped(profile, config) if k % FLIPPED_EVERY == 0 else None)
+               flipped_features=_flipped(profile, config) if k % FLIPPED_EVERY == 0 else None)
         for k, ((profile, features), pose) in enumerate(zip(shown, T, strict=True)))
     middle = single[len(single) // 2]
-    return replace(middle, profiles=len(single), per_profile=single,
+    return replace(middle, profiles=len(single), profile_samples=single,
                    trajectory=trajectory_of(stop.poses, config.sampling.max_pose_gap),
                    centroid=_centroid(shown[0][0]))
 
@@ -123,7 +123,7 @@ def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
     """Return the features of a target with edges, with the opposite profile.range_sign."""
     if targets.target_for(config).required_edges:
         with suppress(FeatureError):
-            return features_of(profile, flipped_range(config))
+            return features_of(profile, with_flipped_range(config))
     return ()
 
 

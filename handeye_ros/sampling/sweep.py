@@ -28,7 +28,7 @@ PoseModel of the problem:
   with the other sign of the range too (FLIPPED_EVERY); passes_expanded (here) takes a pass apart,
   with one trajectory for all
 - estimation: problem_with_clocks (here) adds the three unknowns; fewer profiles than stops are
-  enough (Problem.stations_for_noise)
+  enough (Problem.noise_station_count)
 - session.py: a pass is never a duplicate, nor taken early; guidance advises to sweep on
 - checks: other settings and clocks, and a scale of an answer that fits, are not tried (causes.py);
   with the other sign of the range or other poses the clocks are searched anew (hypotheses.py,
@@ -62,7 +62,7 @@ from handeye_ros.estimation.basis import smooth_basis_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock, smooth_errors
 from handeye_ros.estimation.least_squares import typical_square
 from handeye_ros.estimation.noise import TURN_LENGTH
-from handeye_ros.estimation.problem import Estimate, Linear, PoseModel, Problem
+from handeye_ros.estimation.problem import Estimate, Linearisation, PoseModel, Problem
 from handeye_ros.estimation.search import (
     CONVINCING_SQUARE,
     is_convincing,
@@ -85,9 +85,9 @@ MOST_SAMPLES, SEARCH_SAMPLES = 400, 60  # of a sweep; where some do: a start, a 
 
 def passes_expanded(samples: Sequence[Sample]) -> tuple[Sample, ...]:
     """Return one sample per profile of passes, with their common trajectory; others unchanged."""
-    trajectories = [sample.trajectory for sample in samples if sample.per_profile]
+    trajectories = [sample.trajectory for sample in samples if sample.profile_samples]
     trajectory = joined(trajectories) if trajectories else None
-    return tuple(replace(station, trajectory=trajectory) if sample.per_profile else station
+    return tuple(replace(station, trajectory=trajectory) if sample.profile_samples else station
                  for sample in samples for station in sample.station_samples)
 
 
@@ -143,10 +143,10 @@ def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:
         blocks=partial(errors_in_motion, clocked.stamps),
         jitter=np.array([config.noise.stamps, 0.0, 0.0]))
     clock_values = next(sample.clock_values for sample in samples if sample.moving)
-    return replace(problem, pose_model=model).with_pose_values(np.array(clock_values))
+    return replace(problem, pose_model=model).with_pose_parameters(np.array(clock_values))
 
 
-def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
+def errors_in_motion(stamps: NDArray[np.int64], linear: Linearisation) -> Blocks:
     """Yield the blocks of errors of a moving robot: smooth in time, and of the exposure."""
     position_std, model = linear.problem.config.noise.robot_smooth, linear.problem.pose_model
     assert model is not None
@@ -197,12 +197,13 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     # the clocks from some samples, and then from all
     start = _best_over_offsets(problem.subset(even_indices(len(samples), SEARCH_SAMPLES)),
                                np.random.default_rng(SEED))
-    start_values = start.problem.pose_values
+    start_values = start.problem.pose_parameters
     # profiles in gaps between the poses would pull the offset
     in_time = np.flatnonzero(_flange_at(start_values, clocked, problem).inside)
-    fit = refined_robustly(problem.subset(in_time).with_pose_values(start_values), start.estimate)
+    fit = refined_robustly(problem.subset(in_time).with_pose_parameters(start_values),
+                           start.estimate)
     # each sample gets the pose of its time
-    clock_values = ClockValues(*fit.problem.pose_values.tolist())
+    clock_values = ClockValues(*fit.problem.pose_parameters.tolist())
     instants = _flange_at(clock_values, clocked, problem)
     timed = [replace(sample, T_base_flange=T, clock_values=clock_values)
              for sample, T, inside in zip(
@@ -210,7 +211,7 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     rejects = [Reject(sample.stamp, NO_POSES)
                for sample, inside in zip(samples, instants.inside, strict=True) if not inside]
     problem = problem.subset(np.flatnonzero(instants.inside))
-    return TimedSamples(timed, rejects, problem.with_pose_values(fit.problem.pose_values),
+    return TimedSamples(timed, rejects, problem.with_pose_parameters(fit.problem.pose_parameters),
                         fit.estimate)
 
 
@@ -224,13 +225,13 @@ def _flange_at(clock_values: Iterable[float], clocked: ClockedPoses, problem: Pr
     return instants
 
 
-def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Linear:
+def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Linearisation:
     """Return the best fit over several offsets, or the first convincing one."""
-    fits, loss = list[Linear](), partial(mean_log_square, problem)
+    fits, loss = list[Linearisation](), partial(mean_log_square, problem)
     for offset in sorted(np.arange(-10, 11, 2), key=abs):  # prior sigmas
-        clock_values = np.zeros(len(problem.pose_values))
+        clock_values = np.zeros(len(problem.pose_parameters))
         clock_values[0] = offset * problem.config.time_offset_std
-        shifted = problem.with_pose_values(clock_values)
+        shifted = problem.with_pose_parameters(clock_values)
         for start in islice(shifted.target.starts(shifted, rng), 3):
             fits.append(refined_robustly(shifted, start))
             if is_convincing(problem, fits[-1]):

@@ -233,8 +233,8 @@ def _best_mount(T: Array, error: Array, X: Array, scenario: Scenario) -> Array:
     lever = field @ X[:3, :3].T
     points = se3.apply(T, lever + X[:3, 3])
     shift = error[:, None, :3] + np.cross(error[:, None, 3:], points - T[:, None, :3, 3])
-    wrt_mount = np.einsum('nij,kjl->nkil', T[:, :3, :3], se3.wrt_perturbation(lever))
-    A = np.concatenate([wrt_mount, -se3.wrt_perturbation(points)], axis=3).reshape(-1, 12)
+    wrt_mount = np.einsum('nij,kjl->nkil', T[:, :3, :3], se3.perturbation_jacobian(lever))
+    A = np.concatenate([wrt_mount, -se3.perturbation_jacobian(points)], axis=3).reshape(-1, 12)
     step = np.linalg.lstsq(A, -shift.reshape(-1), rcond=1e-9)[0]
     return se3.perturb(X, step[:6])
 

@@ -26,12 +26,12 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Indices
 from handeye_ros.errors import DataError, require_count
 from handeye_ros.estimation.least_squares import (
-    adjust,
-    Adjusted,
     chi2_isf,
     inverse_roots,
+    LeastSquares,
+    robust_least_squares,
+    RobustFit,
     Rows,
-    System,
 )
 from handeye_ros.frames import mount_frame, mount_poses
 from handeye_ros.published.cn105021139a import solve_motions
@@ -63,7 +63,7 @@ class PairedRows(TableProblem):
     prefixes: of the columns of both lists
     fewest: rows; fewer do not show how large the noise is
     typical_variances: (c,) of the causes of errors, where nothing is known. Their ratios count;
-        all are far smaller than any real noise, as `adjust` drops no row within the stated one
+        all are far smaller than any real noise, as no row within the stated one is dropped
     """
 
     seen: Array
@@ -186,7 +186,7 @@ class PairedRows(TableProblem):
             np.isin(np.arange(len(self)), fit.used), residuals[:, 0], residual_rms, holdout_rms,
             angle_rms, target)
 
-    def fit_with_variances(self, start: Array, variances: Array) -> tuple[Adjusted[Array], Array]:
+    def fit_with_variances(self, start: Array, variances: Array) -> tuple[RobustFit[Array], Array]:
         """
         Return the fit for variances (c,) of the causes, and what whitens each row (n, d, d).
 
@@ -199,9 +199,9 @@ class PairedRows(TableProblem):
             return Rows((whiten @ differences[..., None]).ravel(),
                         lambda: (whiten @ derivatives).reshape(-1, 6 * len(state)))
 
-        system = System(rows, lambda state, step: se3.perturb(state, step.reshape(-1, 6)),
-                        np.repeat(np.arange(len(self)), whiten.shape[1]))
-        return adjust(system, start, self.fewest), whiten
+        system = LeastSquares(rows, lambda state, step: se3.perturb(state, step.reshape(-1, 6)),
+                              np.repeat(np.arange(len(self)), whiten.shape[1]))
+        return robust_least_squares(system, start, self.fewest), whiten
 
     def likeliest_variances(self, state: Array, used: Indices, typical: Array) -> Array:
         """
@@ -289,7 +289,7 @@ class PointPairs(PairedRows):
 
     def linearised(self, state: Array) -> tuple[Array, Array, Array]:
         turned = self.seen @ state[0, :3, :3].T
-        return (turned + state[0, :3, 3] - self.robot, se3.wrt_perturbation(turned),
+        return (turned + state[0, :3, 3] - self.robot, se3.perturbation_jacobian(turned),
                 np.broadcast_to(np.eye(3), (1, len(self), 3, 3)))
 
 

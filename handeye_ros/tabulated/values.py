@@ -20,7 +20,7 @@ from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.refusals import (
     LARGEST_DROPPED_SHARE,
     require_certain,
-    require_left_out,
+    require_predicted,
 )
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
@@ -137,7 +137,7 @@ class TableAnswer:
     def require_trusted(self, problem: TableProblem) -> None:
         """Raise DataError for an answer of a problem that is beyond its limits."""
         require_certain(self.covariance, problem.config, problem.advice)
-        require_left_out(self.holdout_rms, self.residual_rms, problem.config.limits.residual)
+        require_predicted(self.holdout_rms, self.residual_rms, problem.config.limits.residual)
 
 
 @single_threaded

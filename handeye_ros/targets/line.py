@@ -101,7 +101,7 @@ class Line(ProfileTarget):
     parameter_names, pose_axes = ('y', 'z', 'rx', 'ry', 'rz'), (1, 2, 3, 4, 5)
     normals = np.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, 1.0]])
     extract = staticmethod(face_features)
-    least_features = (EdgePoint,)
+    required_features = (EdgePoint,)
     required_edges = (EDGE_Y,)
     min_samples = 7
     edge_kinds = (EDGE_Y, EDGE_Z)

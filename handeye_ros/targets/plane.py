@@ -53,8 +53,9 @@ class Plane(ProfileTarget):
     parameter_names, pose_axes = ('z', 'rx', 'ry'), (2, 3, 4)
     normals = np.array([[0.0, 0.0, 1.0]])
     extract = staticmethod(plane_features)
-    one_axis = ('the position along it is free, and if it is the normal of the plane (yaw only) '
-                'all of the position and part of the rotation')
+    lost_with_one_axis = (
+        'the position along it is free, and if it is the normal of the plane (yaw only) '
+        'all of the position and part of the rotation')
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts, best first; of few stations, which fit in many wrong ways, then all."""
@@ -66,7 +67,7 @@ class Plane(ProfileTarget):
                     choice, [1, 2, 0], slice(2, 3), factor * PLANE_CANDIDATES), factor)]
             for factor in factors))
 
-    def views_alike(self, problem: Problem, estimate: Estimate) -> str:
+    def alike_views_in_words(self, problem: Problem, estimate: Estimate) -> str:
         """Return in words that all samples see the plane at one angle, '' if they do not."""
         range_axes = problem.poses[:, :3, :3] @ estimate.X[:3, 2]
         normal = estimate.state.reshape(4, 4)[:3, 2]

@@ -26,7 +26,7 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.plane import PLANE
 from handeye_ros.targets.profile_target import FACE, ProfileTarget
-from handeye_ros.targets.starts import some_stations
+from handeye_ros.targets.starts import random_indices
 import numpy as np
 from numpy.typing import NDArray
 
@@ -104,7 +104,7 @@ def _two_lines(points: Array, outward: Array, rng: np.random.Generator) -> tuple
     the lines, are tried. The cost of a point is its distance to the nearer line that the face is
     inside of, limited.
     """
-    voters = some_stations(len(points), TURN_VOTERS, rng)
+    voters = random_indices(len(points), TURN_VOTERS, rng)
     limit = 0.03 * float(np.ptp(points[voters], axis=0).max() + 1e-9)
     turns = np.linspace(0.0, 2 * np.pi, TRIED_TURNS, endpoint=False)
     cosine, sine = np.cos(turns), np.sin(turns)
@@ -127,7 +127,7 @@ class Plate(ProfileTarget):
     parameter_names = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'size_p', 'size_q', 'edge_angle')
     pose_axes = range(6)
     extract = staticmethod(face_features)
-    least_features = (FaceLine, EdgePoint)
+    required_features = (FaceLine, EdgePoint)
     required_edges = tuple(EDGES)
     free_measure = {'edge_angle_free': True}
     free_lengths = {'size_std': 3e-3}
@@ -161,9 +161,9 @@ class Plate(ProfileTarget):
         length = np.array([0.0, *(size[edge.axis] * (edge.side > 0) for edge in edges)])[kind]
         along_q = local @ [cosine, sine, 0.0]
         by_angle = np.where((kind == Q) | (kind == Q_FAR), along_q, 0.0) - length * cosine
-        by_measures = [*(np.where(kind == k, -sine, 0.0) for k in (Q_FAR, P_FAR)), by_angle]
+        dg_dmeasures = [*(np.where(kind == k, -sine, 0.0) for k in (Q_FAR, P_FAR)), by_angle]
         return ((local * normals).sum(axis=1) - length * sine, normals,
-                np.column_stack(by_measures))
+                np.column_stack(dg_dmeasures))
 
     def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
         """Return the lengths, and the angle between the edges if it is not free."""
@@ -189,9 +189,9 @@ class Plate(ProfileTarget):
             p[rows], np.full(len(rows), k), state, config).g) for k in kinds])
         steepness = np.array([edge.side * outward[:, edge.axis] for edge in edges.values()])
         distance[steepness < np.sin(config.sampling.min_crossing_angle)] = np.inf
-        nearest, far = kinds[np.argmin(distance, axis=0)], np.min(distance, axis=0)
-        typical = np.quantile(far, SURE_SHARE, method='lower') if len(far) else 0.0
-        is_near = np.isfinite(far) & (far <= max(SMALLEST_GATE, GATE_RATIO * typical))
+        nearest, smallest = kinds[np.argmin(distance, axis=0)], np.min(distance, axis=0)
+        typical = np.quantile(smallest, SURE_SHARE, method='lower') if len(smallest) else 0.0
+        is_near = np.isfinite(smallest) & (smallest <= max(SMALLEST_GATE, GATE_RATIO * typical))
         kind = observations.kind.copy()
         kind[rows] = np.where(is_near, nearest, UNUSED)
         return replace(observations, kind=kind)

@@ -6,8 +6,8 @@ What targets share.
 A new target is a subclass of ProfileTarget in a file of its own, listed in __init__.py; plane.py
 is the smallest. It states
 
-- name, extract: the features of one profile, or FeatureError (profiles/), and least_features: the
-  types of those that are always among them
+- name, extract: the features of one profile, or FeatureError (profiles/), and required_features:
+  the types of those that are always among them
 - kinds, and normals or local_conditions: what vanishes for the points of features in its frame
 - parameter_names, pose_axes, stated_values: what of its pose and measures is unknown, or known
 - starts: estimates to search from (starts.py), and reassign where a profile may show other things
@@ -28,7 +28,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, EdgePoint, ENDINGS, FaceLine, Feature, Sample
 from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
-from handeye_ros.estimation.problem import Linear, Observations, UNUSED
+from handeye_ros.estimation.problem import Linearisation, Observations, UNUSED
 from handeye_ros.estimation.target import Conditions, Target
 from handeye_ros.targets.starts import of_nearest_piece
 import numpy as np
@@ -105,7 +105,7 @@ class ProfileTarget(Target):
     pose_axes: which of x y z rx ry rz, along and about its own axes, are parameters; the others
         leave it the same. The measures are parameters after them.
     normals: (kinds, 3) by kind, of the surface through the origin on which its points lie
-    least_features: types of the features that extract gives at least, one for each
+    required_features: types of the features that extract gives at least, one for each
     edge_kinds: the kinds of the conditions that one edge point gives, before it is reassigned
     several_in_view: whether a profile may show several surfaces, or pairs of them, of which one is
         the target
@@ -113,7 +113,7 @@ class ProfileTarget(Target):
 
     pose_axes: ClassVar[Sequence[int]]
     normals: ClassVar[Array]
-    least_features: ClassVar[Sequence[type[Feature]]] = (FaceLine,)
+    required_features: ClassVar[Sequence[type[Feature]]] = (FaceLine,)
     edge_kinds: tuple[int, ...] = ()
     several_in_view = False
 
@@ -170,13 +170,13 @@ class ProfileTarget(Target):
         """Return the conditions of points (..., m, 3) in base for targets (..., 16 + j)."""
         T = state[..., :16].reshape(*state.shape[:-1], 4, 4)
         R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
-        g, by_local, by_measures = self.local_conditions(offset @ R, kind, state[..., 16:])
-        dg_dp, axes = by_local @ np.swapaxes(R, -1, -2), self.axes(R)
+        g, dg_dlocal, dg_dmeasures = self.local_conditions(offset @ R, kind, state[..., 16:])
+        dg_dp, axes = dg_dlocal @ np.swapaxes(R, -1, -2), self.axes(R)
         wrt_pose = -dg_dp @ axes
         if max(self.pose_axes) > 2:
             wrt_pose = np.concatenate([wrt_pose, -np.cross(offset, dg_dp) @ axes], axis=-1)
         return Conditions(g, dg_dp, np.concatenate(
-            [wrt_pose[..., list(self.pose_axes)], by_measures], axis=-1))
+            [wrt_pose[..., list(self.pose_axes)], dg_dmeasures], axis=-1))
 
     def retract(self, state: Array, delta: Array) -> Array:
         """Return targets (..., 16 + j) after a step of pose and measures."""
@@ -196,23 +196,23 @@ class ProfileTarget(Target):
         nearest = of_nearest_piece(observations, self.pieces(observations), squares)
         return replace(observations, kind=np.where(nearest, observations.kind, UNUSED))
 
-    def blocks(self, linear: Linear) -> Blocks:
+    def blocks(self, linear: Linearisation) -> Blocks:
         """Yield the blocks of the ends of faces, of their flatness, and of grazing light."""
         for source in (ends_of_faces, flatness, grazing):
             yield from source(linear)
 
-    def feature_errors(self, linear: Linear) -> Array:
+    def feature_errors(self, linear: Linearisation) -> Array:
         """Return the derivatives (m, 1) by independent set-backs of edge points, in sigmas."""
         return out_of_face(linear)[:, None] * linear.problem.config.target.setback_std
 
 
-def out_of_face(linear: Linear) -> Array:
+def out_of_face(linear: Linearisation) -> Array:
     """Return derivatives (m,) of residuals by moves of edge points outwards from their faces."""
     outward = linear.problem.observations.outward
     return np.asarray((linear.wrt_point * outward).sum(axis=1))
 
 
-def ends_of_faces(linear: Linear) -> Blocks:
+def ends_of_faces(linear: Linearisation) -> Blocks:
     """
     Yield the blocks of the ends of faces: set-back, its change with the tilt, and shape.
 
@@ -251,7 +251,7 @@ def face_kinds(target: Target) -> list[int]:
     return [i for i, name in enumerate(target.kinds) if name.startswith('face')]
 
 
-def flatness(linear: Linear) -> Blocks:
+def flatness(linear: Linearisation) -> Blocks:
     """Yield the blocks of bowed faces: polynomials over each face, by degree."""
     problem, std = linear.problem, linear.problem.config.noise.flatness
     faces = face_kinds(problem.target)
@@ -265,7 +265,7 @@ def flatness(linear: Linear) -> Blocks:
                              reported_as='flatness_error')
 
 
-def grazing(linear: Linear) -> Blocks:
+def grazing(linear: Linearisation) -> Blocks:
     """Yield the block of the range error of faces seen at grazing incidence."""
     problem, std = linear.problem, linear.problem.config.noise.distortion
     points = problem.observations.points

@@ -16,7 +16,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Sample
 from handeye_ros.estimation.problem import (
     Estimate,
-    Linear,
+    Linearisation,
     Problem,
 )
 from handeye_ros.estimation.search import shortlisted
@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation
 
 ROTATION_COUNT = 1200
 SPHERE_CANDIDATES = 16  # solutions of the sweep that are tried
-LARGER = 1.05  # an unknown radius over that of the largest circle
+START_RADIUS_RATIO = 1.05  # an unknown radius over that of the largest circle
 MIDDLE_WEIGHT = 1e-9  # weight of a centre at the middle of the poses (regularisation)
 
 
@@ -44,18 +44,18 @@ def _candidates(problem: Problem, rng: np.random.Generator) -> list[Estimate]:
     obs, a = problem.observations, problem.poses[:, :3, 3]
     bounds = np.searchsorted(obs.station, np.arange(1, len(a)))
     circles = np.array([fit_circle(p, steps=1) for p in np.split(obs.points, bounds)])
-    radius = problem.config.target.radius or LARGER * float(circles[:, 2].max())
+    radius = problem.config.target.radius or START_RADIUS_RATIO * float(circles[:, 2].max())
     height = np.sqrt(np.maximum(radius ** 2 - circles[:, 2] ** 2, 0.0))
     R_sensor = Rotation.from_quat(rng.normal(size=(ROTATION_COUNT, 4))).as_matrix()
     axes = np.swapaxes(problem.poses[:, :3, :3] @ R_sensor[:, None], -1, -2)  # in the base
-    flange = axes @ (a - a.mean(axis=0))[:, :, None]
+    mount = axes @ (a - a.mean(axis=0))[:, :, None]
     A = np.concatenate([axes[:, :, ::2], np.broadcast_to(-np.eye(2), (*axes.shape[:2], 2, 2))],
                        axis=-1).reshape(ROTATION_COUNT, -1, 5)
-    b = (flange[:, :, ::2, 0] + circles[:, :2]).reshape(ROTATION_COUNT, -1, 1)
+    b = (mount[:, :, ::2, 0] + circles[:, :2]).reshape(ROTATION_COUNT, -1, 1)
     transposed = np.swapaxes(A, 1, 2)
     normal = transposed @ A + MIDDLE_WEIGHT * len(a) * np.eye(5)
     solved = np.linalg.solve(normal, transposed @ b)
-    y = (axes[:, :, 1] @ solved[:, :3] - flange[:, :, 1])[..., 0]
+    y = (axes[:, :, 1] @ solved[:, :3] - mount[:, :, 1])[..., 0]
     offsets = np.concatenate([y - height, y + height], axis=1)
     misfit = ((np.abs(y[:, None] - offsets[:, :, None]) - height) ** 2).mean(axis=2)
     total = misfit.min(axis=1) + ((A @ solved - b) ** 2).mean(axis=(1, 2))
@@ -74,7 +74,7 @@ class Sphere(ProfileTarget):
     parameter_names, pose_axes = ('x', 'y', 'z', 'radius'), (0, 1, 2)
     free_measure = {'radius': 0.0}
     extract = staticmethod(arc_features)
-    least_features = (Arc,)
+    required_features = (Arc,)
 
     def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
         """Return the radius if it is given."""
@@ -92,7 +92,7 @@ class Sphere(ProfileTarget):
         few = with_few_stations(problem, rng)
         yield from shortlisted(few, _candidates(few, rng))
 
-    def half_turn_misfit(self, linear: Linear) -> tuple[str, float]:
+    def half_turn_misfit(self, linear: Linearisation) -> tuple[str, float]:
         """
         Return the line of the view about which half a turn changes least, and m RMS off it.
 

@@ -28,10 +28,10 @@ TINY = 1e-30  # m^2
 
 def with_few_stations(problem: Problem, rng: np.random.Generator) -> Problem:
     """Return the problem with at most GUESS_STATIONS stations, to search for a start."""
-    return problem.subset(some_stations(len(problem.poses), GUESS_STATIONS, rng))
+    return problem.subset(random_indices(len(problem.poses), GUESS_STATIONS, rng))
 
 
-def some_stations(count: int, most: int, rng: np.random.Generator) -> NDArray[np.intp]:
+def random_indices(count: int, most: int, rng: np.random.Generator) -> NDArray[np.intp]:
     """Return at most `most` of count stations, ascending."""
     return np.sort(rng.permutation(count)[:most])
 

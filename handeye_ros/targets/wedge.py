@@ -98,7 +98,7 @@ class Wedge(ProfileTarget):
     kinds = ('face_1', 'face_2')
     parameter_names, pose_axes = ('y', 'z', 'ry', 'rz', 'turn', 'angle'), (1, 2, 4, 5)
     extract = staticmethod(corner_features)
-    least_features = (FaceLine, FaceLine)
+    required_features = (FaceLine, FaceLine)
     face_count, several_in_view = 2, True
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
@@ -132,8 +132,9 @@ class Wedge(ProfileTarget):
         """Return the observations with the best pair of lines per station, each on its face."""
         kind, pair = observations.kind, self.pieces(observations)
         group = observations.station * (int(pair.max()) + 1) + pair
-        as_is, swapped = (self.conditions(p, k, state, config).g ** 2 for k in (kind, 1 - kind))
-        better = (np.bincount(group, swapped) < np.bincount(group, as_is))[group]
+        unswapped, swapped = (self.conditions(p, k, state, config).g ** 2
+                              for k in (kind, 1 - kind))
+        better = (np.bincount(group, swapped) < np.bincount(group, unswapped))[group]
         labelled = replace(observations, kind=np.where(better, 1 - kind, kind))
         return super().reassign(labelled, p, state, config)
 

@@ -37,8 +37,8 @@ from handeye_ros.data import (
 )
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.blocks import LINE_BEND, line_bend, sensor_distortion, wrt_smooth
-from handeye_ros.estimation.noise import Noise, Whitening, whitening
-from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem, UNUSED
+from handeye_ros.estimation.noise import NoiseScales, Whitening, whitening
+from handeye_ros.estimation.problem import Estimate, Linearisation, linearise, Problem, UNUSED
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import direction_in_words, mount_frame, target_frame
 from handeye_ros.sampling.stops import evenly
@@ -145,7 +145,7 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
         return check(session.samples, calibration, config, session.rejects)
     answer = pipeline.answer_session(session, config)
     offset, solution = answer.require_calibration().time_offset, answer.require_solution()
-    used = [answer.samples[i] for i in solution.used]
+    used = [answer.samples[i] for i in solution.used_stations]
     still = [replace(sample, trajectory=None) for sample in evenly(used, MOST_OF_SWEEP)]
     result = check(still, calibration, config, session.rejects,
                    [stop.stamp for stop in session.stops])
@@ -230,7 +230,7 @@ class _Calibrated(NamedTuple):
     What a calibration says of sensor and target.
 
     root: R with R R' the joint covariance (6 + k, 6 + k) of transform and target
-    variance_factors: (5,) of its noise, see Noise, at least 1
+    variance_factors: (5,) of its noise, see NoiseScales, at least 1
     noise: the settings, with the sizes of systematic errors that it found
     """
 
@@ -311,7 +311,7 @@ class _Prediction:
     errors (m, k): white derivatives of the residuals by the errors e, in their sigmas
     """
 
-    linear: Linear
+    linear: Linearisation
     whiten: Whitening
     residuals: Array
     errors: Array
@@ -348,7 +348,7 @@ def _predicted(problem: Problem, calibrated: _Calibrated) -> _Prediction:
         for source in (problem.target.blocks, sensor_distortion, line_bend)
         for block in source(at_found_sizes)]
     linear = linearise(problem, estimate)
-    whiten = whitening(linear, Noise(calibrated.variance_factors))
+    whiten = whitening(linear, NoiseScales(calibrated.variance_factors))
     # what all stops share was part of the calibration too
     basis = problem.smooth_error_basis
     differences = (basis - basis.mean(axis=0))[problem.observations.station]

@@ -32,19 +32,19 @@ from handeye_ros.estimation.least_squares import (
     drop_outliers,
     identity,
     inverse_roots,
+    LeastSquares,
     Rows,
-    System,
     Whitener,
 )
 from handeye_ros.estimation.noise import (
     LOCAL_DISTORTION_FACTOR,
-    Noise,
+    NoiseScales,
     total_covariance,
     Whitening,
 )
 from handeye_ros.estimation.problem import (
     Estimate,
-    Linear,
+    Linearisation,
     Observations,
     Problem,
     StationGroup,
@@ -68,7 +68,7 @@ FREE_STD = 1e6  # 1 sigma of an unknown that may have any value, beside that by 
 # share of the others in what a group nearly determines alone: extrapolated
 LEFT_BY_OTHERS_SHARE = 1e-3
 # without what differs of the distortion
-NOISE = Noise(np.where(np.arange(5) == LOCAL_DISTORTION_FACTOR, 0.0, 1.0))
+NOISE = NoiseScales(np.where(np.arange(5) == LOCAL_DISTORTION_FACTOR, 0.0, 1.0))
 MOST_OUTLIERS = 0.2  # of the groups: more are no outliers, but a disagreement
 
 Result = TypeVar('Result')
@@ -201,24 +201,24 @@ class Shape:
         """Return the derivatives (m, 3) of the distances by the points p (m, 3)."""
         return derivatives(lambda shift: self.distance(p + shift, q), np.zeros(3))
 
-    def linear(self, X: Array, q: Array) -> Linear:
+    def linear(self, X: Array, q: Array) -> Linearisation:
         """Return the distances and their derivatives, with the sensor plane at X (4, 4)."""
         problem = self.stations.problem
         p, (R, _) = problem.points_in_base(X), problem.mounts_of_rows
         lever, wrt_base = problem.observations.points @ X[:3, [0, 2]].T, self.wrt_point(p, q)
         wrt_mount = np.einsum('mji,mj->mi', R, wrt_base)
         wrt_shape = derivatives(partial(self.distance, p), q)
-        return Linear(problem, Estimate(X, q), self.distance(p, q),
-                      np.hstack([wrt_mount, np.cross(lever, wrt_mount), wrt_shape]), lever,
-                      wrt_base)
+        return Linearisation(problem, Estimate(X, q), self.distance(p, q),
+                             np.hstack([wrt_mount, np.cross(lever, wrt_mount), wrt_shape]), lever,
+                             wrt_base)
 
     def fit_unknowns(self, p: Array, white: Callable[[Array], Whitener] = lambda q: identity,
                      iterations: int = 50) -> Array:
         """Return the unknowns (k,) that fit points p (m, 3) best; white(q) whitens distances."""
         distance = partial(self.distance, p)
-        return System[Array](
+        return LeastSquares[Array](
             lambda q: Rows(distance(q), partial(derivatives, distance, q), partial(white, q)),
-            np.add, np.zeros(len(p), dtype=np.intp)).least_squares(
+            np.add, np.zeros(len(p), dtype=np.intp)).minimised(
                 self.start, iterations=iterations)
 
 
@@ -337,7 +337,7 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float
     stations, problem = shape.stations, shape.stations.problem
     groups = replace(problem.observations, station=stations.group_of_point).station_groups
 
-    def whitening(linear: Linear) -> Whitening:
+    def whitening(linear: Linearisation) -> Whitening:
         return Whitening(tuple(group.rows for group in groups), tuple(
             inverse_roots(_covariance(linear, group)) for group in groups))
 
@@ -373,7 +373,8 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float
                     stations.group_of_point)
 
 
-def _calibration_error(A: Array, b: Array, conditions: int, linear: Linear) -> CalibrationError:
+def _calibration_error(A: Array, b: Array, conditions: int, linear: Linearisation
+                       ) -> CalibrationError:
     """
     Return the error of the calibration that distances and nominal values show.
 
@@ -395,7 +396,7 @@ def _calibration_error(A: Array, b: Array, conditions: int, linear: Linear) -> C
         *_weakest(covariance, linear.lever, mount_frame(linear.problem.config)))
 
 
-def _covariance(linear: Linear, group: StationGroup) -> Array:
+def _covariance(linear: Linearisation, group: StationGroup) -> Array:
     """Return the covariance (stations, c, c) of noise and range errors of steep faces."""
     total = total_covariance(linear, group, NOISE)
     for block in grazing(linear):
@@ -451,7 +452,7 @@ def _measured(shape: Shape, q: Array, white: _WhiteDistances
 
 def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, float]:
     """Return the largest displacement (m) by a move (6,) of covariance C, and its 1 sigma."""
-    wrt_move = se3.wrt_perturbation(lever)
+    wrt_move = se3.perturbation_jacobian(lever)
     sizes = np.linalg.norm(wrt_move @ move, axis=1)
     worst = wrt_move[np.argmax(sizes)]
     return float(sizes.max()), float(np.sqrt(np.trace(worst @ C @ worst.T)))
@@ -463,7 +464,7 @@ def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
 
     covariance (6, 6): of the calibration's error, in its mount; lever (m, 3): from the sensor.
     """
-    wrt_move = se3.wrt_perturbation(lever)
+    wrt_move = se3.perturbation_jacobian(lever)
     # x' mean_square x: the mean square displacement of the points by a move x
     mean_square = np.einsum('mik,mil->kl', wrt_move, wrt_move) / len(lever)
     mean_square += 1e-12 * np.trace(mean_square) * np.eye(6)

@@ -33,5 +33,5 @@ def test_edges_that_are_less_certain_do_not_explain_more() -> None:
         return explain_samples(samples, plate_cell.config, [s.stamp for s in samples])
 
     waved, stray = fit_of(6e-5, 2e-5), fit_of(2e-4, 3e-4)
-    assert stray.square_per_freedom < waved.square_per_freedom
+    assert stray.reduced_chi_squared < waved.reduced_chi_squared
     assert stray.evidence_over(waved) < 0

@@ -129,7 +129,7 @@ def test_outliers_at_one_end_are_told_of_however_many_samples() -> None:
     solution = solution_of('plate')
     many = replace(solution.full_problem, poses=np.resize(solution.problem.poses, (3000, 4, 4)))
     assert outliers_at_one_end(replace(
-        solution, full_problem=many, used=np.arange(2800))).startswith(
+        solution, full_problem=many, used_stations=np.arange(2800))).startswith(
         'the last 200 of 3000 samples contradict the 2800 before them')
 
 

@@ -10,7 +10,7 @@ from cells import ONE_IN_20, Recorded, recorded, simulated, squared_error
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.hypotheses import explain_samples, refuse_by_best
 from handeye_ros.checks.settings import setting_hypotheses, with_few_profiles
-from handeye_ros.config import flipped_range
+from handeye_ros.config import with_flipped_range
 from handeye_ros.errors import DataError
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, scenes
 from handeye_ros.simulate.scenario import Layout
@@ -108,4 +108,5 @@ def test_stops_read_again_are_of_the_whole_recording() -> None:
 def test_a_range_counted_the_wrong_way_is_named(name: str, seed: int) -> None:
     recording = recorded(name, seed, sampling__mode='moving' if SCENARIOS[name].sweep else 'still')
     with pytest.raises(DataError, match=f'range_sign {recording.config.profile.range_sign}, '):
-        pipeline.calibrate(recording.profiles, recording.poses, flipped_range(recording.config))
+        pipeline.calibrate(recording.profiles, recording.poses,
+                           with_flipped_range(recording.config))

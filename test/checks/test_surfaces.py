@@ -10,7 +10,7 @@ import re
 
 from cells import ONE_IN_100, refused, simulated, squared_error
 from handeye_ros import pipeline, se3
-from handeye_ros.config import flipped_range
+from handeye_ros.config import with_flipped_range
 from handeye_ros.data import FaceLine
 from handeye_ros.errors import DataError
 from handeye_ros.simulate import Scenario, SCENARIOS, scenes
@@ -36,7 +36,7 @@ def test_ends_of_the_floor_that_scatter_are_no_edges(monkeypatch: pytest.MonkeyP
     monkeypatch.setitem(scenes.SCENES, 'railed', replace(scenes.SCENES['plate'], solids=railed))
     scenario = replace(SCENARIOS['plate'], stations=(14, 14), scene='railed')
     recording = simulated(scenario, 1, target__type='plate')
-    config = flipped_range(recording.config)
+    config = with_flipped_range(recording.config)
     with pytest.raises(DataError, match='at several heights .* check profile.range_sign'):
         pipeline.calibrate(recording.profiles, recording.poses, config)
 

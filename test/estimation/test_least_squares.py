@@ -9,15 +9,15 @@ import os
 from command import run_python
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import (
-    adjust,
     chi2_isf,
     chi2_sf,
     covariance_of,
+    LeastSquares,
     leave_one_out,
     many_least_squares,
     outliers,
+    robust_least_squares,
     Rows,
-    System,
 )
 from handeye_ros.estimation.noise import prior_variances
 from hypothesis import given
@@ -30,14 +30,15 @@ from scipy import stats
 SEEDS = pytest.mark.parametrize('seed', range(5))
 
 
-def linear(seed: int, noise: float = 1.0) -> tuple[System[Array], Array, Array, NDArray[np.intp]]:
+def linear(seed: int, noise: float = 1.0
+           ) -> tuple[LeastSquares[Array], Array, Array, NDArray[np.intp]]:
     """Return a system r = A x - b of items of 2 rows, correlated, with A, b and the items."""
     rng = np.random.default_rng(seed)
     A, truth = rng.normal(size=(40, 4)), rng.normal(size=4)
     b, item = A @ truth + noise * rng.normal(size=40), np.repeat(np.arange(20), 2)
     root = np.kron(np.eye(20), np.array([[1.0, 0.0], [0.7, 2.0]]))
-    system = System(lambda x: Rows(A @ x - b, lambda: A, lambda: lambda v: root @ v),
-                    np.add, item)
+    system = LeastSquares(lambda x: Rows(A @ x - b, lambda: A, lambda: lambda v: root @ v),
+                          np.add, item)
     return system, root @ A, root @ b, item
 
 
@@ -47,7 +48,7 @@ def test_a_linear_system_is_solved_as_by_its_normal_equations(seed: int) -> None
     weights = np.random.default_rng(seed).uniform(0.1, 2.0, 20)
     root = np.sqrt(weights)[item]
     expected = np.linalg.lstsq(A * root[:, None], b * root, rcond=None)[0]
-    assert np.abs(system.least_squares(np.zeros(4), weights) - expected).max() < 1e-9
+    assert np.abs(system.minimised(np.zeros(4), weights) - expected).max() < 1e-9
 
 
 def test_an_unknown_that_nothing_depends_on_stays_where_it_is() -> None:
@@ -77,8 +78,8 @@ def test_wrong_items_are_left_out_and_change_nothing(seed: int) -> None:
     system, A, b, item = linear(seed, noise=0.01)
     good_items, is_wrong = np.arange(3, 20), np.isin(item, (0, 1, 2))
     b = b + 100.0 * is_wrong
-    spoilt = System(lambda x: Rows(A @ x - b, lambda: A), np.add, item)
-    adjusted = adjust(spoilt, np.zeros(4), fewest=4)
+    spoilt = LeastSquares(lambda x: Rows(A @ x - b, lambda: A), np.add, item)
+    adjusted = robust_least_squares(spoilt, np.zeros(4), fewest=4)
     assert set(adjusted.used.tolist()) <= set(good_items.tolist())
     is_used = np.isin(item, adjusted.used)
     refit = np.linalg.lstsq(A[is_used], b[is_used], rcond=None)[0]
@@ -109,9 +110,9 @@ def test_chi_squared_takes_arrays_and_is_nan_without_a_degree_of_freedom() -> No
 @pytest.mark.parametrize(('count', 'scale'), [(2, 1.3), (10, 1.3), (1, 1.7)])
 def test_without_evidence_a_scale_is_for_the_report_as_documented(count: int, scale: float
                                                                   ) -> None:
-    _, for_report = prior_variances(
+    _, report_posterior = prior_variances(
         np.eye(count), np.zeros(count), [count], np.ones(1), np.array([400.0]))
-    assert float(np.sqrt(for_report[0])) == pytest.approx(scale, abs=0.05)
+    assert float(np.sqrt(report_posterior[0])) == pytest.approx(scale, abs=0.05)
 
 
 @pytest.mark.parametrize(('value', 'std', 'least', 'most'), [

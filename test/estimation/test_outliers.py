@@ -136,7 +136,7 @@ def test_a_station_says_as_much_as_its_target_shows(name: str, rank: int) -> Non
     simulated_cell = cell(name, 0)
     posterior = solved(simulated_cell.problem).posterior
     assert (posterior.ranks == rank).all()
-    assert posterior.redundancy == rank * len(simulated_cell.samples) - posterior.unknowns
+    assert posterior.redundancy == rank * len(simulated_cell.samples) - posterior.unknown_count
 
 
 def wrong(sample: Sample, rng: np.random.Generator) -> Sample:

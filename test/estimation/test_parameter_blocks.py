@@ -122,7 +122,7 @@ def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
     samples, truth = simulate_samples(scenario, np.random.default_rng(0))
     config = settings_of(scenario)
     solution = pipeline.answer_samples(samples, (), config).require_solution()
-    report = solution.for_report
+    report = solution.report_posterior
     _, following = report.estimated_block_variances()
     assert following == pytest.approx(report.variances, rel=0.1), 'they have converged'
     error = se3.difference(solution.estimate.X, truth.T_flange_sensor)
@@ -175,18 +175,18 @@ def test_what_poses_depend_on_is_found_and_the_poses_are_moved(scenario: str) ->
     problem = Problem(true.target, wrong if true.config.in_hand else se3.inverse(wrong),
                       true.observations, true.config, model)
     solution = map_solution(problem, start)
-    errors = solution.problem.pose_values - TRUE
+    errors = solution.problem.pose_parameters - TRUE
     assert [b.name for b in solution.posterior.blocks[-2:]] == ['first', 'second']
     std = 1e-3 * np.sqrt(np.diag(solution.posterior.covariance)[-2:])
     assert (np.abs(errors) < 4 * std).all() and std.max() < 2e-4
-    moved_poses, _ = model.at(solution.problem.pose_values)
+    moved_poses, _ = model.at(solution.problem.pose_parameters)
     assert np.allclose(solution.problem.robot_poses, moved_poses)
     assert np.allclose(solution.posterior.corrected_poses(), solution.problem.poses)
     X, X_known = solution.estimate.X, map_solution(true, start).estimate.X
     assert simulated_cell.error(X) < simulated_cell.error(X_known) + 1e-5
-    half_problem = problem.with_pose_values(TRUE).subset(np.arange(0, len(wrong), 2))
+    half_problem = problem.with_pose_parameters(TRUE).subset(np.arange(0, len(wrong), 2))
     assert np.allclose(half_problem.poses, true.poses[::2])
-    assert np.allclose(half_problem.with_pose_values(np.zeros(2)).poses, problem.poses[::2])
+    assert np.allclose(half_problem.with_pose_parameters(np.zeros(2)).poses, problem.poses[::2])
 
 
 MM = 1e-3
@@ -233,6 +233,6 @@ def test_the_plane_along_the_middle_of_a_bent_line_touches_it(origin: float) -> 
     middle = (points[:, 0].min() + points[:, 0].max()) / 2 if origin else 0.0
     near = np.array([[middle, 0.17], [middle + 1e-5, 0.17]])
     levers = se3.apply(X, np.insert(near, 1, 0.0, axis=1)) - X[:3, 3]
-    moved = X[:3, 1] @ se3.wrt_perturbation(levers) @ block.best_fit(linear)
+    moved = X[:3, 1] @ se3.perturbation_jacobian(levers) @ block.best_fit(linear)
     np.testing.assert_allclose(moved[:, [0, 2]], bent_line(np.vstack([points, near]))[-2:, [0, 2]],
                                atol=1e-6)

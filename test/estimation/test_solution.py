@@ -88,7 +88,7 @@ def test_a_solve_that_diverges_reports_the_errors_of_any_other(seed: int) -> Non
     with_cause = replace(solution, added_covariances={'cause': 1e-6 * np.eye(6)})
     added = with_cause.reported_covariance - solution.reported_covariance
     np.testing.assert_allclose(added[:6, :6], 1e-6 * np.eye(6), atol=1e-12)
-    beside = solution.for_report.covariance[:6, :6]
+    beside = solution.report_posterior.covariance[:6, :6]
     assert np.linalg.eigvalsh(solution.transform_covariance - beside).min() > -1e-9 * beside.max()
 
 

@@ -79,7 +79,7 @@ def test_what_a_sample_brings_is_what_the_solver_then_says(fitted: tuple[Cell, S
     fewer = replace(solution.problem,
                     observations=observations.select(observations.station != last))
     posterior = posterior_at(fewer, solution.estimate, solution.posterior.noise)
-    before = replace(solution, posterior=posterior, for_report=posterior)
+    before = replace(solution, posterior=posterior, report_posterior=posterior)
     after = covariances_with_one_more(before, solution.problem.subset(np.array([last])))[0]
     np.testing.assert_allclose(after, solution.transform_covariance, rtol=1e-5, atol=1e-15)
 
@@ -197,7 +197,7 @@ def test_before_the_first_sample_it_tells_how_to_take_it() -> None:
 def test_a_sensor_that_is_not_roughly_known_is_not_aimed(fitted: tuple[Cell, Solution]) -> None:
     simulated_cell, solution = fitted
     certain = with_systematic_errors(solution)
-    vague = replace(certain, for_report=certain.posterior,
+    vague = replace(certain, report_posterior=certain.posterior,
                     added_covariances={'a test': ROUGHLY_KNOWN ** 2 * 2 * np.eye(6)})
     advice = advice_for((simulated_cell, vague))
     assert advice.next is None and advice.move is not None

@@ -241,7 +241,7 @@ def test_the_truth_of_a_corrected_arm_is_of_its_own_flange(tmp_path):
     match = re.search(r'truth.yaml: translation ([\d.]+) mm', shown)
     assert match and float(match[1]) < 0.2, 'against the flange of the controller: 1.1 mm'
     truth = yaml.safe_load((tmp_path / 'cell/truth.yaml').read_text())
-    T_true = se3.from_values(truth['T_corrected_sensor'])
+    T_true = se3.transform_from_values(truth['T_corrected_sensor'])
     for folder in ('arm', 'out'):
         calibration = read_calibration(tmp_path / folder / 'calibration.yaml')
         error = se3.difference(calibration.T_flange_sensor, T_true)
