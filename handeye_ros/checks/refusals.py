@@ -220,13 +220,14 @@ def require_certain(covariance: Array, config: Config, advice: str, seen: Array 
 
 def missing_motion(solution: Solution, config: Config) -> str:
     """Return in words the motion that the samples lack, or that a corrected arm limits them."""
-    reported, of_arm = solution.transform_covariance, solution.added_covariances.get(CORRECTED_ARM)
-    if of_arm is not None and (worst_translation(reported - of_arm)[0]
-                               < worst_translation(reported)[0] / 2):
+    covariance = solution.transform_covariance
+    of_arm = solution.added_covariances.get(CORRECTED_ARM)
+    if of_arm is not None and (worst_translation(covariance - of_arm)[0]
+                               < worst_translation(covariance)[0] / 2):
         return ('most of that comes from the corrected arm: correct it again with more samples '
                 '(handeye kinematics), in configurations like those of these')
     problem, frame = solution.problem, mount_frame(config)
-    rotation_known = worst_rotation(reported)[0] <= config.limits.rotation
+    rotation_known = worst_rotation(covariance)[0] <= config.limits.rotation
     alike_views = problem.target.alike_views_in_words(problem, solution.estimate)
     if rotation_known and alike_views:
         return alike_views

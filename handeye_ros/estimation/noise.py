@@ -147,8 +147,8 @@ def prior_variances(covariance: Array, value: Array, counts: Sequence[int], pres
     for end, count, tau2, bound in zip(np.cumsum(counts), counts, present, largest, strict=True):
         block = slice(end - count, end)
         variances.append(_variances_of_block(covariance[block, block], value[block], tau2, bound))
-    for_estimate, report_posterior = np.reshape(variances, (-1, 2)).T
-    return for_estimate, report_posterior
+    for_estimate, for_report = np.reshape(variances, (-1, 2)).T
+    return for_estimate, for_report
 
 
 def _variances_of_block(covariance: Array, value: Array, present: float, largest: float

@@ -177,10 +177,10 @@ class Posterior:
     def estimated_block_variances(self) -> tuple[Array, Array]:
         """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
         u, least = self.unknown_count, [block.least_variance for block in self.blocks]
-        for_estimate, report_posterior = prior_variances(
+        for_estimate, for_report = prior_variances(
             self.covariance[u:, u:], self.nuisance, [block.count for block in self.blocks],
             self.block_variances, np.array([block.largest_variance for block in self.blocks]))
-        return np.maximum(for_estimate, least), np.maximum(report_posterior, least)
+        return np.maximum(for_estimate, least), np.maximum(for_report, least)
 
     def with_block_variances(self, variances: Array) -> Posterior:
         """Return the posterior with variances (d,) of blocks, relative to the configured ones."""

@@ -89,13 +89,13 @@ class Solution:
         It covers the errors of both the mount's transform and the best-fit transform.
         """
         u, C = self.posterior.unknown_count, self.report_posterior.covariance
-        reported = C[:u, :u].copy()
+        covariance = C[:u, :u].copy()
         if self.posterior.noise.blocks_as_noise:
-            return reported
+            return covariance
         shift = self.shift_for_report
-        reported[:6, :6] = cover(reported[:6, :6] + np.outer(shift, shift), self._best_fit)
-        reported[:6, :6] += sum(self.added_covariances.values())
-        return reported
+        covariance[:6, :6] = cover(covariance[:6, :6] + np.outer(shift, shift), self._best_fit)
+        covariance[:6, :6] += sum(self.added_covariances.values())
+        return covariance
 
     @property
     def transform_covariance(self) -> Array:
@@ -188,8 +188,8 @@ def posteriors_of_fit(problem: Problem, fit: ConvergedFit, previous: Posterior |
         for_estimate, _ = at_report_scales.estimated_block_variances()
         posterior = posterior.with_block_variances(for_estimate)
     noise, steps = (previous.noise, 1) if previous else (fit.noise_of_report, LAST_STEPS)
-    report_posterior = posterior_at(replace(problem, long_errors=True), fit.linear.estimate, noise)
-    return posterior, report_posterior.with_scales_for_report(steps)
+    for_report = posterior_at(replace(problem, long_errors=True), fit.linear.estimate, noise)
+    return posterior, for_report.with_scales_for_report(steps)
 
 
 def converged_fit(problem: Problem, start: Estimate) -> ConvergedFit:
@@ -206,12 +206,12 @@ def converged_fit(problem: Problem, start: Estimate) -> ConvergedFit:
         return ConvergedFit(reached.linear, reached.noise, reached.noise)
     # both scales follow from the posterior at those for the report
     at_report_scales = reached.with_scales_for_report(LAST_STEPS - 1)
-    for_estimate, report_posterior = map(reached.with_block_variances,
-                                         at_report_scales.estimated_block_variances())
+    for_estimate, for_report = map(reached.with_block_variances,
+                                   at_report_scales.estimated_block_variances())
     # the noise of the estimate, at its own scales; that of the report stays as it converged
     for _ in range(LAST_STEPS):
         for_estimate = for_estimate.with_estimated_factors(MAP_PRIOR_FACTORS)
-    return ConvergedFit(for_estimate.relinearise(), for_estimate.noise, report_posterior.noise)
+    return ConvergedFit(for_estimate.relinearise(), for_estimate.noise, for_report.noise)
 
 
 def _iterated(start: Posterior) -> tuple[Posterior, bool]:
