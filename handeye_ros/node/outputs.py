@@ -188,7 +188,7 @@ def _statuses(state: State) -> Iterator[tuple[str, bytes, str, dict[str, object]
     yield 'session', WARN if session['trouble'] else OK, (
         session['trouble'] or session['working'] or count_of(count, 'sample')), {
         'samples': count, 'mode': session['mode'], 'folder': session['path'] or 'none yet',
-        'robot': state['motion']['text'], 'dropped': '; '.join(session['notes']),
+        'robot': state['motion']['text'], 'warnings': '; '.join(session['warnings']),
         'last attempt': attempt['text'] if attempt else 'none yet',
         'malformed messages': sum(stream['malformed'] for stream in streams),
         'last malformed': '; '.join(filter(None, (stream['reason'] for stream in streams)))}

@@ -163,7 +163,7 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
             'text': motion.sentence if motion else 'too few poses have come to measure it'},
         'session': {'path': live.path, 'mode': config.sampling.mode, 'working': live.working,
                     'trouble': '; '.join(filter(None, troubles)),
-                    'notes': [*session.warnings, *live.warnings]},
+                    'warnings': [*session.warnings, *live.warnings]},
         'samples': samples, 'worst': [sample['number'] for sample in worst_first],
         'review': '' if review.answer.solution else str(review.answer.refusal),
         'attempt': attempt and {'accepted': attempt.stop.sample is not None,

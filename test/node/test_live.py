@@ -361,13 +361,13 @@ def test_the_newest_stops_are_kept_and_others_counted(monkeypatch: pytest.Monkey
     assert sample_count(state) == 5, 'the newest that waited'
     assert min(s['stamp'] for s in state['samples']) > newest
     assert any(re.match('left [1-9][0-9]* stops out, the oldest of more than 5', note)
-               for note in state['session']['notes'])
+               for note in state['session']['warnings'])
     live = new()
     for lap in range(3):
         for pose in later(SPHERE.poses, 1000 * lap):
             live.add_poses([pose])
     assert any('stops, the oldest that waited for profiles' in note
-               for note in state_of(live)['session']['notes'])
+               for note in state_of(live)['session']['warnings'])
     session = live.session_copy()
     session.keep_waiting(0)
     assert len(session.take_remaining()) <= 1, 'the current one'
