@@ -16,7 +16,7 @@ import sys
 from typing import Annotated, Any, Optional, TYPE_CHECKING
 
 from handeye_ros import __version__
-from handeye_ros.errors import HandeyeError
+from handeye_ros.errors import HandeyeError, InputError
 import typer
 from typer.core import TyperGroup
 
@@ -85,6 +85,9 @@ def open_input(path: Path, config: Path | None, assignments: list[str], angles: 
     stored = read_session(path) if is_session(path) else None
     settings = configuration(config, assignments, stored.config if stored else None, angles,
                              kinematics)
+    if angles and settings.target.type != 'hand_eye':
+        raise InputError(f'--angles is for a table of poses, and target.type is '
+                         f'{settings.target.type}: set it to hand_eye, or leave --angles out')
     if is_table(path) or tabulated.is_solved_from_files(settings):
         with progress_bar('reading the files'):
             table = tabulated.read(path, settings)
