@@ -350,8 +350,7 @@ def row_count(cloud: Any, config: ProfileConfig) -> int:
     return int(cloud.height) if shared > LEAST_OVERLAP * max(map(np.ptp, ends)) else 1
 
 
-def profiles_of(raw: RawProfile, previous_stamp: int | None, config: ProfileConfig
-                ) -> list[RawProfile]:
+def profiles_of(raw: RawProfile, previous_stamp: int | None) -> list[RawProfile]:
     """
     Return the profiles of a message, in the order of their stamps.
 
@@ -363,7 +362,8 @@ def profiles_of(raw: RawProfile, previous_stamp: int | None, config: ProfileConf
     """
     if raw.rows == 1:
         return [raw]
-    fraction, reach, step = SHARE_BEFORE_STAMP[config.stamp], (0, 0), config.period * NS
+    fraction, step = SHARE_BEFORE_STAMP[raw.config.stamp], raw.config.period * NS
+    reach = (0, 0)
     if not step:
         if previous_stamp is None or previous_stamp >= raw.stamp:
             return []

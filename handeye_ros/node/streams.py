@@ -234,7 +234,7 @@ class Streams:
         if self._profile_reader.config != config.profile:
             self._profile_reader = ProfileReader(config.profile)
         message = self._stamped(self._profile_reader.take(data))
-        for profile in profiles_of(message, self._last_stamp, config.profile):
+        for profile in profiles_of(message, self._last_stamp):
             self._receiver.add_profile(replace(profile, stamp=profile.stamp + config.offset_ns))
         self._last_stamp = message.stamp
 
