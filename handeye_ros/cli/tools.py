@@ -19,9 +19,9 @@ from handeye_ros.cli.common import (
     Folder,
     INTERRUPTED_EXIT_CODE,
     is_table,
-    one_of,
     progress_bar,
     read_bag,
+    require_choice,
     show,
     warn,
 )
@@ -104,8 +104,7 @@ def batch(
         metavar='SOURCE...', help='Bags, folders of bags, or CSV lists of them (bag, label, '
         'config, settings, args).')],
     out: Annotated[Path, typer.Option(metavar='FOLDER', help='Where the results are put.')],
-    verb: Annotated[str, typer.Option(
-        callback=one_of(*BATCH_VERBS), help=f'{", ".join(BATCH_VERBS)}.')] = 'solve',
+    verb: Annotated[str, typer.Option(help=f'{", ".join(BATCH_VERBS)}.')] = 'solve',
     args: Annotated[str, typer.Option(
         help='Arguments of the verb before the bag, such as "sphere --calibration FILE".')] = '',
     config: ConfigFile = None,
@@ -115,6 +114,7 @@ def batch(
         'scheduler, such as tcp://host:8786.')] = 'local',
 ) -> None:
     """Run one command on many recordings, again on new ones."""
+    require_choice('--verb', verb, BATCH_VERBS)
     from handeye_ros import batch as batches
     from handeye_ros.output import write_errors_for
     words = batches.words_of(args, config, assignments)

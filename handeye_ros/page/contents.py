@@ -104,12 +104,10 @@ def _exclude(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
 
 def _set(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Set parameters given as YAML: all or none."""
-    config = node.live.config
-    for key, text in values.items():
-        if key not in PAGE_SETTINGS:
-            return False, f'{key[:40]} is not set by the page'
-        config = configuration.with_assignments(config, [f'{key}={text}'])
-    settings = configuration.flatten(config)
+    if others := sorted(values.keys() - {*PAGE_SETTINGS}):
+        return False, f'{others[0][:40]} is not set by the page'
+    settings = configuration.flatten(configuration.with_assignments(
+        node.live.config, [f'{key}={text}' for key, text in values.items()]))
     refusal = node.set_values({key: settings[key] for key in values})
     return not refusal, refusal or ', '.join(f'{key} is {settings[key]}' for key in values)
 

@@ -111,13 +111,13 @@ def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
     poses = [replace(p, translation=p.translation + [0.0, 5e-3, 0.0])
              if began[3] <= p.stamp < began[4] else p for p in SPHERE.poses]
     live = fed(recording=replace(SPHERE, poses=tuple(poses)))
-    assert state_of(live)['worst'][0] == 4
+    assert state_of(live)['worst_first'][0] == 4
     computed(live)
     changed(live, samples__exclude=[4])
     state = state_of(live)
     assert [s['number'] for s in state['samples'] if s['excluded']] == [4]
     assert state['calibration']['state'] == 'current', 'it was solved again'
-    assert state['worst'][0] == 4, 'what is left out is still compared with the rest'
+    assert state['worst_first'][0] == 4, 'what is left out is still compared with the rest'
     without = live.solver.calibration.T_flange_sensor
     changed(live, samples__exclude=[])
     assert not np.array_equal(live.solver.calibration.T_flange_sensor, without)

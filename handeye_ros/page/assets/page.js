@@ -46,7 +46,7 @@ function show(state) {
   showNow(state);
   showAim(state);
   if (changed('guidance', [state.guidance, state.samples.length])) showGuidance(state.guidance);
-  if (changed('samples', [state.samples, state.worst, state.edges])) showSamples(state);
+  if (changed('samples', [state.samples, state.worst_first, state.edges])) showSamples(state);
   if (changed('scene', [state.scene, state.profile, state.samples])) redrawScene();
   if (changed('calibration', [state.calibration, state.rows])) showAnswer(state.calibration, state.rows);
   if (changed('verification', state.verification)) showVerification(state.verification);
@@ -226,8 +226,8 @@ $('sound').addEventListener('change', () => { audio = audio || new AudioContext(
 
 function showSamples(state) {
   text('count', '(' + taken(state).length + ')');
-  const place = new Map(state.worst.map((number, i) => [number, i]));
-  const last = state.worst.length;
+  const place = new Map(state.worst_first.map((number, i) => [number, i]));
+  const last = state.worst_first.length;
   const order = [...state.samples].sort((a, b) =>
     (place.get(a.number) ?? last) - (place.get(b.number) ?? last) || b.number - a.number);
   const largest = Math.max(...state.samples.map(s => s.left_out || 0), 1e-9);
