@@ -62,7 +62,7 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
     write_folder(path, texts, lambda folder: _write_bag(folder, messages()), force)
 
 
-def raw_of(item: AnyProfile | TimedPose, config: Config, dtype: str = 'f4') -> Raw:
+def raw_of(item: AnyProfile | TimedPose, config: Config, dtype: str) -> Raw:
     """Return a profile or pose as it is recorded; dtype: of its coordinates, f4 or f8."""
     if isinstance(item, TimedPose):
         return Raw(full_name(config.pose_topic), POSE_TYPE, item.stamp, pose_cdr(item))

@@ -88,7 +88,7 @@ def open_input(path: Path, config: Path | None, assignments: list[str], angles: 
     settings = configuration(config, [*by_angles, *assignments], stored.config if stored else None,
                              kinematics)
     if angles and settings.target.type != 'hand_eye':
-        raise InputError(f'--angles is for a table of poses, and target.type is '
+        raise InputError('--angles is for a table of poses, and target.type is '
                          f'{settings.target.type}: set it to hand_eye, or leave --angles out')
     if is_table(path) or tabulated.is_solved_from_files(settings):
         with progress_bar('reading the files'):
@@ -121,7 +121,7 @@ def configuration(file: Path | None, assignments: list[str], base: 'Config | Non
 
 
 def open_calibration(file: Path, config: Path | None, assignments: list[str],
-                     kinematics: Path | None = None) -> 'tuple[Calibration, Config]':
+                     kinematics: Path | None) -> 'tuple[Calibration, Config]':
     """Return a calibration, and the settings to measure with it; raises InputError."""
     from handeye_ros.config import load
     from handeye_ros.results.calibration_file import config_to_measure, file_of, read_calibration

@@ -142,8 +142,8 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
     profiles, poses = live.message_counts['profile'], live.message_counts['pose']
     samples = [_stop_row(stop, session, review.agreements.get(stop.number))
                for stop in session.stops]
-    compared = [sample for sample in samples if sample['left_out'] is not None]
-    worst_first = sorted(compared, key=lambda sample: -sample['left_out'])
+    worst_first = sorted((sample for sample in samples if sample['left_out'] is not None),
+                         key=lambda sample: -sample['left_out'])
     late, conflict = ' and '.join(session.late), session.conflict
     troubles = (
         graph_trouble, str(conflict or ''),

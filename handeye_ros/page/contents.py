@@ -142,16 +142,16 @@ def _file(live: LiveSession, name: str) -> tuple[str, str]:
     """Return name and text of a file of the answer; raises HandeyeError without one."""
     calibration = live.solver.require_calibration()
     if name == exports.REPORT_FILE:
-        return name, live.pool.submit(_report, calibration, live.path).result()
+        return name, live.pool.submit(_report, calibration, live.files.path).result()
     file_format = exports.format_of(name)
     return file_format.file_name(calibration), file_format.text(calibration)
 
 
-def _report(calibration: Calibration, session: str) -> str:
+def _report(calibration: Calibration, session: Path | None) -> str:
     """Return the report of a calibration and its session as HTML; takes seconds."""
     from handeye_ros.results.report import html
     from handeye_ros.review import solved_recording
-    return html(calibration, solved_recording(calibration, Path(session) if session else None))
+    return html(calibration, solved_recording(calibration, session))
 
 
 def contents(state: State, live: LiveSession) -> dict[str, Any]:
