@@ -261,7 +261,7 @@ def of_settings(job: tuple[str, int]) -> list[tuple[str, str, bool, bool]]:
         for key, value in settings(scenario).items()}
     with tempfile.TemporaryDirectory() as folder:
         path, made = Path(folder) / 'bag', simulate(scenario, np.random.default_rng(seed))
-        bag_write.write(path, made.profiles, made.poses, truth={})
+        bag_write.write(path, made.profiles, made.poses)
         config = with_values(Config(), settings(scenario), 'bench')
         return [(', '.join(f'{key}={value}' for key, value in changes.items()),
                  *read_with(path, config, changes, right, made.truth.T_flange_sensor))

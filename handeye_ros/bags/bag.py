@@ -126,7 +126,7 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
         (cloud_topic if raw.topic == cloud_topic.name else pose_topic).add(raw)
     profiles, previous_stamp = list[RawProfile](), None
     for message in _of_one_frame('profile', cloud_topic.ordered(reader), 'frame_id', reader):
-        profiles += profiles_of(message, previous_stamp, config.profile)
+        profiles += profiles_of(message, previous_stamp)
         previous_stamp = message.stamp
     if not profiles:
         raise InputError(f'{path}: the only message on {cloud_topic.name} holds several profiles, '

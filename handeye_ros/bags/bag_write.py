@@ -16,6 +16,7 @@ import os
 from pathlib import Path
 import shutil
 import tempfile
+from types import MappingProxyType
 from typing import Any, BinaryIO
 
 from handeye_ros import se3
@@ -24,7 +25,7 @@ from handeye_ros.bags.reader import CLOUD_TYPE, full_name, JOINTS_TYPE, POSE_TYP
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, NS, Profile, RawProfile, TimedPose
 from handeye_ros.errors import InputError
-from handeye_ros.output import write_atomically, write_errors_for, yaml_text
+from handeye_ros.output import write_atomically, write_errors_for
 from handeye_ros.results.truth import TRUTH_NAME
 from mcap.reader import make_reader
 from mcap.summary import Summary
@@ -38,20 +39,17 @@ PATH_TYPE, POSE_ARRAY_TYPE = 'nav_msgs/msg/Path', 'geometry_msgs/msg/PoseArray'
 
 
 def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
-          config: Config | None = None, *, truth: Mapping[str, Any] | None = None,
-          tables: Mapping[str, str] | None = None, force: bool = False,
-          joints: Sequence[tuple[int, Array]] = (), dtype: str = 'f4') -> None:
+          config: Config | None = None, *, texts: Mapping[str, str] = MappingProxyType({}),
+          force: bool = False, joints: Sequence[tuple[int, Array]] = (), dtype: str = 'f4'
+          ) -> None:
     """
-    Write a rosbag2 folder, including truth.yaml if the truth is given.
+    Write a rosbag2 folder.
 
-    config: gives the topics and the unit of the coordinates; tables: texts of other files in the
-    folder, by name; force: an existing bag is replaced; joints: stamps and values of joint_1,
-    joint_2, ...; dtype: of the coordinates, f4 or f8. Raises InputError if the path exists,
+    config: gives the topics and the unit of the coordinates; texts: of other files in the folder,
+    by name; force: an existing bag is replaced; joints: stamps and values of joint_1, joint_2,
+    ...; dtype: of the coordinates, f4 or f8. Raises InputError if the path exists,
     UnwritableError if it cannot be written.
     """
-    texts = dict(tables or {})
-    if truth is not None:
-        texts[TRUTH_NAME] = yaml_text(truth)
     config = config or Config()
 
     def messages() -> Iterator[Raw]:
@@ -64,7 +62,7 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
     write_folder(path, texts, lambda folder: _write_bag(folder, messages()), force)
 
 
-def raw_of(item: AnyProfile | TimedPose, config: Config, dtype: str = 'f4') -> Raw:
+def raw_of(item: AnyProfile | TimedPose, config: Config, dtype: str) -> Raw:
     """Return a profile or pose as it is recorded; dtype: of its coordinates, f4 or f8."""
     if isinstance(item, TimedPose):
         return Raw(full_name(config.pose_topic), POSE_TYPE, item.stamp, pose_cdr(item))

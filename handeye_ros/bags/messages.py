@@ -191,7 +191,7 @@ def profile_from_cloud(cloud: Any, config: ProfileConfig) -> Profile:
     Return the profile in a PointCloud2, in metres, ordered along the line.
 
     A point with a value that is not finite, or that no sensor can measure, is no return: NaN in
-    both order. The rows of the message are concatenated. A cloud without points is a profile
+    both columns. The rows of the message are concatenated. A cloud without points is a profile
     without returns. Raises UnusableMessageError.
     """
     points, is_return = _points(cloud, config)
@@ -206,8 +206,8 @@ def profile_from_cloud(cloud: Any, config: ProfileConfig) -> Profile:
 
 def _axes(config: ProfileConfig) -> tuple[str, str, str]:
     """Return the axes along the line, of the range, and orthogonal to both, without signs."""
-    along, ranges = (axis[-1] for axis in config.axes)
-    return along, ranges, ({'x', 'y', 'z'} - {along, ranges}).pop()
+    line_axis, range_axis = (axis[-1] for axis in config.axes)
+    return line_axis, range_axis, ({'x', 'y', 'z'} - {line_axis, range_axis}).pop()
 
 
 def _points(cloud: Any, config: ProfileConfig) -> tuple[Array, NDArray[np.bool_]]:
@@ -286,15 +286,15 @@ def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
 
 def _require_axes(points: Array, config: ProfileConfig) -> None:
     """Raise for returns (n, 2) whose order shows that the two axes are exchanged."""
-    along, ranges, _ = _axes(config)
+    line_axis, range_axis, _ = _axes(config)
     steps = np.diff(points, axis=0)
     if len(steps) < FEWEST_RETURNS:
         return
     # by axis, the share of steps against the direction of the majority
     backward = 1.0 - np.maximum((steps > 0).sum(axis=0), (steps < 0).sum(axis=0)) / len(steps)
     if backward[0] > RANGE_BACKWARD and backward[1] < LINE_BACKWARD:
-        raise _error_of(f'the points follow each other along {ranges}, not along {along}: set '
-                        f'profile.axes to [{ranges}, {along}]')
+        raise _error_of(f'the points follow each other along {range_axis}, not along {line_axis}: '
+                        f'set profile.axes to [{range_axis}, {line_axis}]')
 
 
 class ProfileReader:
@@ -350,8 +350,7 @@ def row_count(cloud: Any, config: ProfileConfig) -> int:
     return int(cloud.height) if shared > LEAST_OVERLAP * max(map(np.ptp, ends)) else 1
 
 
-def profiles_of(raw: RawProfile, previous_stamp: int | None, config: ProfileConfig
-                ) -> list[RawProfile]:
+def profiles_of(raw: RawProfile, previous_stamp: int | None) -> list[RawProfile]:
     """
     Return the profiles of a message, in the order of their stamps.
 
@@ -363,7 +362,8 @@ def profiles_of(raw: RawProfile, previous_stamp: int | None, config: ProfileConf
     """
     if raw.rows == 1:
         return [raw]
-    fraction, reach, step = SHARE_BEFORE_STAMP[config.stamp], (0, 0), config.period * NS
+    fraction, step = SHARE_BEFORE_STAMP[raw.config.stamp], raw.config.period * NS
+    reach = (0, 0)
     if not step:
         if previous_stamp is None or previous_stamp >= raw.stamp:
             return []

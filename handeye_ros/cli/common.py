@@ -16,7 +16,7 @@ import sys
 from typing import Annotated, Any, Optional, TYPE_CHECKING
 
 from handeye_ros import __version__
-from handeye_ros.errors import HandeyeError
+from handeye_ros.errors import HandeyeError, InputError
 import typer
 from typer.core import TyperGroup
 
@@ -78,13 +78,18 @@ def open_input(path: Path, config: Path | None, assignments: list[str], angles: 
     """
     Return what a bag, a session's folder or a table holds; print warnings about it.
 
-    Raises InputError, DataError.
+    angles: the notation of a table of poses; kinematics: as of `configuration`. Raises InputError,
+    DataError.
     """
     from handeye_ros import tabulated
     from handeye_ros.bags.session_files import is_session, read_session
     stored = read_session(path) if is_session(path) else None
-    settings = configuration(config, assignments, stored.config if stored else None, angles,
+    by_angles = [f'target.angles={angles}'] if angles else []
+    settings = configuration(config, [*by_angles, *assignments], stored.config if stored else None,
                              kinematics)
+    if angles and settings.target.type != 'hand_eye':
+        raise InputError('--angles is for a table of poses, and target.type is '
+                         f'{settings.target.type}: set it to hand_eye, or leave --angles out')
     if is_table(path) or tabulated.is_solved_from_files(settings):
         with progress_bar('reading the files'):
             table = tabulated.read(path, settings)
@@ -98,32 +103,31 @@ def open_input(path: Path, config: Path | None, assignments: list[str], angles: 
 
 
 def configuration(file: Path | None, assignments: list[str], base: 'Config | None' = None,
-                  angles: str = '', kinematics: Path | None = None) -> 'Config':
+                  kinematics: Path | None = None) -> 'Config':
     """
     Return the base (default: the defaults) with the keys of a file, and those set by hand.
 
-    angles: the notation of a table of poses; kinematics: a kinematics.yaml, whose frames are set
-    too. Of a key set twice the assignment counts. Raises InputError.
+    kinematics: a kinematics.yaml, whose frames are set too. Of a key set twice the last assignment
+    counts. Raises InputError.
     """
     from handeye_ros.config import Config, load, with_assignments
     base = base or Config()
-    by_options = [f'target.angles={angles}'] if angles else []
     if kinematics:
         from handeye_ros.arm import read_arm
         arm = read_arm(kinematics)
-        by_options += [f'kinematics={kinematics.absolute()}', f'robot_base_frame={arm.base}',
-                       f'robot_effector_frame={arm.flange}']
-    return with_assignments(load(file, base) if file else base, [*by_options, *assignments])
+        assignments = [f'kinematics={kinematics.absolute()}', f'robot_base_frame={arm.base}',
+                       f'robot_effector_frame={arm.flange}', *assignments]
+    return with_assignments(load(file, base) if file else base, assignments)
 
 
 def open_calibration(file: Path, config: Path | None, assignments: list[str],
-                     kinematics: Path | None = None) -> 'tuple[Calibration, Config]':
+                     kinematics: Path | None) -> 'tuple[Calibration, Config]':
     """Return a calibration, and the settings to measure with it; raises InputError."""
     from handeye_ros.config import load
     from handeye_ros.results.calibration_file import config_to_measure, file_of, read_calibration
     calibration = read_calibration(file_of(file))
     settings = config_to_measure(calibration, load(config) if config else None)
-    return calibration, configuration(None, assignments, settings, kinematics=kinematics)
+    return calibration, configuration(None, assignments, settings, kinematics)
 
 
 def is_table(path: Path) -> bool:
@@ -226,17 +230,14 @@ class Verbs(TyperGroup):
             raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
 
 
-def one_of(*names: str) -> Callable[[str], str]:
+def require_choice(option: str, name: str, choices: Sequence[str]) -> None:
     """
-    Return what typer calls with the value of an option, to refuse all but some names.
+    Raise BadParameter for a value of an option that is none of its choices.
 
     Choices of click would be of another module in each version of typer.
     """
-    def checked(name: str) -> str:
-        if name not in names:
-            raise typer.BadParameter(f'{name!r} is not one of {", ".join(names)}')
-        return name
-    return checked
+    if name not in choices:
+        raise typer.BadParameter(f'{name!r} is not one of {", ".join(choices)}', param_hint=option)
 
 
 app = typer.Typer(cls=Verbs, no_args_is_help=True, rich_markup_mode=None,

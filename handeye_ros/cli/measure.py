@@ -17,12 +17,12 @@ from handeye_ros.cli.common import (
     KinematicsFile,
     Length,
     MeasureConfig,
-    one_of,
     open_calibration,
     OptionalPath,
     OutFile,
     progress_bar,
     read_bag,
+    require_choice,
     show,
     stream_recording,
     warn,
@@ -46,13 +46,6 @@ SAME_STAMP = 100_000  # ns: profiles are further apart, and an offset estimated 
 LARGEST_PLAIN = 10.0  # a position without a unit that is larger was meant in mm: refused
 THINNING_SIZE = 2e-4  # m: edge of the cubes of which each keeps one point
 PATH_LINES = ('auto', 'centre', 'root', 'first', 'second')  # that the path of a tool may follow
-
-
-def _finite(value: float) -> float:
-    """Return the angle of an option, which must be a finite number."""
-    if not math.isfinite(value):
-        raise typer.BadParameter(f'{value} is no angle')
-    return value
 
 
 @app.command()
@@ -260,10 +253,10 @@ def seam(
         metavar='X Y Z', help='The tool approaches the part this way rather than the other.')
     ] = (0.0, 0.0, -1.0),
     travel: Annotated[float, typer.Option(
-        callback=_finite, help='The tool leans along the seam (degrees).')] = 0.0,
+        help='The tool leans along the seam (degrees).')] = 0.0,
     work: Annotated[float, typer.Option(
-        callback=_finite, help='The tool leans across the seam (degrees).')] = 0.0,
-    line: Annotated[str, typer.Option(callback=one_of(*PATH_LINES), help=(
+        help='The tool leans across the seam (degrees).')] = 0.0,
+    line: Annotated[str, typer.Option(help=(
         'What the path follows: auto (the root of V and fillet, the centre of butt and lap), '
         'centre, root, first or second edge.'))] = 'auto',
     start: Annotated[tuple[str, str, str], typer.Option(
@@ -272,6 +265,9 @@ def seam(
         '--bag', help='Write nav_msgs/Path and geometry_msgs/PoseArray to DIR/path too.')] = False,
 ) -> None:
     """Find the seam in a cloud, and tool frames along it."""
+    require_choice('--line', line, PATH_LINES)
+    if not math.isfinite(travel + work):
+        raise typer.BadParameter('--travel and --work must be finite angles')
     from handeye_ros.config import parse_length
     from handeye_ros.errors import BadValueError
     from handeye_ros.scanning.seam import find_seam, sentences, tool_frames, write

@@ -45,7 +45,6 @@ def solve(
         '--budget', help='Also show which causes the uncertainty comes from.')] = False,
 ) -> None:
     """Find the transform from a recording or a file."""
-    from handeye_ros.frames import T_sensor_plane
     from handeye_ros.output import folder_name
     from handeye_ros.results import exports, table
     from handeye_ros.results.truth import errors_against, true_transform
@@ -60,10 +59,13 @@ def solve(
                              'states its covariance only')
         with progress_bar('solving'):
             calibration = calibrate_table(opened.table)
+        T_plane, field = opened.table.T_sensor_plane, opened.table.field()
+        field_text = opened.table.field_text
     else:
         assert opened.session
         from handeye_ros import pipeline
         from handeye_ros.estimation.covariance import budget as budget_of
+        from handeye_ros.frames import T_sensor_plane
         with progress_bar('solving'):
             answer = pipeline.answer_session(opened.session, settings)
         if budget and answer.samples_agree:
@@ -78,16 +80,14 @@ def solve(
         if opened.warnings:
             provenance['warnings'] = [*opened.warnings, *warnings]
         calibration = replace(calibration, provenance=provenance)
+        T_plane, field, field_text = T_sensor_plane(settings), None, 'the field of view'
     saved = exports.save_all(calibration, folder, settings.save.formats)
     show(table.table(calibration))
     if causes:
         show(causes)
     if T_true is not None:
-        T_plane = opened.table.T_sensor_plane if opened.table else T_sensor_plane(settings)
-        errors = errors_against(calibration.T_flange_sensor @ T_plane, T_true @ T_plane,
-                                opened.table.field() if opened.table else None)
-        region = opened.table.field_text if opened.table else 'the field of view'
-        typer.echo(table.error_sentence(errors, region))
+        errors = errors_against(calibration.T_flange_sensor @ T_plane, T_true @ T_plane, field)
+        typer.echo(table.error_sentence(errors, field_text))
     typer.echo(saved)
 
 

@@ -19,9 +19,9 @@ from handeye_ros.cli.common import (
     Folder,
     INTERRUPTED_EXIT_CODE,
     is_table,
-    one_of,
     progress_bar,
     read_bag,
+    require_choice,
     show,
     warn,
 )
@@ -104,8 +104,7 @@ def batch(
         metavar='SOURCE...', help='Bags, folders of bags, or CSV lists of them (bag, label, '
         'config, settings, args).')],
     out: Annotated[Path, typer.Option(metavar='FOLDER', help='Where the results are put.')],
-    verb: Annotated[str, typer.Option(
-        callback=one_of(*BATCH_VERBS), help=f'{", ".join(BATCH_VERBS)}.')] = 'solve',
+    verb: Annotated[str, typer.Option(help=f'{", ".join(BATCH_VERBS)}.')] = 'solve',
     args: Annotated[str, typer.Option(
         help='Arguments of the verb before the bag, such as "sphere --calibration FILE".')] = '',
     config: ConfigFile = None,
@@ -115,6 +114,7 @@ def batch(
         'scheduler, such as tcp://host:8786.')] = 'local',
 ) -> None:
     """Run one command on many recordings, again on new ones."""
+    require_choice('--verb', verb, BATCH_VERBS)
     from handeye_ros import batch as batches
     from handeye_ros.output import write_errors_for
     words = batches.words_of(args, config, assignments)
@@ -214,33 +214,30 @@ def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> 
     import numpy as np
     from numpy.lib.recfunctions import unstructured_to_structured
     rng = np.random.default_rng(seed)
-    truth: dict[str, Any] = {
-        'made_by': f'handeye_ros {__version__}: handeye simulate {name} --seed {seed}',
-        'scenario': name, 'seed': seed}
+    origin = {'made_by': f'handeye_ros {__version__}: handeye simulate {name} --seed {seed}',
+              'scenario': name, 'seed': seed}
     if name == artefacts.MEASURING_CELL:
         recordings, true_values = artefacts.measuring_cell(rng)
-        truth |= true_values
+        texts = {TRUTH_NAME: yaml_text({**origin, **true_values})}
 
         def write_recordings(new_folder: Path) -> None:
             new_folder.mkdir()
             for part, messages in recordings.items():
-                bag_write.write(new_folder / part, messages.profiles, messages.poses, truth=truth)
+                bag_write.write(new_folder / part, messages.profiles, messages.poses, texts=texts)
             cloud = artefacts.preform_cloud(artefacts.Preform(), np.random.default_rng(seed))
             rows = unstructured_to_structured(cloud.points,
                                               np.dtype([(axis, '<f4') for axis in 'xyz']))
             write_cloud(new_folder / PREFORM_FILE, [rows], 'frame base, metres')
 
-        bag_write.write_folder(folder, {TRUTH_NAME: yaml_text(truth)}, write_recordings, force)
+        bag_write.write_folder(folder, texts, write_recordings, force)
         return ', '.join([*recordings, PREFORM_FILE])
     scenario = SCENARIOS.get(name) or FAULTS.get(name)
     simulated = simulate(scenario, rng) if scenario else FILE_SCENES[name](rng)
-    truth |= simulated.true_values
+    texts = {**simulated.tables, TRUTH_NAME: yaml_text({**origin, **simulated.true_values})}
     if not simulated.profiles:
-        bag_write.write_folder(folder, {**simulated.tables, TRUTH_NAME: yaml_text(truth)},
-                               force=force)
+        bag_write.write_folder(folder, texts, force=force)
         return ', '.join(simulated.tables)
-    bag_write.write(folder, simulated.profiles, simulated.poses, truth=truth,
-                    tables=simulated.tables, force=force,
+    bag_write.write(folder, simulated.profiles, simulated.poses, texts=texts, force=force,
                     joints=simulated.joints if isinstance(simulated, Simulated) else ())
     return ', '.join([f'{len(simulated.profiles)} profiles', f'{len(simulated.poses)} poses',
                       *simulated.tables])

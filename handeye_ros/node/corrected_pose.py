@@ -19,7 +19,7 @@ from handeye_ros.arm import read_arm, read_urdf
 from handeye_ros.bags.poses import OtherJointsError, pose_from_joints
 from handeye_ros.errors import INSTALL_TF2, UnusableMessageError
 from handeye_ros.node.main import own_arguments, run_for_exit_code, spin
-from handeye_ros.node.outputs import pose_stamped, time_message, transform_stamped
+from handeye_ros.node.outputs import pose_stamped, transform_stamped
 from handeye_ros.node.streams import BEST_EFFORT_QOS, TFMessage, WARNING_PERIOD
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -53,7 +53,7 @@ class CorrectedPose(Node):
             if not isinstance(error, OtherJointsError):
                 self.get_logger().warning(str(error), throttle_duration_sec=WARNING_PERIOD)
             return
-        stamp = time_message(pose.stamp or self.get_clock().now().nanoseconds)
+        stamp = pose.stamp or self.get_clock().now().nanoseconds
         base = pose.parent_frame
         self._poses.publish(pose_stamped(pose.translation, pose.quaternion, base, stamp))
         if self._tree:

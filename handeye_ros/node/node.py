@@ -113,7 +113,7 @@ class HandeyeNode(Node):
         state = self.state
         self.outputs.publish_diagnostics(state)
         self._logged_warnings = log_new_warnings(
-            self, [*troubles_of(state), *state['session']['notes']], self._logged_warnings)
+            self, [*troubles_of(state), *state['session']['warnings']], self._logged_warnings)
 
     # services, which the page calls too
 

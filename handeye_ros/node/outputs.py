@@ -10,7 +10,6 @@ import json
 import threading
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import (
     Point,
@@ -23,7 +22,7 @@ from geometry_msgs.msg import (
 )
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Calibration, NS
+from handeye_ros.data import Calibration
 from handeye_ros.errors import count_of, INSTALL_TF2, without_numbers
 from handeye_ros.frames import mount_poses, target_frame
 from handeye_ros.node.live import LiveSession
@@ -54,6 +53,7 @@ from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.time import Time
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
@@ -81,8 +81,9 @@ class Outputs:
         self._features = node.create_publisher(PointCloud2, '~/features', 10)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
 
-    def _now(self) -> Time:
-        return self._node.get_clock().now().to_msg()
+    def _now(self) -> int:
+        """Return the time of now (ns)."""
+        return int(self._node.get_clock().now().nanoseconds)
 
     @property
     def _config(self) -> Config:
@@ -161,7 +162,7 @@ class Outputs:
     def publish_diagnostics(self, state: State) -> None:
         """Publish the state on /diagnostics."""
         name = self._node.get_fully_qualified_name().lstrip('/')
-        self._diagnostics.publish(DiagnosticArray(header=Header(stamp=self._now()), status=[
+        self._diagnostics.publish(DiagnosticArray(header=_header(self._now(), ''), status=[
             DiagnosticStatus(
                 name=f'{name}: {part}', hardware_id=state['name'], level=level, message=message,
                 values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
@@ -188,7 +189,7 @@ def _statuses(state: State) -> Iterator[tuple[str, bytes, str, dict[str, object]
     yield 'session', WARN if session['trouble'] else OK, (
         session['trouble'] or session['working'] or count_of(count, 'sample')), {
         'samples': count, 'mode': session['mode'], 'folder': session['path'] or 'none yet',
-        'robot': state['motion']['text'], 'dropped': '; '.join(session['notes']),
+        'robot': state['motion']['text'], 'warnings': '; '.join(session['warnings']),
         'last attempt': attempt['text'] if attempt else 'none yet',
         'malformed messages': sum(stream['malformed'] for stream in streams),
         'last malformed': '; '.join(filter(None, (stream['reason'] for stream in streams)))}
@@ -208,40 +209,43 @@ def log_new_warnings(node: Node, sentences: Iterable[str], logged: set[str]) -> 
     return set(warnings)
 
 
-def transform_of(calibration: Calibration, stamp: Time) -> TransformStamped:
-    """Return the answer as the pose of the sensor in its parent frame."""
+def transform_of(calibration: Calibration, stamp: int) -> TransformStamped:
+    """Return the answer as the pose of the sensor in its parent frame; stamp: ns."""
     T = calibration.T_flange_sensor
     return transform_stamped(T[:3, 3], se3.quaternion(T), calibration.parent_frame,
                              calibration.child_frame, stamp)
 
 
 def transform_stamped(translation: Iterable[float], rotation: Iterable[float], parent: str,
-                      child: str, stamp: Time) -> TransformStamped:
-    """Return a transform (x y z in m, quaternion x y z w) of a child frame in its parent."""
+                      child: str, stamp: int) -> TransformStamped:
+    """
+    Return the transform of a child frame in its parent.
+
+    translation: x y z (m); rotation: quaternion x y z w; stamp: ns.
+    """
     transform = Transform(translation=_xyz_message(Vector3, translation),
                           rotation=_xyz_message(Quaternion, rotation))
-    return TransformStamped(header=Header(stamp=stamp, frame_id=parent), child_frame_id=child,
+    return TransformStamped(header=_header(stamp, parent), child_frame_id=child,
                             transform=transform)
 
 
 def pose_stamped(translation: Iterable[float], rotation: Iterable[float], frame_id: str,
-                 stamp: Time) -> PoseStamped:
-    """Return a pose (x y z in m, quaternion x y z w) in a frame."""
-    return PoseStamped(header=Header(stamp=stamp, frame_id=frame_id), pose=Pose(
+                 stamp: int) -> PoseStamped:
+    """Return a pose (x y z in m, quaternion x y z w) in a frame; stamp: ns."""
+    return PoseStamped(header=_header(stamp, frame_id), pose=Pose(
         position=_xyz_message(Point, translation), orientation=_xyz_message(Quaternion, rotation)))
 
 
-def time_message(stamp: int) -> Time:
-    """Return a stamp (ns) as a message."""
-    sec, nanosec = divmod(stamp, NS)
-    return Time(sec=sec, nanosec=nanosec)
+def _header(stamp: int, frame_id: str) -> Header:
+    """Return the header of a message; stamp: ns."""
+    return Header(stamp=Time(nanoseconds=stamp).to_msg(), frame_id=frame_id)
 
 
 def cloud(points: NDArray[Any], frame_id: str, stamp: int) -> PointCloud2:
     """Return a message of points (n,), an array with fields of type float32; stamp: ns."""
     return PointCloud2(
-        header=Header(stamp=time_message(stamp), frame_id=frame_id), height=1,
-        width=len(points), point_step=points.itemsize, row_step=points.nbytes, is_dense=True,
+        header=_header(stamp, frame_id), height=1, width=len(points),
+        point_step=points.itemsize, row_step=points.nbytes, is_dense=True,
         fields=[PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
                 for k, name in enumerate(points.dtype.names or ())],
         data=array('B', points.tobytes()))

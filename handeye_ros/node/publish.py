@@ -35,7 +35,7 @@ def publisher(paths: Sequence[Path]) -> Node:
                              'sensor once')
         calibrations[calibration.child_frame] = calibration
     node = Node('handeye_publish')
-    stamp = node.get_clock().now().to_msg()
+    stamp = node.get_clock().now().nanoseconds
     # in one message: a latched topic keeps only the last
     node.create_publisher(TFMessage, '/tf_static', LATCHED_QOS).publish(TFMessage(
         transforms=[transform_of(calibration, stamp) for calibration in calibrations.values()]))

@@ -14,12 +14,12 @@ import time
 from handeye_ros.bags.reader import Raw, Reader
 from handeye_ros.errors import InputError
 from handeye_ros.node.main import own_arguments, ros, run_for_exit_code
-from handeye_ros.node.outputs import time_message
 from handeye_ros.node.streams import LATCHED_TREE
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
 CLOCK_PERIOD = 0.02  # s between two messages on /clock
@@ -90,10 +90,10 @@ def _publish_all(messages: Sequence[Raw], publishers: Mapping[str, Publisher],
 
     for message in messages:
         while (ahead := (message.log_time - bag_time()) * 1e-9 / rate) > 0:
-            clock.publish(Clock(clock=time_message(bag_time())))
+            clock.publish(Clock(clock=Time(nanoseconds=bag_time()).to_msg()))
             time.sleep(min(ahead, CLOCK_PERIOD))
         publishers[message.topic].publish(message.data)
-    clock.publish(Clock(clock=time_message(messages[-1].log_time)))
+    clock.publish(Clock(clock=Time(nanoseconds=messages[-1].log_time).to_msg()))
 
 
 def main() -> int:

@@ -142,8 +142,8 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
     profiles, poses = live.message_counts['profile'], live.message_counts['pose']
     samples = [_stop_row(stop, session, review.agreements.get(stop.number))
                for stop in session.stops]
-    compared = [sample for sample in samples if sample['left_out'] is not None]
-    worst_first = sorted(compared, key=lambda sample: -sample['left_out'])
+    worst_first = sorted((sample for sample in samples if sample['left_out'] is not None),
+                         key=lambda sample: -sample['left_out'])
     late, conflict = ' and '.join(session.late), session.conflict
     troubles = (
         graph_trouble, str(conflict or ''),
@@ -163,8 +163,8 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
             'text': motion.sentence if motion else 'too few poses have come to measure it'},
         'session': {'path': live.path, 'mode': config.sampling.mode, 'working': live.working,
                     'trouble': '; '.join(filter(None, troubles)),
-                    'notes': [*session.warnings, *live.warnings]},
-        'samples': samples, 'worst': [sample['number'] for sample in worst_first],
+                    'warnings': [*session.warnings, *live.warnings]},
+        'samples': samples, 'worst_first': [sample['number'] for sample in worst_first],
         'review': '' if review.answer.solution else str(review.answer.refusal),
         'attempt': attempt and {'accepted': attempt.stop.sample is not None,
                                 'number': attempt.stop.number, 'text': attempt.text},
@@ -201,8 +201,8 @@ def with_troubles(state: State, text: str, success: bool, service: str) -> str:
 def samples_message(state: State) -> State:
     """Return the content of ~/samples, as plain values."""
     return {'format': 'handeye_ros/samples/1', 'session': state['session']['path'],
-            'mode': state['session']['mode'], 'worst_first': state['worst'],
-            **{key: state[key] for key in ('samples', 'review', 'attempt')}}
+            'mode': state['session']['mode'],
+            **{key: state[key] for key in ('samples', 'worst_first', 'review', 'attempt')}}
 
 
 def status_message(state: State) -> State:
@@ -265,14 +265,14 @@ def _guidance(review: Review) -> State:
     Return the guidance.
 
     sample: the number of the last sample that it includes, 0 for none; text: the complete text,
-    with that number; sentences: its sentences; enough: whether the samples suffice, why: the
-    reason; sigmas: of each direction, last that of mapped points, empty before there is an answer;
-    translation, rotation: the flange in the base at the most useful next pose (quaternion
-    x y z w), None before a first estimate of the sensor's pose.
+    with that number; sentences: its sentences; enough: whether the samples suffice; sigmas: of
+    each direction, last that of mapped points, empty before there is an answer; translation,
+    rotation: the flange in the base at the most useful next pose (quaternion x y z w), None before
+    a first estimate of the sensor's pose.
     """
     advice, sample = review.advice, review.advised
     return {
         'sample': sample, 'text': (f'after sample {sample}: ' if sample else '') + advice.text,
-        'sentences': list(advice.sentences), 'enough': advice.enough, 'why': advice.why,
+        'sentences': list(advice.sentences), 'enough': advice.enough,
         'sigmas': [asdict(sigma) for sigma in advice.sigmas],
         **_pose(advice.next.T_base_flange if advice.next else None)}

@@ -7,18 +7,22 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-import struct
 import threading
 import time
 from typing import Any, TYPE_CHECKING, TypeVar
 
 from geometry_msgs.msg import PoseStamped
-from handeye_ros.bags.messages import ProfileReader, profiles_of
+from handeye_ros.bags.messages import (
+    message_of,
+    ProfileReader,
+    profiles_of,
+    stamp_and_frame,
+)
 from handeye_ros.bags.poses import OtherJointsError, pose_topics
 from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, POSE_TYPE, TF_TYPE
 from handeye_ros.bags.transforms import FlangeFollower
 from handeye_ros.config import Config
-from handeye_ros.data import NS, RawProfile, TimedPose
+from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import InputError, INSTALL_TF2, sentence_and_log
 from handeye_ros.node.state import MessageCount
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
@@ -234,7 +238,7 @@ class Streams:
         if self._profile_reader.config != config.profile:
             self._profile_reader = ProfileReader(config.profile)
         message = self._stamped(self._profile_reader.take(data))
-        for profile in profiles_of(message, self._last_stamp, config.profile):
+        for profile in profiles_of(message, self._last_stamp):
             self._receiver.add_profile(replace(profile, stamp=profile.stamp + config.offset_ns))
         self._last_stamp = message.stamp
 
@@ -243,8 +247,8 @@ class Streams:
 
     def _on_joints(self, add_joints: Callable[[int, bytes], None], data: bytes) -> None:
         """Pass on joint values as they are, for `handeye kinematics`."""
-        seconds, nanoseconds = struct.unpack_from('<iI' if data[1] else '>iI', data, 4)
-        add_joints(seconds * NS + nanoseconds or self._time_of_receipt(), data)
+        stamp, _ = stamp_and_frame(message_of(JOINTS_TYPE, data))
+        add_joints(stamp or self._time_of_receipt(), data)
 
     def _stamped(self, item: Stamped) -> Stamped:
         """Return an item; without a stamp it gets the time of receipt."""

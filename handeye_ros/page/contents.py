@@ -16,7 +16,7 @@ from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE
 from handeye_ros.bags.session_files import read_session, sessions_in
 from handeye_ros.calibration import edges_used
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Calibration
+from handeye_ros.data import Arc, Array, Calibration
 from handeye_ros.errors import InputError
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
@@ -25,7 +25,8 @@ from handeye_ros.guidance.view import AdvisedMove, extremes
 from handeye_ros.results import exports, table
 from handeye_ros.results.scene import outline_of, profile_picture, rounded, StopSnapshot
 from handeye_ros.review import stop_snapshot
-from handeye_ros.verification.result_file import sentence, title_of
+from handeye_ros.targets import target_for
+from handeye_ros.verification.result_file import reasons_and_figures, title_of
 from handeye_ros.verification.routines import ROUTINES
 import numpy as np
 
@@ -103,12 +104,10 @@ def _exclude(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
 
 def _set(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Set parameters given as YAML: all or none."""
-    config = node.live.config
-    for key, text in values.items():
-        if key not in PAGE_SETTINGS:
-            return False, f'{key[:40]} is not set by the page'
-        config = configuration.with_assignments(config, [f'{key}={text}'])
-    settings = configuration.flatten(config)
+    if others := sorted(values.keys() - {*PAGE_SETTINGS}):
+        return False, f'{others[0][:40]} is not set by the page'
+    settings = configuration.flatten(configuration.with_assignments(
+        node.live.config, [f'{key}={text}' for key, text in values.items()]))
     refusal = node.set_values({key: settings[key] for key in values})
     return not refusal, refusal or ', '.join(f'{key} is {settings[key]}' for key in values)
 
@@ -143,16 +142,16 @@ def _file(live: LiveSession, name: str) -> tuple[str, str]:
     """Return name and text of a file of the answer; raises HandeyeError without one."""
     calibration = live.solver.require_calibration()
     if name == exports.REPORT_FILE:
-        return name, live.pool.submit(_report, calibration, live.path).result()
+        return name, live.pool.submit(_report, calibration, live.files.path).result()
     file_format = exports.format_of(name)
     return file_format.file_name(calibration), file_format.text(calibration)
 
 
-def _report(calibration: Calibration, session: str) -> str:
+def _report(calibration: Calibration, session: Path | None) -> str:
     """Return the report of a calibration and its session as HTML; takes seconds."""
     from handeye_ros.results.report import html
     from handeye_ros.review import solved_recording
-    return html(calibration, solved_recording(calibration, Path(session) if session else None))
+    return html(calibration, solved_recording(calibration, session))
 
 
 def contents(state: State, live: LiveSession) -> dict[str, Any]:
@@ -164,14 +163,13 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
     """
     snapshot, calibration = live.current_snapshot(), live.solver.calibration
     checked = live.verification.content
-    title = title_of(checked) if checked else ''
     return {**state, 'profile': snapshot and _picture(snapshot), 'scene': _scene(live, snapshot),
             'edges': _edges(live), 'has_just_begun': len(state['samples']) <= FEW_STOPS,
             'rows': list(table.transform_rows(calibration)) if calibration else [],
             'verification': {
                 'running': live.verification.text, 'verdict': checked.get('verdict', ''),
-                'title': title,
-                'figures': sentence(checked).removeprefix(f'{title}; ') if checked else ''}}
+                'title': title_of(checked) if checked else '',
+                'figures': reasons_and_figures(checked) if checked else ''}}
 
 
 def stop_profile(live: LiveSession, number: str) -> dict[str, Any]:
@@ -221,7 +219,7 @@ def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
 
     return {
         'known': solution is not None, 'range_sign': config.profile.range_sign,
-        'round': config.target.type == 'sphere',
+        'round': Arc in target_for(config).least_features,
         'view': rounded(extremes(np.concatenate(view))), 'live': as_rows(pose),
         'stations': [{'number': stop.number, 'T': as_rows(stop.sample.T_base_flange)}
                      for stop in live.session_copy().stops if stop.sample],

@@ -86,6 +86,11 @@ def table(content: Mapping[str, Any]) -> Table:
 
 def sentence(content: Mapping[str, Any]) -> str:
     """Return a verification as one sentence: verdict, reasons, figures with units."""
+    return f'{title_of(content)}; {reasons_and_figures(content)}'
+
+
+def reasons_and_figures(content: Mapping[str, Any]) -> str:
+    """Return the reasons of the verdict, and the figures with units, in words."""
     figures = []
     for name, (measured, nominal, deviation, U, claimed, _) in table_rows(content):
         claims = f'; the calibration claims {claimed}, 1 sigma' if claimed else ''
@@ -93,7 +98,7 @@ def sentence(content: Mapping[str, Any]) -> str:
                        + (f' ± {U} (k = {content["k"]:g}{claims})' if U else '')
                        + (f', nominal {nominal}, off by {deviation}' if nominal else ''))
     surface = filter(None, [content['surface']])
-    return '; '.join((title_of(content), *content['reasons'], *surface, *figures))
+    return '; '.join((*content['reasons'], *surface, *figures))
 
 
 def protocol_of(path: Path) -> str | None:

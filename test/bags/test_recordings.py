@@ -493,7 +493,8 @@ def test_an_existing_bag_is_replaced_only_when_asked(good_bag, tmp_path, monkeyp
         with pytest.raises(InputError, match='is the current folder, which is not replaced'):
             bag_write.write(Path(), PROFILES[:3], POSES, force=True)
     assert_equal_recordings(bag.read(good_bag, CONFIG))
-    bag_write.write(good_bag, PROFILES[:3], POSES, force=True, truth={'seed': 7})
+    bag_write.write(good_bag, PROFILES[:3], POSES, force=True,
+                    texts={'truth.yaml': 'seed: 7'})
     assert_equal_recordings(bag.read(good_bag, CONFIG), PROFILES[:3])
     assert yaml.safe_load((good_bag / 'truth.yaml').read_text()) == {'seed': 7}
     assert [p.name for p in tmp_path.iterdir()] == ['good']

@@ -40,7 +40,7 @@ def profiles(messages: Sequence[bytes], config: ProfileConfig) -> list[RawProfil
     reader, rows, before = ProfileReader(config), [], None
     for data in messages:
         whole = reader.take(data)
-        rows += profiles_of(whole, before, config)
+        rows += profiles_of(whole, before)
         before = whole.stamp
     return rows
 
@@ -61,7 +61,7 @@ def test_with_a_period_every_row_is_a_message_with_its_stamp(stamp: str, begin: 
             np.testing.assert_allclose(profile.points[:, 0], X, rtol=1e-6)
     for other in (batch(START, 4), batch(START, 10)[:-2], b''):  # the file has changed
         message = ProfileReader(config).take(batch(START, 10), partial(bytes, other))
-        row = profiles_of(message, None, config)[-1]
+        row = profiles_of(message, None)[-1]
         with pytest.raises(UnusableMessageError, match='damaged message'):
             row.read()
 

@@ -61,6 +61,12 @@ def test_a_table_for_a_target_of_profiles_names_the_targets_it_fits(tmp_path):
     assert_refused(run, 2, 'is a folder; give the file in it, or, if it is a recording')
 
 
+@pytest.mark.parametrize('verb', ['solve', 'compare'])
+def test_angles_are_refused_where_there_is_no_table_of_poses(verb, tmp_path):
+    run = handeye(verb, BAG, '--config', PLATE, '--angles', 'kuka-abc', cwd=tmp_path)
+    assert_refused(run, 2, '--angles is for a table of poses', 'target.type is plate')
+
+
 def test_solve_writes_what_the_library_answers(tmp_path):
     run = handeye('solve', BAG, '--config', PLATE, '--set', 'name=mine', cwd=tmp_path, before=(
         'import atexit; atexit.register(lambda: print([m for m in sys.modules '

@@ -79,7 +79,7 @@ def test_streams_that_fall_silent_and_two_publishers_with_two_clocks(tmp_path, c
             other.publish(sphere_profile(START + i * PERIOD - 60 * 10**9))
             state = client.until_counted(profiles=2 * i + 2, poses=i + 1)
         # of each two one is dropped: the first, or once poses vouch for it the other
-        assert sum(map(int, re.findall(r'\((\d+) times\)', state['dropped']))) == 4
+        assert sum(map(int, re.findall(r'\((\d+) times\)', state['warnings']))) == 4
         answer = client.call('take_sample')
         cause, _, consequence = answer.message.partition(words)
         assert not answer.success

@@ -111,13 +111,13 @@ def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
     poses = [replace(p, translation=p.translation + [0.0, 5e-3, 0.0])
              if began[3] <= p.stamp < began[4] else p for p in SPHERE.poses]
     live = fed(recording=replace(SPHERE, poses=tuple(poses)))
-    assert state_of(live)['worst'][0] == 4
+    assert state_of(live)['worst_first'][0] == 4
     computed(live)
     changed(live, samples__exclude=[4])
     state = state_of(live)
     assert [s['number'] for s in state['samples'] if s['excluded']] == [4]
     assert state['calibration']['state'] == 'current', 'it was solved again'
-    assert state['worst'][0] == 4, 'what is left out is still compared with the rest'
+    assert state['worst_first'][0] == 4, 'what is left out is still compared with the rest'
     without = live.solver.calibration.T_flange_sensor
     changed(live, samples__exclude=[])
     assert not np.array_equal(live.solver.calibration.T_flange_sensor, without)
@@ -361,13 +361,13 @@ def test_the_newest_stops_are_kept_and_others_counted(monkeypatch: pytest.Monkey
     assert sample_count(state) == 5, 'the newest that waited'
     assert min(s['stamp'] for s in state['samples']) > newest
     assert any(re.match('left [1-9][0-9]* stops out, the oldest of more than 5', note)
-               for note in state['session']['notes'])
+               for note in state['session']['warnings'])
     live = new()
     for lap in range(3):
         for pose in later(SPHERE.poses, 1000 * lap):
             live.add_poses([pose])
     assert any('stops, the oldest that waited for profiles' in note
-               for note in state_of(live)['session']['notes'])
+               for note in state_of(live)['session']['warnings'])
     session = live.session_copy()
     session.keep_waiting(0)
     assert len(session.take_remaining()) <= 1, 'the current one'

@@ -40,7 +40,7 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
         live.verification.verify_start()
     changed(live, verify__routine='sphere', verify__lengths=())
     assert live.verification.verify_start().startswith('sphere: 0 usable stops of 0; move on')
-    assert 'stops are not samples' in ' '.join(state_of(live)['session']['notes'])
+    assert 'stops are not samples' in ' '.join(state_of(live)['session']['warnings'])
     with pytest.raises(DataError, match='0 usable stations, fewer than 4'):
         verdict(live)
     feed(live, PARTS[1].messages)
@@ -53,7 +53,7 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
     report = yaml.safe_load(written.read_text())
     assert (report['verdict'], report['stations']) == ('pass', 6)
     assert report['created'] and not report['calibration_file']  # it is the answer, no file
-    assert not state_of(live)['session']['notes']
+    assert not state_of(live)['session']['warnings']
     live.solver.save_calibration()
     live.verification.verify_start()
     feed(live, later(PARTS[1].messages, 1000))

@@ -203,7 +203,7 @@ def test_a_clock_that_is_set_back_takes_nothing_that_is_not(client, node):
     assert not answer.success and 'the robot position is not known' in answer.message
     stand_still(client, back + NS // 4, 1.75, x=0.193)
     state = client.until_counted(profiles=60, poses=60)
-    assert 'the clock of the poses was set back by 6' in state['dropped']
+    assert 'the clock of the poses was set back by 6' in state['warnings']
     assert 'older than those before' not in state['message']
     answer = client.call('take_sample')
     assert answer.success and answer.message.startswith('sample 2 taken: '), answer.message
@@ -215,7 +215,7 @@ def test_a_stop_is_judged_while_the_robot_stands(client, node):
     stand_still(client, START + 22 * NS // 20)  # it stays: no second one
     stand_still(client, START + 3 * NS, 0.2, x=0.1)
     client.profiles.publish(sphere_profile(0))  # without a stamp: it gets the time of receipt
-    assert client.until_counted(profiles=47, poses=46)['dropped'] == ''
+    assert client.until_counted(profiles=47, poses=46)['warnings'] == ''
     assert client.call('remove_last_sample').message.startswith('removed sample 1, the last one')
     assert client.state()['samples'] == '0'
 

@@ -107,7 +107,7 @@ def test_solve_answers_near_the_truth_and_says_how_near(name, handeye, tmp_path)
 def test_without_noise_all_find_the_truth(name: str, handeye: Run, tmp_path: Path) -> None:
     cell, folder = EXACT[name](np.random.default_rng(3)), tmp_path / 'exact'
     if cell.profiles:
-        bag_write.write(folder, cell.profiles, cell.poses, tables=cell.tables, dtype='f8')
+        bag_write.write(folder, cell.profiles, cell.poses, texts=cell.tables, dtype='f8')
     else:
         folder.mkdir()
         (folder / TABLES[target_of(name)]).write_text(next(iter(cell.tables.values())))

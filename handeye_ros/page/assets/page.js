@@ -46,7 +46,7 @@ function show(state) {
   showNow(state);
   showAim(state);
   if (changed('guidance', [state.guidance, state.samples.length])) showGuidance(state.guidance);
-  if (changed('samples', [state.samples, state.worst, state.edges])) showSamples(state);
+  if (changed('samples', [state.samples, state.worst_first, state.edges])) showSamples(state);
   if (changed('scene', [state.scene, state.profile, state.samples])) redrawScene();
   if (changed('calibration', [state.calibration, state.rows])) showAnswer(state.calibration, state.rows);
   if (changed('verification', state.verification)) showVerification(state.verification);
@@ -57,7 +57,7 @@ function show(state) {
   $('problem').hidden = !troubles.length;
   $('choose').hidden = flows(state.profiles) && flows(state.poses) || taken(state).length > 0;
   text('trouble', troubles.join('; '));
-  text('review', [state.review, ...state.session.notes].filter(Boolean).join('; '));
+  text('review', [state.review, ...state.session.warnings].filter(Boolean).join('; '));
   text('link', state.session.working || state.verification.running || { still: 'a sample is taken at every stop',
     manual: 'samples are taken by hand', moving: 'samples are taken while the robot moves',
   }[state.session.mode]);
@@ -226,8 +226,8 @@ $('sound').addEventListener('change', () => { audio = audio || new AudioContext(
 
 function showSamples(state) {
   text('count', '(' + taken(state).length + ')');
-  const place = new Map(state.worst.map((number, i) => [number, i]));
-  const last = state.worst.length;
+  const place = new Map(state.worst_first.map((number, i) => [number, i]));
+  const last = state.worst_first.length;
   const order = [...state.samples].sort((a, b) =>
     (place.get(a.number) ?? last) - (place.get(b.number) ?? last) || b.number - a.number);
   const largest = Math.max(...state.samples.map(s => s.left_out || 0), 1e-9);
