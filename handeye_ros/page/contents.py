@@ -219,7 +219,7 @@ def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
 
     return {
         'known': solution is not None, 'range_sign': config.profile.range_sign,
-        'round': Arc in target_for(config).least_features,
+        'round': Arc in target_for(config).required_features,
         'view': rounded(extremes(np.concatenate(view))), 'live': as_rows(pose),
         'stations': [{'number': stop.number, 'T': as_rows(stop.sample.T_base_flange)}
                      for stop in live.session_copy().stops if stop.sample],
