@@ -290,7 +290,7 @@ def check(folder: Path, tally: Tally, config: Config, fewest: int) -> None:
     newest = max(found.stops, default=0)
     if newest:
         sample = result_of(found.stops[newest], config)
-        assert isinstance(sample, Sample) and sample.profiles >= fewest
+        assert isinstance(sample, Sample) and sample.profile_count >= fewest
     for file in files_of(folder):
         with file.open('rb') as stream:
             assert make_reader(stream).get_summary() is not None

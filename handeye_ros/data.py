@@ -66,7 +66,7 @@ class Profile:
     axes: the signed axes of frame_id that the two columns of points run along
     out_of_plane: the third coordinate in frame_id, across the plane (metres); it is not used
     intensity: (n,) of the points, None if not requested or not published
-    held_bytes, reach: as of a RawProfile
+    held_bytes, time_margins: as of a RawProfile
     """
 
     stamp: int
@@ -76,7 +76,7 @@ class Profile:
     out_of_plane: float = 0.0
     intensity: Array | None = None
     held_bytes: ClassVar[int] = 0
-    reach: ClassVar[tuple[int, int]] = (0, 0)
+    time_margins: ClassVar[tuple[int, int]] = (0, 0)
 
     def __post_init__(self) -> None:
         """Raise InputError for a stamp or points of another form."""
@@ -109,8 +109,8 @@ class RawProfile:
     convert: makes a Profile of it with a configuration, or raises UnusableMessageError
     config: the default configuration
     held_bytes: memory that it takes, 0 if it is in a file
-    rows: number of profiles in the message
-    reach: it was taken at most this long before and after its stamp (ns)
+    profile_count: number of profiles in the message
+    time_margins: it was taken at most this long before and after its stamp (ns)
     """
 
     stamp: int
@@ -119,8 +119,8 @@ class RawProfile:
     convert: Callable[[bytes, ProfileConfig], Profile]
     config: ProfileConfig
     held_bytes: int = 0
-    rows: int = 1
-    reach: tuple[int, int] = (0, 0)
+    profile_count: int = 1
+    time_margins: tuple[int, int] = (0, 0)
 
     def read(self, config: ProfileConfig | None = None) -> Profile:
         """Return the profile, with the stamp given here; raises UnusableMessageError."""
@@ -231,12 +231,12 @@ class EdgePoint:
         'gap' (nothing beyond it) or 'open' (the driver does not say)
     to_lowest: (2,) from the point down to where the plate was last seen, of a rounded or bevelled
         edge without a visible wall, else 0
-    shape_log_odds: (k + 1,) log likelihoods of roundings with k radii and of a bevel, 0 for the
-        best, empty without a bend
-    arc_offset: (2,) from the point to where its rounding is located best, if it is one
-    arc_std: 1 sigma of this place along the direction, for a given radius
+    shape_log_likelihoods: (k + 1,) of roundings with k radii and of a bevel, 0 for the best, empty
+        without a bend
+    rounding_offset: (2,) from the point to where its rounding is located best, if it is one
+    rounding_std: 1 sigma of this place along the direction, for a given radius
     shape_std: 1 sigma of the edge position from its uncertain shape, common to all ends
-    is_moved: whether it is where face and wall meet by that shape, no longer where it was seen
+    is_corrected: whether it is where face and wall meet by that shape, no longer where it was seen
     """
 
     point: Array
@@ -245,11 +245,11 @@ class EdgePoint:
     std_across: float
     ending: str = 'step'
     to_lowest: Array = field(default_factory=lambda: np.zeros(2))
-    shape_log_odds: Array = field(default_factory=lambda: np.empty(0))
-    arc_offset: Array = field(default_factory=lambda: np.zeros(2))
-    arc_std: float = 0.0
+    shape_log_likelihoods: Array = field(default_factory=lambda: np.empty(0))
+    rounding_offset: Array = field(default_factory=lambda: np.zeros(2))
+    rounding_std: float = 0.0
     shape_std: float = 0.0
-    is_moved: bool = False
+    is_corrected: bool = False
     noun: ClassVar[str] = 'edge point'
 
     @property
@@ -266,14 +266,14 @@ class Arc:
     points: (k, 2) normal points, each the mean of its bin of the arc
     std: (k,) 1 sigma of each along the circle's normal
     centre (2,), radius: the circle fitted through all points
-    raw: (n, 2) the points of the arc that the normal points stand for, as measured
+    measured: (n, 2) the points of the arc that the normal points stand for, as measured
     """
 
     points: Array
     std: Array
     centre: Array
     radius: float
-    raw: Array
+    measured: Array
     noun: ClassVar[str] = 'arc'
 
     @property
@@ -306,7 +306,7 @@ class Sample:
 
     stamp: of the first profile used, of a pass of its middle one
     T_base_flange: (4, 4)
-    profiles: how many it comes from
+    profile_count: how many profiles it comes from
     flipped_features: of the first profile with the opposite range sign, to detect a wrong setting;
         None where they were not asked for, () of a target without edges or where none are seen
     trajectory: trajectory of a moving robot (sampling.trajectory)
@@ -319,7 +319,7 @@ class Sample:
     stamp: int
     T_base_flange: Array
     features: tuple[Feature, ...]
-    profiles: int = 1
+    profile_count: int = 1
     flipped_features: tuple[Feature, ...] | None = None
     trajectory: Any = None
     clock_values: ClockValues = ClockValues()

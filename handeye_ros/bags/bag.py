@@ -19,7 +19,7 @@ from typing import Any
 from handeye_ros.arm import Arm
 from handeye_ros.bags.messages import ProfileReader, profiles_of, returns_of
 from handeye_ros.bags.poses import ArmPose, OtherJointsError, pose_topics
-from handeye_ros.bags.reader import CLOUD_TYPE, full_name, Raw, Reader, TF_TYPE
+from handeye_ros.bags.reader import CLOUD_TYPE, full_name, Reader, RecordedMessage, TF_TYPE
 from handeye_ros.bags.transforms import FlangeFollower
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, RawProfile, TimedPose
@@ -37,7 +37,7 @@ from handeye_ros.sampling.stream import (
     FEW_STRAYS,
     in_majority_order,
     LAST_STAMP,
-    two_frames,
+    two_frames_error,
 )
 import numpy as np
 
@@ -67,7 +67,7 @@ class Recording:
         """Return path and sha256 of all files read, for the provenance of results."""
         return tuple(input_values(file) for file in self.files)
 
-    def returns(self) -> Iterator[Profile]:
+    def profiles_of_returns(self) -> Iterator[Profile]:
         """
         Yield the profiles: only returns, in message order, with intensity.
 
@@ -80,10 +80,11 @@ class Recording:
                 yield returns_of(raw)
             except UnusableMessageError as error:
                 reasons.append(str(error))
-        self.warnings.extend(_left_out(reasons, len(self.profiles), 'profiles of the recording'))
+        self.warnings.extend(
+            _dropped_warning(reasons, len(self.profiles), 'profiles of the recording'))
 
 
-def _left_out(reasons: Sequence[str], total: int, what: str) -> list[str]:
+def _dropped_warning(reasons: Sequence[str], total: int, what: str) -> list[str]:
     """
     Return a warning of what was left out, none without a reason.
 
@@ -121,7 +122,7 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     pose_topic = _Topic(required.name, required.key or 'pose_source', required.message_type,
                         lambda raw: sources[raw.topic].read(raw.data))
     reader = Reader(path, (cloud_topic.name, *sources), progress)
-    for raw in _moving_last(reader.messages()):
+    for raw in _tf_last(reader.messages()):
         # if two settings name one topic, that is the profiles'; its type refuses the poses
         (cloud_topic if raw.topic == cloud_topic.name else pose_topic).add(raw)
     profiles, previous_stamp = list[RawProfile](), None
@@ -135,7 +136,8 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     reader.warnings += follower.warnings
     if not poses:
         raise InputError(f'{path}: no flange poses in its transforms: '
-                         f'{follower.missing() or "they share no time"}; set robot_base_frame and '
+                         f'{follower.missing_reason() or "they share no time"}; set '
+                         'robot_base_frame and '
                          'robot_effector_frame')
     poses = _of_one_frame('pose', poses, 'parent_frame', reader)
     joints = np.array([pose.joints for pose in poses if isinstance(pose, ArmPose)])
@@ -150,7 +152,7 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
                      reader.files)
 
 
-def _moving_last(messages: Iterable[Raw]) -> Iterator[Raw]:
+def _tf_last(messages: Iterable[RecordedMessage]) -> Iterator[RecordedMessage]:
     """
     Yield messages, those of /tf after all others.
 
@@ -170,7 +172,7 @@ class _Topic:
     """A topic of a recording, and the profiles or poses in its messages, in recording order."""
 
     def __init__(self, name: str, key: str, message_type: str,
-                 items_of: Callable[[Raw], Sequence[Any]]) -> None:
+                 items_of: Callable[[RecordedMessage], Sequence[Any]]) -> None:
         """
         Start without messages.
 
@@ -183,7 +185,7 @@ class _Topic:
         self._usable = self._unstamped = 0
         self._refusals: list[UnusableMessageError] = []  # of messages that cannot be used
 
-    def add(self, raw: Raw) -> None:
+    def add(self, raw: RecordedMessage) -> None:
         """Add what a message holds; its time of recording is the stamp of what has none."""
         try:
             items = self._items_of(raw)
@@ -195,7 +197,7 @@ class _Topic:
         self._usable += 1
         self._unstamped += not all(item.stamp for item in items)
 
-    def _missing(self, reader: Reader) -> InputError:
+    def _missing_topic_error(self, reader: Reader) -> InputError:
         """Return the refusal of a bag without a topic of this name and type."""
         key, types = self._key, reader.types
         listed = [f'{name} ({other_type})' for name, other_type in sorted(types.items())]
@@ -215,7 +217,7 @@ class _Topic:
         topic, and if most of its messages are invalid, and DataError for stamps of two runs.
         """
         if reader.types.get(self.name) != self._message_type:
-            raise self._missing(reader)
+            raise self._missing_topic_error(reader)
         # messages of other devices are no fault, where there are those of the arm
         malformed = [str(error) for error in self._refusals
                      if not (self._usable and isinstance(error, OtherJointsError))]
@@ -223,7 +225,7 @@ class _Topic:
         if not total:
             raise InputError(f'{reader.path}: no messages on {self.name} ({self._message_type}): '
                              f'check that it was published while recording, or set {self._key}')
-        reader.warnings += _left_out(malformed, total, f'messages on {self.name}')
+        reader.warnings += _dropped_warning(malformed, total, f'messages on {self.name}')
         if self._unstamped:
             reader.warnings.append(f'{self._unstamped} messages on {self.name} have no stamps; '
                                    'the times at which they were recorded are used')
@@ -248,7 +250,7 @@ def _of_one_frame(kind: str, items: list[Any], frame: str, reader: Reader) -> li
     (name, count), *others = Counter(getattr(item, frame) for item in items).most_common()
     strays = len(items) - count
     if strays > max(FEW_STRAYS, FEW_SHARE * len(items)) or 2 * strays >= len(items):
-        raise two_frames(kind, name, others[0][0])
+        raise two_frames_error(kind, name, others[0][0])
     if strays:
         reader.warnings.append(f'{strays} of {len(items)} {kind}s were left out: their frame is '
                                f'"{others[0][0]}", not "{name}"')

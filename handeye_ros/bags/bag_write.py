@@ -20,8 +20,15 @@ from types import MappingProxyType
 from typing import Any, BinaryIO
 
 from handeye_ros import se3
-from handeye_ros.bags.messages import DATATYPES, typestore, UNITS
-from handeye_ros.bags.reader import CLOUD_TYPE, full_name, JOINTS_TYPE, POSE_TYPE, Raw, STRING_TYPE
+from handeye_ros.bags.messages import DATATYPES, METRES_PER_UNIT, typestore
+from handeye_ros.bags.reader import (
+    CLOUD_TYPE,
+    full_name,
+    JOINTS_TYPE,
+    POSE_TYPE,
+    RecordedMessage,
+    STRING_TYPE,
+)
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, NS, Profile, RawProfile, TimedPose
 from handeye_ros.errors import InputError
@@ -52,26 +59,26 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
     """
     config = config or Config()
 
-    def messages() -> Iterator[Raw]:
+    def messages() -> Iterator[RecordedMessage]:
         joint_topic, items = full_name(config.joint_topic), list[Any]([*profiles, *poses])
         for stamp, item in sorted([*((item.stamp, item) for item in items), *joints],
                                   key=itemgetter(0)):
-            yield (Raw(joint_topic, JOINTS_TYPE, stamp, joints_cdr(stamp, item))
-                   if isinstance(item, np.ndarray) else raw_of(item, config, dtype))
+            yield (RecordedMessage(joint_topic, JOINTS_TYPE, stamp, joints_cdr(stamp, item))
+                   if isinstance(item, np.ndarray) else recorded_message(item, config, dtype))
 
     write_folder(path, texts, lambda folder: _write_bag(folder, messages()), force)
 
 
-def raw_of(item: AnyProfile | TimedPose, config: Config, dtype: str) -> Raw:
+def recorded_message(item: AnyProfile | TimedPose, config: Config, dtype: str) -> RecordedMessage:
     """Return a profile or pose as it is recorded; dtype: of its coordinates, f4 or f8."""
     if isinstance(item, TimedPose):
-        return Raw(full_name(config.pose_topic), POSE_TYPE, item.stamp, pose_cdr(item))
+        return RecordedMessage(full_name(config.pose_topic), POSE_TYPE, item.stamp, pose_cdr(item))
     data = (bytes(item.fetch()) if isinstance(item, RawProfile)
             else cloud_cdr(item, config.profile.unit, dtype))
-    return Raw(full_name(config.profile_topic), CLOUD_TYPE, item.stamp, data)
+    return RecordedMessage(full_name(config.profile_topic), CLOUD_TYPE, item.stamp, data)
 
 
-def _write_bag(path: Path, messages: Iterable[Raw]) -> None:
+def _write_bag(path: Path, messages: Iterable[RecordedMessage]) -> None:
     """Make a folder with one .mcap file of messages, and its metadata.yaml."""
     path.mkdir()
     file = path / f'{path.name}.mcap'
@@ -80,7 +87,7 @@ def _write_bag(path: Path, messages: Iterable[Raw]) -> None:
     write_metadata(path, [file])
 
 
-def write_mcap(stream: BinaryIO, messages: Iterable[Raw]) -> None:
+def write_mcap(stream: BinaryIO, messages: Iterable[RecordedMessage]) -> None:
     """Write messages, in the order of their times, as an .mcap file; raises OSError."""
     writer = Writer(stream, CHUNK_BYTES, CompressionType.ZSTD)
     writer.start('ros2', 'handeye_ros')
@@ -96,7 +103,7 @@ def write_mcap(stream: BinaryIO, messages: Iterable[Raw]) -> None:
     writer.finish()
 
 
-def contents_of(file: Path) -> Summary:
+def summary_of(file: Path) -> Summary:
     """Return the summary of a whole .mcap file, with statistics; raises InputError."""
     try:
         summary = _contents(file, file.stat().st_mtime_ns)
@@ -120,7 +127,7 @@ def write_metadata(folder: Path, files: Sequence[Path]) -> None:
 
     JSON is YAML, and is written 100 times faster.
     """
-    parts = [contents_of(file) for file in files]
+    parts = [summary_of(file) for file in files]
     message_types, counts = dict[str, str](), Counter[str]()
     for part in parts:
         for channel_id, channel in part.channels.items():
@@ -185,7 +192,7 @@ def cloud_cdr(profile: Profile, unit: str = 'm', dtype: str = 'f4') -> bytes:
     unit: of the coordinates; dtype: their type, f4 or f8.
     """
     points = np.zeros((len(profile.points), 3), f'<{dtype}')
-    for axis, column in zip(profile.axes, profile.points.T / UNITS[unit], strict=True):
+    for axis, column in zip(profile.axes, profile.points.T / METRES_PER_UNIT[unit], strict=True):
         points[:, 'xyz'.index(axis[-1])] = -column if axis[0] == '-' else column
     size, (code,) = points.itemsize, [k for k, name in DATATYPES.items() if name == dtype]
     fields = [_new('sensor_msgs/msg/PointField', axis, k * size, code, 1)
@@ -227,7 +234,8 @@ def write_path(path: Path, T: Array, frame_id: str, stamp: int) -> None:
     header = _header(stamp, frame_id)
     poses = [_pose(*pair) for pair in zip(T[:, :3, 3], se3.quaternion(T), strict=True)]
     stamped = [_new(POSE_TYPE, header, pose) for pose in poses]
-    messages = [Raw(topic, message.__msgtype__, stamp, to_cdr(message)) for topic, message in (
+    messages = [RecordedMessage(topic, message.__msgtype__, stamp, to_cdr(message))
+                for topic, message in (
         ('/seam/path', _new(PATH_TYPE, header, stamped)),
         ('/seam/poses', _new(POSE_ARRAY_TYPE, header, poses)))]
     write_folder(path, {}, lambda folder: _write_bag(folder, messages), force=True)
@@ -244,7 +252,7 @@ def write_folder(path: Path, texts: Mapping[str, str],
     """
     path = path.resolve()
     with write_errors_for(path):
-        _check_free(path, force)
+        _require_free(path, force)
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix='.', suffix='.tmp', dir=path.parent) as folder:
             new_folder = Path(folder) / path.name
@@ -256,7 +264,7 @@ def write_folder(path: Path, texts: Mapping[str, str],
             new_folder.rename(path)
 
 
-def _check_free(path: Path, force: bool) -> None:
+def _require_free(path: Path, force: bool) -> None:
     """Raise InputError where a folder cannot be made, or replaced if force."""
     if not path.exists() or path.is_dir() and not any(path.iterdir()):
         return

@@ -29,10 +29,10 @@ from rosbags.typesys.store import Typestore
 # sensor_msgs/PointField: datatype -> numpy
 DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
 INTENSITY = 'intensity'  # its field, if the driver publishes it
-UNITS = {'m': 1.0, 'mm': 1e-3}
+METRES_PER_UNIT = {'m': 1.0, 'mm': 1e-3}
 
 LARGEST_POSITION = 1e6  # m; poses in mm stay below, so that the solver can report the wrong unit
-LENGTH_TOLERANCE = 1e-2  # of a quaternion's length
+MESSAGE_QUATERNION_TOLERANCE = 1e-2  # of a quaternion's length
 
 # No line profiler measures this far (m): a larger coordinate is no return. If most are larger, or
 # with mm all are smaller than ALL_TOO_NEAR, the unit is wrong.
@@ -101,7 +101,7 @@ def _pose(kind: str, message: Any, position: Any, orientation: Any) -> TimedPose
         problem = 'the pose holds values that are not finite'
     elif farthest > LARGEST_POSITION:
         problem = f'the position reaches {farthest:.3g} m'
-    elif abs(length - 1.0) > LENGTH_TOLERANCE:
+    elif abs(length - 1.0) > MESSAGE_QUATERNION_TOLERANCE:
         problem = f'quaternion of length {length:.4g}, expected 1'
     else:
         stamp, frame = stamp_and_frame(message)
@@ -229,7 +229,7 @@ def _points(cloud: Any, config: ProfileConfig) -> tuple[Array, NDArray[np.bool_]
     out_of_plane = (field_values(cloud, normal_axis)
                     if normal_axis in [field.name for field in cloud.fields]
                     else np.full(len(ranges), np.nan))
-    points = (np.stack((along, ranges, out_of_plane)) * UNITS[config.unit]).T
+    points = (np.stack((along, ranges, out_of_plane)) * METRES_PER_UNIT[config.unit]).T
     points[np.abs(points) > NO_RETURN] = np.nan
     x, z = points[:, 0], points[:, 1]
     with np.errstate(invalid='ignore'):
@@ -320,7 +320,7 @@ class ProfileReader:
         UnusableMessageError.
         """
         cloud = message_of(CLOUD_TYPE, data)
-        (stamp, frame), rows = stamp_and_frame(cloud), row_count(cloud, self.config)
+        (stamp, frame), rows = stamp_and_frame(cloud), profile_count(cloud, self.config)
         if cloud.height * cloud.width:
             for axis in self.config.axes:
                 field_view(cloud, axis[-1])
@@ -332,7 +332,7 @@ class ProfileReader:
                           self.config, 0 if fetch else len(data) + MESSAGE_OVERHEAD, rows)
 
 
-def row_count(cloud: Any, config: ProfileConfig) -> int:
+def profile_count(cloud: Any, config: ProfileConfig) -> int:
     """
     Return the number of profiles in a PointCloud2: its rows, or 1 if rows are single points.
 
@@ -360,19 +360,20 @@ def profiles_of(raw: RawProfile, previous_stamp: int | None) -> list[RawProfile]
     previous_stamp: of the previous message (ns), None for the first, which without a period is
     left out, as its duration is unknown.
     """
-    if raw.rows == 1:
+    if raw.profile_count == 1:
         return [raw]
     fraction, step = SHARE_BEFORE_STAMP[raw.config.stamp], raw.config.period * NS
-    reach = (0, 0)
+    time_margins = (0, 0)
     if not step:
         if previous_stamp is None or previous_stamp >= raw.stamp:
             return []
         duration, step = raw.stamp - previous_stamp, 1.0  # single nanoseconds keep their order
-        reach = (round(fraction * duration), round((1.0 - fraction) * duration))
-    first = raw.stamp - round(fraction * (raw.rows - 1) * step)
-    stamps = [first + round(index * step) for index in range(raw.rows)]
-    return [replace(raw, stamp=stamp, rows=1, held_bytes=raw.held_bytes // raw.rows,
-                    fetch=partial(_row_message, raw.fetch, index, stamp), reach=reach)
+        time_margins = (round(fraction * duration), round((1.0 - fraction) * duration))
+    first = raw.stamp - round(fraction * (raw.profile_count - 1) * step)
+    stamps = [first + round(index * step) for index in range(raw.profile_count)]
+    return [replace(raw, stamp=stamp, fetch=partial(_row_message, raw.fetch, index, stamp),
+                    held_bytes=raw.held_bytes // raw.profile_count, profile_count=1,
+                    time_margins=time_margins)
             for index, stamp in enumerate(stamps)]
 
 
@@ -394,7 +395,7 @@ def returns_of(raw: RawProfile) -> Profile:
     With the intensity if there is a field of that name. The order along the line, which takes most
     of the time, is not determined. Raises UnusableMessageError, also for an uncertain stamp.
     """
-    if raw.reach != (0, 0):
+    if raw.time_margins != (0, 0):
         raise _error_of('it holds several profiles, and does not say when each was taken: set '
                         'profile.period')
     cloud, config = message_of(CLOUD_TYPE, raw.fetch()), raw.config

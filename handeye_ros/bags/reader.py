@@ -36,7 +36,7 @@ LARGEST_RECORD = 1 << 28  # bytes of a record or message, compressed or not: non
 CACHED_CHUNKS = 4  # decompressed chunks in memory: the profiles of a stop are close together
 
 
-class Raw(NamedTuple):
+class RecordedMessage(NamedTuple):
     """
     A message as it is recorded.
 
@@ -78,7 +78,7 @@ class Reader:
         self._progress = progress
         self._before, self._total = 0, 1  # bytes of files: before the current one, of all
 
-    def messages(self) -> Iterator[Raw]:
+    def messages(self) -> Iterator[RecordedMessage]:
         """Yield the messages; raises InputError if there is nothing to read."""
         try:
             self.files = _files(self.path)
@@ -93,7 +93,7 @@ class Reader:
             reason = '; '.join(self.warnings) or 'the recording was stopped before it began'
             raise InputError(f'{self.path}: holds no messages ({reason}): record again')
 
-    def _messages_of(self, path: Path) -> Iterator[Raw]:
+    def _messages_of(self, path: Path) -> Iterator[RecordedMessage]:
         """Yield the messages of a file; raises InputError if it is of no bag."""
         with path.open('rb') as stream:
             magic = stream.read(8)
@@ -107,12 +107,12 @@ class Reader:
                   'is not a bag; expected a rosbag2 folder, or an .mcap or .db3 file')
         raise InputError(f'{path}: {reason}')
 
-    def _from_mcap(self, path: Path) -> Iterator[Raw]:
+    def _from_mcap(self, path: Path) -> Iterator[RecordedMessage]:
         """Yield the messages of an .mcap file, of whole chunks, in the order of the file."""
         schemas: dict[int, str] = {}
         channels: dict[int, str] = {}  # the topic of each, '' if it is not requested
         message_count = damaged_chunks = start = 0
-        complete, data_at = False, lru_cache(CACHED_CHUNKS)(partial(_in_chunk, path))
+        complete, data_at = False, lru_cache(CACHED_CHUNKS)(partial(_chunk_data, path))
         with path.open('rb') as stream:
             for outer in _up_to_damage(stream, start):
                 if complete := isinstance(outer, DataEnd):
@@ -123,34 +123,34 @@ class Reader:
                     if isinstance(record, Schema):
                         schemas[record.id] = record.name
                     elif isinstance(record, Channel):
-                        channels[record.id] = self._registered(
+                        channels[record.id] = self._register(
                             record.topic, schemas.get(record.schema_id, 'of unknown type'),
                             record.message_encoding)
                     elif isinstance(record, Message):
                         message_count += 1
                         if topic := channels.get(record.channel_id):
-                            yield Raw(topic, self.types[topic], record.log_time,
-                                      _unpacked(record.data),
-                                      partial(_again, data_at, start, index))
+                            yield RecordedMessage(topic, self.types[topic], record.log_time,
+                                                  _unpacked(record.data),
+                                                  partial(_read_again, data_at, start, index))
                 start = stream.tell()
                 self._progress((self._before + start) / self._total)
         if damaged_chunks or not complete:
             left_out = f', left out {damaged_chunks} damaged chunk(s)' if damaged_chunks else ''
             self._warn_of_damage(path, f'read {count_of(message_count, "message")}{left_out}')
 
-    def _from_database(self, path: Path) -> Iterator[Raw]:
+    def _from_database(self, path: Path) -> Iterator[RecordedMessage]:
         """Yield the messages in the order of recording: by time, two runs would look like one."""
         count = 0
         try:
-            with closing(_connected(path)) as database:
-                names = {key: self._registered(topic, message_type, encoding)
+            with closing(_connect(path)) as database:
+                names = {key: self._register(topic, message_type, encoding)
                          for key, topic, message_type, encoding in database.execute(
                              'SELECT id, name, type, serialization_format FROM topics')}
                 for key, topic, time, data in database.execute(
                         'SELECT id, topic_id, timestamp, data FROM messages ORDER BY id'):
                     if name := names[topic]:
-                        yield Raw(name, self.types[name], int(time), _unpacked(data),
-                                  partial(_again, partial(_in_database, path), key))
+                        yield RecordedMessage(name, self.types[name], int(time), _unpacked(data),
+                                              partial(_read_again, partial(_row_data, path), key))
                     count += 1
         except Exception as error:  # noqa: BLE001 - of SQLite, and of what damaged rows hold
             self._warn_of_damage(path, f'{error}; read {count_of(count, "message")} up to there')
@@ -158,7 +158,7 @@ class Reader:
     def _warn_of_damage(self, path: Path, what: str) -> None:
         self.warnings.append(f'{path.name} is cut off or damaged: {what}')
 
-    def _registered(self, topic: str, message_type: str, encoding: str) -> str:
+    def _register(self, topic: str, message_type: str, encoding: str) -> str:
         """Take note of a topic and its type; return its name, '' if it is not requested."""
         topic = full_name(topic)
         self.types[topic] = message_type + (f' in {encoding}' if encoding != 'cdr' else '')
@@ -219,7 +219,7 @@ def _expanded(record: McapRecord) -> list[Any] | None:
     return None
 
 
-def _again(find: Callable[[int], list[bytes]], place: int, index: int = 0) -> bytes:
+def _read_again(find: Callable[[int], list[bytes]], place: int, index: int = 0) -> bytes:
     """
     Return a message of a file again, b'' if the file has changed.
 
@@ -231,21 +231,21 @@ def _again(find: Callable[[int], list[bytes]], place: int, index: int = 0) -> by
         return b''
 
 
-def _in_chunk(path: Path, start: int) -> list[bytes]:
+def _chunk_data(path: Path, start: int) -> list[bytes]:
     """Return the data of each record in the chunk at a position of an .mcap file."""
     with path.open('rb') as stream:
         records = _expanded(next(_up_to_damage(stream, start)))
     return [getattr(record, 'data', b'') for record in records or ()]
 
 
-def _in_database(path: Path, key: int) -> list[bytes]:
+def _row_data(path: Path, key: int) -> list[bytes]:
     """Return the message of a row of a .db3 file."""
-    with closing(_connected(path)) as database:
+    with closing(_connect(path)) as database:
         return [data for data, in database.execute('SELECT data FROM messages WHERE id = ?',
                                                    (key,))]
 
 
-def _connected(path: Path) -> sqlite3.Connection:
+def _connect(path: Path) -> sqlite3.Connection:
     """Connect to a .db3 file; only to read a write-ahead log SQLite must write beside it."""
     mode = 'mode=ro' if path.with_name(f'{path.name}-wal').exists() else 'immutable=1'
     return sqlite3.connect(f'{path.absolute().as_uri()}?{mode}', uri=True)

@@ -25,9 +25,9 @@ import re
 import time
 
 from handeye_ros.bags.bag_write import (
-    contents_of,
-    raw_of,
+    recorded_message,
     string_cdr,
+    summary_of,
     sync,
     write_mcap,
     write_metadata,
@@ -38,8 +38,8 @@ from handeye_ros.bags.reader import (
     full_name,
     JOINTS_TYPE,
     POSE_TYPE,
-    Raw,
     Reader,
+    RecordedMessage,
     STRING_TYPE,
 )
 from handeye_ros.config import Config, flatten, RECORD_PREFIX, with_values
@@ -90,7 +90,7 @@ class StoredSession:
         for number, stored in sorted(self.stops.items()):
             stop = stored if stored.final_reason else replace(
                 stored, result=result_of(stored, config))
-            session.add_stop(replace(session.numbered(stop, stop.result), number=number))
+            session.add_stop(replace(session.with_result(stop, stop.result), number=number))
             session.mark_done(stop)
         return session
 
@@ -116,7 +116,7 @@ class SessionFiles:
         self._lock: int | None = None
         if stored:
             with write_errors_for(stored.path):
-                self._lock = locked(
+                self._lock = lock_folder(
                     stored.path, f'{stored.path} is in use by another node: end that node first, '
                     'or begin a new session')
             _write_metadata(stored.path)
@@ -144,7 +144,7 @@ class SessionFiles:
         joints = [(stamp, data) for stamp, data in joints if loaded.start <= stamp <= loaded.end]
         file = self.add_event(STOP, config, loaded, joints)
         return replace(stop, poses=stop.poses[-1:], profiles=(),
-                       reader=partial(load_stop, file, stop.stamp))
+                       load_messages=partial(load_stop, file, stop.stamp))
 
     def add_event(self, event: str, config: Config, stop: Stop = NO_STOP,
                   joints: Sequence[tuple[int, bytes]] = ()) -> Path:
@@ -180,7 +180,7 @@ class SessionFiles:
         folder.mkdir(parents=True)
         for created in (folder, *missing):
             sync(created.parent)
-        return folder, locked(folder, f'another node has begun {folder}')
+        return folder, lock_folder(folder, f'another node has begun {folder}')
 
 
 def _write_metadata(folder: Path) -> None:
@@ -188,11 +188,11 @@ def _write_metadata(folder: Path) -> None:
         write_metadata(folder, files_of(folder))
 
 
-def locked(folder: Path, refusal: str) -> int:
+def lock_folder(folder: Path, refusal: str) -> int:
     """
     Lock a folder until the process ends; return the file descriptor that holds the lock.
 
-    Raises InputError with the refusal if another process has locked it, OSError.
+    Raises InputError with the refusal if another process has lock_folder it, OSError.
     """
     lock = os.open(folder / LOCK_FILE, os.O_RDONLY | os.O_CREAT, 0o644)
     try:
@@ -204,20 +204,21 @@ def locked(folder: Path, refusal: str) -> int:
 
 
 def _messages(event: str, config: Config, stop: Stop, joints: Sequence[tuple[int, bytes]]
-              ) -> list[Raw]:
+              ) -> list[RecordedMessage]:
     """Return the messages of an event, in the order of their times."""
     # a driver may publish no stamp: the time of the record holds it
     profiles = [replace(profile, stamp=profile.stamp - config.offset_ns)
                 for profile in stop.profiles]
-    messages = [raw_of(item, config, 'f8') for item in (*stop.poses, *profiles)]
-    messages += [Raw(full_name(config.joint_topic), JOINTS_TYPE, *joint) for joint in joints]
+    messages = [recorded_message(item, config, 'f8') for item in (*stop.poses, *profiles)]
+    messages += [RecordedMessage(full_name(config.joint_topic), JOINTS_TYPE, *joint)
+                 for joint in joints]
     settings = {'config': flatten(replace(config, session=''))}
     outcome = {'event': event, 'number': stop.number, 'began': stop.stamp,
                'taken': stop.sample is not None, 'refused': stop.final_reason}
     end = stop.end if stop.poses else time.time_ns()
     for topic, content in ((CONFIGURATION_TOPIC, settings), (OUTCOME_TOPIC, outcome)):
         text = json.dumps({'format': FORMAT, **content})
-        messages.append(Raw(topic, STRING_TYPE, end, string_cdr(text)))
+        messages.append(RecordedMessage(topic, STRING_TYPE, end, string_cdr(text)))
     return sorted(messages, key=lambda message: message.log_time)
 
 
@@ -236,7 +237,7 @@ def is_session(path: Path) -> bool:
     """Return whether a folder holds a session."""
     # no folder, no name of one, none that can be read, no file
     with suppress(OSError, ValueError, InputError, IndexError):
-        channels = contents_of(files_of(path)[0]).channels
+        channels = summary_of(files_of(path)[0]).channels
         return any(channel.topic == OUTCOME_TOPIC for channel in channels.values())
     return False
 
@@ -288,7 +289,7 @@ def load_stop(file: Path, stamp: int, config: Config) -> Stop:
     return Stop(stamp, tuple(poses), tuple(profiles))
 
 
-def _read_file(file: Path, topics: Collection[str] | None = None) -> list[Raw]:
+def _read_file(file: Path, topics: Collection[str] | None = None) -> list[RecordedMessage]:
     """Return the messages of some topics, or of all, of a whole file; raises InputError."""
     reader = Reader(file, topics)
     messages = list(reader.messages())
@@ -311,7 +312,8 @@ def _event_of(file: Path) -> tuple[str, Config, Stop]:
                     # those of older versions may be gone
                     if key in known_keys or key.startswith(RECORD_PREFIX)}
         stamp, refusal = int(outcome['began']), str(outcome['refused'])
-        stop = Stop(stamp, reader=partial(load_stop, file, stamp), number=int(outcome['number']),
+        stop = Stop(stamp, load_messages=partial(load_stop, file, stamp),
+                    number=int(outcome['number']),
                     result=NOT_EVALUATED if outcome['taken'] else
                     Reject(stamp, refusal, final=bool(refusal)))
         return str(outcome['event']), with_values(Config(), settings, str(file)), stop

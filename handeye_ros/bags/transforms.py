@@ -76,7 +76,7 @@ class FlangeFollower:
             if link is None or (link.parent, link.static) != (pose.parent_frame, static):
                 link = self._links[child] = _Link(pose.parent_frame, static)
             link.poses.extend([pose] if static else link.stream.add(pose, pose.parent_frame))
-            if link.stream.set_back:
+            if link.stream.step_back:
                 self.restart()
         chains = self._chains()
         moving = [link for chain in chains or () for link in chain if not link.static]
@@ -100,7 +100,7 @@ class FlangeFollower:
         self._links = {child: link for child, link in self._links.copy().items() if link.static}
         self._sent_until = -1
 
-    def missing(self) -> str:
+    def missing_reason(self) -> str:
         """Return why there are no poses, '' if there are."""
         chains, links = self._chains(), self._links.copy()
         if chains is None:

@@ -23,7 +23,7 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mount_poses
-from handeye_ros.sampling.stops import evenly
+from handeye_ros.sampling.stops import evenly_spaced
 from handeye_ros.sampling.sweep import SEARCH_SAMPLES
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -41,7 +41,7 @@ def convention_hypotheses(samples: Sequence[Sample], problem: Problem, baseline:
     other_mounting = 'eye_on_base' if config.in_hand else 'eye_in_hand'
     trajectory = next((sample.trajectory for sample in samples if sample.moving), None)
     if trajectory:
-        samples = evenly(samples, SEARCH_SAMPLES)
+        samples = evenly_spaced(samples, SEARCH_SAMPLES)
         poses = se3.from_quaternion(trajectory.values[:, :3], trajectory.values[:, 3:])
     stamps = [sample.stamp for sample in samples]
 

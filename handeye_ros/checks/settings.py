@@ -26,7 +26,7 @@ from handeye_ros.data import EdgePoint, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import evenly, Stop
+from handeye_ros.sampling.stops import evenly_spaced, Stop
 
 MOST_STOPS, MOST_PROFILES = 40, 4  # read again: stops, profiles of each
 RANGE_SIGN, TARGET_TYPE = 'profile.range_sign', 'target.type'
@@ -36,7 +36,7 @@ Values = tuple[tuple[str, str], ...]  # of settings, by their keys
 def setting_hypotheses(session: Session, config: Config, baseline: Explanation
                        ) -> Iterator[Hypothesis]:
     """Yield the hypotheses that other settings explain the stops of a session."""
-    stops = evenly(stops_to_explain(session), MOST_STOPS)
+    stops = evenly_spaced(stops_to_explain(session), MOST_STOPS)
     stamps = [stop.result.stamp for stop in stops]
     few_profiles = [with_few_profiles(stop, config) for stop in stops]
     show_edge = {sample.stamp for stop in stops if (sample := stop.sample) and any(
@@ -137,4 +137,4 @@ def with_settings(config: Config, values: Mapping[str, str]) -> Config:
 def with_few_profiles(stop: Stop, config: Config) -> Stop:
     """Return a stop with a few of its profiles."""
     stop = stop.load(config).trimmed(config)
-    return replace(stop, profiles=tuple(evenly(stop.profiles, MOST_PROFILES)))
+    return replace(stop, profiles=tuple(evenly_spaced(stop.profiles, MOST_PROFILES)))

@@ -106,7 +106,7 @@ def _passes(bags: list[Path], calibration: 'Calibration', config: 'Config'
     for bag in bags:
         with stream_recording(bag, config, 'reading the recording', calibration) as (
                 recording, trajectory, _):
-            yield list(recording.returns()), trajectory
+            yield list(recording.profiles_of_returns()), trajectory
 
 
 def _stops(bag: Path, calibration: 'Calibration', config: 'Config'
@@ -220,7 +220,7 @@ def scan(
     with stream_recording(bag, settings, 'reading the poses', calibration) as (
             recording, trajectory, update):
         def pieces() -> 'Iterator[Points]':
-            for points in scanner.scan(recording.returns(), trajectory):
+            for points in scanner.scan(recording.profiles_of_returns(), trajectory):
                 yield points
                 update(f'{count.profiles} profiles, {count.points} points')
         write_cloud(out, pieces(), f'frame {scanner.frame}, metres')
@@ -313,5 +313,5 @@ def _cloud(path: Path, calibration_file: Path | None, config: Path | None,
     calibration, settings = open_calibration(calibration_file, config, assignments, kinematics)
     scanner = Scanner(calibration, settings, ScanOptions(voxel=THINNING_SIZE))
     with stream_recording(path, settings, 'scanning', calibration) as (recording, trajectory, _):
-        rows = np.concatenate(list(scanner.scan(recording.returns(), trajectory)))
+        rows = np.concatenate(list(scanner.scan(recording.profiles_of_returns(), trajectory)))
     return np.column_stack([rows[axis] for axis in 'xyz']).astype(float), scanner.frame

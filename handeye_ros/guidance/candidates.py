@@ -24,7 +24,7 @@ from handeye_ros.estimation.problem import Linearisation, linearise, Observation
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.view import BORDER_NORMALS, View
-from handeye_ros.sampling.stops import evenly
+from handeye_ros.sampling.stops import evenly_spaced
 import numpy as np
 from numpy.typing import NDArray
 
@@ -92,7 +92,7 @@ def templates(problem: Problem) -> list[int]:
     for i in range(len(problem.poses)):
         groups.setdefault(np.unique(obs.kind[obs.station == i]).tobytes(), []).append(i)
     share = max(1, TEMPLATE_COUNT // len(groups))
-    return [station for group in groups.values() for station in evenly(group, share)]
+    return [station for group in groups.values() for station in evenly_spaced(group, share)]
 
 
 def anchor_of(problem: Problem, station: int) -> Array:

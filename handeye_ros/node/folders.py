@@ -11,7 +11,7 @@ from typing import Any
 
 from handeye_ros.bags.session_files import (
     last_use,
-    locked,
+    lock_folder,
     read_session,
     sessions_in,
     StoredSession,
@@ -50,7 +50,7 @@ class OutputFolders:
         if folder not in self._locks:
             with write_errors_for(folder):
                 folder.mkdir(parents=True, exist_ok=True)
-                self._locks[folder] = locked(
+                self._locks[folder] = lock_folder(
                     folder, f'another running node saves its results in {folder}: set name or '
                     'output_dir of this one, so that neither replaces those of the other')
         return folder

@@ -57,7 +57,7 @@ from handeye_ros.node.verification import LiveVerification
 from handeye_ros.results.scene import StopSnapshot
 from handeye_ros.results.table import sample_summary
 from handeye_ros.sampling.features import features_of, result_of
-from handeye_ros.sampling.session import Session, silent_poses
+from handeye_ros.sampling.session import Session, silent_poses_error
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.stream import interpolate
 
@@ -147,15 +147,15 @@ class LiveSession:
 
     def _queue_stops(self, stops: Iterable[Stop]) -> None:
         """Queue stops, each in place of an earlier part; drop the oldest if too many wait."""
-        self.session.keep_waiting(MOST_STOPS)
+        self.session.limit_waiting(MOST_STOPS)
         for stop in stops:
             self.to_evaluate.pop(stop.stamp, None)
             self.to_evaluate[stop.stamp] = stop
-        not_stored = [stamp for stamp, stop in self.to_evaluate.items() if not stop.reader]
+        not_stored = [stamp for stamp, stop in self.to_evaluate.items() if not stop.load_messages]
         for stamp in not_stored[:-MOST_STOPS]:
             del self.to_evaluate[stamp]
             self._dropped_stops += 1
-        if self.to_evaluate or self._frame_change:
+        if self.to_evaluate or self._frame_change_notice:
             self._schedule_due_work()
 
     # the worker, and what others ask of it
@@ -192,10 +192,10 @@ class LiveSession:
         """Do what is due, stop by stop: whoever calls meanwhile waits for one stop only."""
         self._is_scheduled = False
         with self.lock:
-            frame_change = self._frame_change
-        if frame_change:
+            frame_change_notice = self._frame_change_notice
+        if frame_change_notice:
             self.clear_samples()
-            self.attempt = Attempt(frame_change)
+            self.attempt = Attempt(frame_change_notice)
         elif self.evaluate_next():
             self._schedule_due_work()
         else:
@@ -248,7 +248,7 @@ class LiveSession:
     def working(self) -> str:
         """Return the running tasks in words; empty without any."""
         with self.lock:
-            again = any(stop.reader for stop in self.to_evaluate.values())
+            again = any(stop.load_messages for stop in self.to_evaluate.values())
         text = 'the samples are extracted again from their profiles' if again else ''
         return '; '.join(filter(None, (*self.running_jobs, text)))
 
@@ -297,13 +297,13 @@ class LiveSession:
         """Evaluate the next stop that waits, new or stored; return whether there was one."""
         with self.lock:
             stop = self.to_evaluate.pop(next(iter(self.to_evaluate), 0), None)
-        if stop and not stop.reader:
+        if stop and not stop.load_messages:
             with suppress(DataError):  # of a verification
                 self._evaluate_new(stop)
         elif stop and not stop.final_reason:
             result = self.evaluate_in_process(stop, self.config)
             with self.lock:
-                self.session.add_stop(self.session.numbered(stop, result))
+                self.session.add_stop(self.session.with_result(stop, result))
         return stop is not None
 
     def evaluate_waiting(self) -> None:
@@ -333,7 +333,7 @@ class LiveSession:
         """Make no sample of a new stop that has begun, or waits; raises InputError."""
         with self.lock:
             self.to_evaluate = {stamp: stop for stamp, stop in self.to_evaluate.items()
-                                if stop.reader}
+                                if stop.load_messages}
             self._end_stops()
 
     def _evaluate_new(self, stop: Stop, is_requested: bool = False) -> str:
@@ -349,7 +349,7 @@ class LiveSession:
             return self.verification.add_stop(stop)
         earlier = next((s for s in self.session.stops if s.stamp == stop.stamp), None)
         had_sample = bool(earlier and earlier.sample)
-        stop = self.session.numbered(stop, self.evaluate_in_process(stop, self.config))
+        stop = self.session.with_result(stop, self.evaluate_in_process(stop, self.config))
         if is_requested and stop.sample is None:
             remedy = ': move on, and turn the tool' if stop.final_reason else ''
             raise DataError(f'{sample_summary(stop.result)}{remedy}')
@@ -361,7 +361,7 @@ class LiveSession:
             if is_requested:
                 raise
             # an earlier part of the stop has fewer profiles, but is on the disk
-            stop = earlier if earlier and earlier.reader else replace(
+            stop = earlier if earlier and earlier.load_messages else replace(
                 stop, result=Reject(stop.result.stamp, str(error), final=True))
         with self.lock:
             self.session.add_stop(stop)
@@ -442,7 +442,7 @@ class LiveSession:
         try:
             if (poses.count and poses.silence > LONGEST_POSE_SILENCE
                     and profiles.silence < LONGEST_PROFILE_SILENCE):
-                raise silent_poses(poses.silence)
+                raise silent_poses_error(poses.silence)
             with self.lock:
                 stop = self.session.stop_on_request()
             text = self._evaluate_new(stop, is_requested=True)
@@ -506,10 +506,10 @@ class LiveSession:
         return sum(stop.sample is not None for stop in self.session.stops)
 
     @property
-    def _frame_change(self) -> str:
+    def _frame_change_notice(self) -> str:
         """Return in words that a topic has another frame now; '' if that would lose anything."""
         in_use = self.verification.routine or self.solver.calibration
-        return '' if in_use else self.session.frame_change
+        return '' if in_use else self.session.frame_change_notice
 
     # settings
 

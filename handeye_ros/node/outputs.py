@@ -39,8 +39,8 @@ from handeye_ros.node.state import (
 )
 from handeye_ros.node.streams import TFMessage
 from handeye_ros.results.scene import (
+    feature_points,
     FLANGE_COLOUR,
-    in_plane,
     in_sensor,
     LASER_COLOUR,
     scene,
@@ -149,7 +149,7 @@ class Outputs:
             log.warning(attempt.text)
         else:
             log.info(attempt.text)
-            xyz = in_sensor(in_plane(sample.features), self._live.config)
+            xyz = in_sensor(feature_points(sample.features), self._live.config)
             points = xyz.astype('<f4', order='C').view([(name, '<f4') for name in 'xyz'])[:, 0]
             self._features.publish(cloud(points, self._live.session.frame_id, sample.stamp))
 
@@ -280,7 +280,8 @@ def current_markers(current: StopSnapshot | None, calibration: Calibration | Non
                       'points': se3.apply(T_target_sensor, in_sensor(plane, config))}
                      for name, color, width, plane in (
                          ('profile', LASER_COLOUR, 1.5, points),
-                         ('feature', SEEN_COLOUR, 6.0, in_plane(current.features))) if len(plane)],
+                         ('feature', SEEN_COLOUR, 6.0, feature_points(current.features)))
+                     if len(plane)],
                     config)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import sys
 import time
 
-from handeye_ros.bags.reader import Raw, Reader
+from handeye_ros.bags.reader import Reader, RecordedMessage
 from handeye_ros.errors import InputError
 from handeye_ros.node.main import own_arguments, ros, run_for_exit_code
 from handeye_ros.node.streams import LATCHED_TREE
@@ -80,7 +80,7 @@ def _publishers(node: Node, topics: Mapping[str, str]) -> dict[str, Publisher]:
     return publishers
 
 
-def _publish_all(messages: Sequence[Raw], publishers: Mapping[str, Publisher],
+def _publish_all(messages: Sequence[RecordedMessage], publishers: Mapping[str, Publisher],
                  clock: Publisher, rate: float) -> None:
     """Publish every message at its time; rate: of the bag's time to real time."""
     first, begin = messages[0].log_time, time.monotonic()

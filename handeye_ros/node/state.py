@@ -144,16 +144,16 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
                for stop in session.stops]
     worst_first = sorted((sample for sample in samples if sample['left_out'] is not None),
                          key=lambda sample: -sample['left_out'])
-    late, conflict = ' and '.join(session.late), session.conflict
+    late, conflict = ' and '.join(session.late_streams), session.conflict
     troubles = (
         graph_trouble, str(conflict or ''),
         'all samples are of the first: ~/clear_samples begins anew with the frame of now'
         if conflict and conflict.reason == 'two_frames' and session.samples else '',
         late and f'{late} are dropped, as their stamps are older than those before; if they stay '
-        'so, sampling goes on with them', str(session.unusable_poses or ''),
+        'so, sampling goes on with them', str(session.unusable_poses_error or ''),
         # of two publishers stamps that seem to be of two clocks follow
         '' if graph_trouble else _clock_trouble(profiles, poses),
-        session.unrequested_stops, *live.troubles.values())
+        session.unrequested_stops_notice, *live.troubles.values())
     return {
         'name': folder_name(config),
         'profiles': profiles.state(config.profile_topic, graph_troubles.get('profile', '')),

@@ -270,7 +270,7 @@ class Streams:
         By kind (profile, pose): why no messages arrive; session: several publishers of a topic,
         and a second node of this name.
         """
-        troubles, sentences, node = {'pose': self._follower.missing()}, [], self._node
+        troubles, sentences, node = {'pose': self._follower.missing_reason()}, [], self._node
         for topic in [topic for topic in self._topics if topic.key]:
             kind = topic.counts.kind
             troubles[kind] = self._trouble_of(topic)

@@ -18,7 +18,12 @@ from handeye_ros.data import Arc, Array, Indices, SIGMA_OF_MEDIAN
 from handeye_ros.errors import FeatureError, mm
 from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
 from handeye_ros.profiles.ransac import circles_among
-from handeye_ros.profiles.segment import MOST_NOISE, noise_level, returned, without_clutter
+from handeye_ros.profiles.segment import (
+    columns_with_return,
+    MOST_NOISE,
+    noise_level,
+    without_clutter,
+)
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgesv
@@ -55,7 +60,8 @@ def arc_features(points: Array, config: Config) -> tuple[Arc]:
     points: (n, 2) in the sensor plane, NaN where there was no return. Raises FeatureError with the
     reason for the best circle.
     """
-    valid = points.take(without_clutter(returned(points), points, config.noise.sensor), axis=0)
+    columns = without_clutter(columns_with_return(points), points, config.noise.sensor)
+    valid = points.take(columns, axis=0)
     if len(valid) < config.sampling.min_points:
         raise FeatureError(f'fewer than {config.sampling.min_points} returns in the profile')
     # speckle that is correlated over some columns does not show in the noise level
@@ -175,7 +181,7 @@ def _without_rims(columns: Indices, near: NDArray[np.bool_], angle: Array) -> In
 def _arc(points: Array, noise: float, config: Config) -> Arc:
     """Return the arc of points (n, 2) on a circle; raises FeatureError when it is none."""
     radius = config.target.radius
-    arc = normal_points(points, SWEPT_ARC_POINTS if config.sampling.moving else ARC_POINTS)
+    arc = fitted_arc(points, SWEPT_ARC_POINTS if config.sampling.moving else ARC_POINTS)
     if 0 < MOST_RADIUS_RATIO * radius < arc.radius or arc.radius < LEAST_RADIUS_RATIO * radius:
         raise FeatureError(f'the arc in the profile has a radius of {arc.radius * 1e3:.1f} mm, '
                            f'which does not fit the sphere of {mm(radius)}')
@@ -198,7 +204,7 @@ def _is_corner(arc: Arc) -> bool:
     A circle in a corner, or through two surfaces, also has many points near it. But two lines do
     not fit a true arc, whose halves are curved.
     """
-    points = arc.raw[::-(-len(arc.raw) // JUDGED_POINTS)]
+    points = arc.measured[::-(-len(arc.measured) // JUDGED_POINTS)]
     residual, (x, z) = distances_from_circle(points, arc.circle), (points - arc.centre).T
     sums = np.array([np.ones(len(x)), x, z, x * x, x * z, z * z]).cumsum(axis=1)
     first_line = sums[:, FEWEST_LINE_POINTS - 1:-FEWEST_LINE_POINTS]  # that ends at each point
@@ -213,7 +219,7 @@ def _squares_of_lines(sums: Array) -> Array:
     return np.asarray((xx + zz) / 2 - np.hypot((xx - zz) / 2, xz))
 
 
-def normal_points(raw: Array, most: int = ARC_POINTS) -> Arc:
+def fitted_arc(raw: Array, most: int = ARC_POINTS) -> Arc:
     """
     Return the arc of (n, 2) raw points, with at most so many normal points.
 

@@ -40,18 +40,18 @@ class Bend:
     How a face bends down at its end in one profile.
 
     depth: v of the end (m), the mean over all shapes by their likelihoods
-    shape_log_odds: (k + 1,) log likelihoods of roundings with the k TRIED_RADII, and of a bevel, 0
-        for the best
-    arc_u, arc_v: the part of the likeliest rounding that is located best (m): the steepest points
-        have most weight, so it hardly depends on the radius
-    arc_std: 1 sigma of arc_u for a given radius
+    shape_log_likelihoods: (k + 1,) of roundings with the k TRIED_RADII, and of a bevel, 0 for the
+        best
+    rounding_u, rounding_v: the part of the likeliest rounding that is located best (m): the
+        steepest points have most weight, so it hardly depends on the radius
+    rounding_std: 1 sigma of rounding_u for a given radius
     """
 
     depth: float
-    shape_log_odds: Array
-    arc_u: float
-    arc_v: float
-    arc_std: float
+    shape_log_likelihoods: Array
+    rounding_u: float
+    rounding_v: float
+    rounding_std: float
 
 
 def fitted_bend(u: Array, v: Array, end_u: float, pitch: float, noise: float) -> Bend:
@@ -64,7 +64,7 @@ def fitted_bend(u: Array, v: Array, end_u: float, pitch: float, noise: float) ->
     start, slope, weights, misfit = _fitted_shapes(u, v, pitch, noise)
     log_likelihood = np.maximum((misfit.min() - misfit) / 2, LEAST_LIKELY)
     likelihood = np.exp(log_likelihood)
-    log_odds = np.append(log_likelihood[ROUNDED], np.log(likelihood[BEVELLED].mean()))
+    log_likelihoods = np.append(log_likelihood[ROUNDED], np.log(likelihood[BEVELLED].mean()))
     posterior = likelihood * PRIOR
     depths = _depths_of_ends(np.maximum(end_u - start, 0.0))[:, 0]
     best = int(log_likelihood[ROUNDED].argmax())
@@ -72,7 +72,8 @@ def fitted_bend(u: Array, v: Array, end_u: float, pitch: float, noise: float) ->
     total = max(float(information.sum()), TINY)
     sine = float(information @ (slope[best] / np.sqrt(1 + slope[best] ** 2))) / total
     radius = float(TRIED_RADII[best, 0])
-    return Bend(float(posterior @ depths / posterior.sum()), log_odds - log_odds.max(),
+    return Bend(float(posterior @ depths / posterior.sum()),
+                log_likelihoods - log_likelihoods.max(),
                 float(start[best, 0]) + radius * sine, radius * (1 - (1 - sine ** 2) ** 0.5),
                 total ** -0.5)
 

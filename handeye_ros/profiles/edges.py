@@ -4,7 +4,7 @@
 Where a face of a profile ends in an edge, and where it only ends.
 
 `edge_at` decides from one end of a face: all that makes it real, or speaks against it, stands
-there, in the order of the file. `face_features` (faces.py) chooses the face; `combine`
+there, in the order of the file. `face_features` (faces.py) chooses the face; `features_of_stop`
 (sampling/features.py) needs an edge on that side in most profiles of a stop, and takes those of
 the most frequent ending; in the solve a target leaves an edge unused that lies on none of its own
 (`reassign`).
@@ -35,9 +35,9 @@ from handeye_ros.data import Array, EdgePoint, Indices
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.edge_rounding import fitted_bend
 from handeye_ros.profiles.segment import (
+    columns_with_return,
     legendre_2,
     line_through,
-    returned,
     Segment,
     STEEPEST_SURFACE,
 )
@@ -79,7 +79,7 @@ class FaceEnd:
         """Return the pieces that reach beyond the end, whether they overlap it or not."""
         return [other for other in self.segments if other.last > self.segment.last]
 
-    def missing(self, first: int, stop: int) -> int:
+    def lost_count(self, first: int, stop: int) -> int:
         """Return the number of columns without a return, from the first to before the other."""
         bounds = self.returns.searchsorted([first, stop])
         return stop - first - int(bounds[1] - bounds[0])
@@ -123,7 +123,7 @@ class FaceEnd:
     @cached_property
     def _bow(self) -> tuple[float, float, float]:
         """Return middle and spread (along x) of the face, and the RMS of its bow, 0 if unsure."""
-        x, z = self.points.take(self.segment.straight, axis=0).T
+        x, z = self.points.take(self.segment.straight_columns, axis=0).T
         middle, spread = float(x.mean()), float(x.std())
         parabola = legendre_2((x - middle) / spread)
         square = float(parabola @ parabola)
@@ -140,7 +140,7 @@ class FaceEnd:
 def ends_of_segments(segments: Sequence[Segment], points: Array, config: Config
                      ) -> Iterator[tuple[FaceEnd, FaceEnd]]:
     """Yield the first and the last end of segments of a profile (n, 2), the longest first."""
-    n, returns, near_sign = len(points), returned(points), -config.profile.range_sign
+    n, returns, near_sign = len(points), columns_with_return(points), -config.profile.range_sign
     mirrored = [segment.reversed(n) for segment in reversed(segments)]
     for k in sorted(range(len(segments)), key=lambda k: -len(segments[k].columns)):
         yield (FaceEnd(mirrored[-1 - k], mirrored, points[::-1], n - 1 - returns[::-1], near_sign),
@@ -179,12 +179,12 @@ def edge_at(end: FaceEnd) -> EdgePoint:
     next_surface = beyond[0] if beyond else None
     if next_surface:
         tail = tail[tail < next_surface.first]
-    if next_surface and _meet_in_corner(end, next_surface, tail):
+    if next_surface and _meet_in_roof(end, next_surface, tail):
         _require_room(end)
-        return _corner(end, next_surface)
+        return _edge_at_roof(end, next_surface)
     ending = _ending(end, next_surface, tail)
     _require_room(end)
-    return _wall(end, tail) or _edge_before_drop(end, tail, ending, next_surface)
+    return _edge_at_wall(end, tail) or _edge_before_drop(end, tail, ending, next_surface)
 
 
 def _require_room(end: FaceEnd) -> None:
@@ -249,7 +249,7 @@ ROOF_ANGLE = 0.15  # two pieces that meet at a smaller angle (rad) are one bent 
 ROOF_REACH = 8.0  # they meet when their ends are this many columns from the crossing
 
 
-def _meet_in_corner(end: FaceEnd, other: Segment, tail: Indices) -> bool:
+def _meet_in_roof(end: FaceEnd, other: Segment, tail: Indices) -> bool:
     """
     Return whether the lines of a face and of the next surface cross between them, at an angle.
 
@@ -272,7 +272,7 @@ def _meet_in_corner(end: FaceEnd, other: Segment, tail: Indices) -> bool:
     return True
 
 
-def _corner(end: FaceEnd, other: Segment) -> EdgePoint:
+def _edge_at_roof(end: FaceEnd, other: Segment) -> EdgePoint:
     """Return the edge where the lines of a face and of another surface cross."""
     face, (origin, outwards, _) = end.segment, end.frame
     crossing_x = face.crossing(other)
@@ -301,14 +301,14 @@ def _ending(end: FaceEnd, next_surface: Segment | None, tail: Indices) -> str:
     if next_surface is None:
         if not end.has_lost_columns:
             return 'open'
-        if end.missing(end.segment.last + 1, len(end.points)) >= GAP_COLUMNS:
+        if end.lost_count(end.segment.last + 1, len(end.points)) >= GAP_COLUMNS:
             return 'gap'
         raise NoEdgeError('at the border of the field of view')
     start, least = next_surface.first, smallest_step(end, next_surface)
     rise = end.rise_of(start)
     if rise < -least:
         last = int(tail[-1]) if len(tail) else end.segment.last
-        return 'shadow' if end.missing(last, start) >= GAP_COLUMNS else 'step'
+        return 'shadow' if end.lost_count(last, start) >= GAP_COLUMNS else 'step'
     if rise <= least:
         raise NoEdgeError('where its surface goes on at nearly the same height')
     if abs(end.points[start, 0] - end.points[end.segment.last, 0]) > SHADOW_SLOPE * rise:
@@ -325,7 +325,7 @@ SMALLEST_WALL = 1.2e-3  # smallest depth of a visible wall below the face (m)
 WALL_POINTS = 4  # fewest points of a wall
 
 
-def _wall(end: FaceEnd, tail: Indices) -> EdgePoint | None:
+def _edge_at_wall(end: FaceEnd, tail: Indices) -> EdgePoint | None:
     """Return the edge where a wall, seen in the tail of a face, meets it; None without a wall."""
     if len(tail) < WALL_POINTS:
         return None
@@ -341,7 +341,7 @@ def _wall(end: FaceEnd, tail: Indices) -> EdgePoint | None:
     top, _, _, residual = line
     scatter = float(residual.std()) + end.pitch / 12 ** 0.5
     std = scatter * np.sqrt((1 + (v.mean() / v.std()) ** 2) / len(v))
-    flat_end = _flat_end(end, tail_u, tail_v)
+    flat_end = _u_of_flat_end(end, tail_u, tail_v)
     # a wall seen so steeply that it seems to stand below the face is badly measured
     return end.edge(max(top, flat_end), float(np.hypot(std, max(flat_end - top, 0.0))), 'roof')
 
@@ -349,7 +349,7 @@ def _wall(end: FaceEnd, tail: Indices) -> EdgePoint | None:
 FLAT_SIGMAS = 3.0  # largest distance of a face point below the face line
 
 
-def _flat_end(end: FaceEnd, tail_u: Array, tail_v: Array) -> float:
+def _u_of_flat_end(end: FaceEnd, tail_u: Array, tail_v: Array) -> float:
     """Return u of the last point of the tail before it leaves the face line."""
     flat = int(np.append(tail_v > FLAT_SIGMAS * end.segment.noise, True).argmax())
     return float(tail_u[flat - 1]) if flat else 0.0
@@ -373,12 +373,12 @@ def _edge_before_drop(end: FaceEnd, tail: Indices, ending: str,
     plate = np.concatenate([end.segment.columns[-LAST_POINTS:], tail])
     u, v = end.in_frame(plate)
     pitch, noise = end.pitch, end.segment.noise
-    flat_end = _flat_end(end, u[LAST_POINTS:], v[LAST_POINTS:])
+    flat_end = _u_of_flat_end(end, u[LAST_POINTS:], v[LAST_POINTS:])
     plate_end = max(float(u[-1]), flat_end)
     # the points of a bent end are nearer to each other
     spacing = float(u[-1] - u[-LAST_POINTS]) / (LAST_POINTS - 1) if len(tail) else pitch
     ground = next_surface if ending in ('step', 'shadow') else None
-    way, std = _way_to_edge(end, int(plate[-1]), min(max(spacing, 0.0), pitch), ground)
+    way, std = _distance_to_edge(end, int(plate[-1]), min(max(spacing, 0.0), pitch), ground)
     edge_u = plate_end + way
     edge = end.edge(edge_u, math.hypot(std, pitch * LOST_STD), ending)
     if v[-LAST_POINTS:].mean() < BENT_END_SIGMAS * noise / LAST_POINTS ** 0.5:
@@ -391,9 +391,9 @@ def _edge_before_drop(end: FaceEnd, tail: Indices, ending: str,
     # an end that goes down but not outwards is no bend, but a hardly visible wall
     depth = min(bend.depth, STEEPEST_ROUNDING * (plate_end - flat_end) + FLAT_SIGMAS * noise)
     _, outwards, down = end.frame
-    return replace(edge, to_lowest=depth * down, shape_log_odds=bend.shape_log_odds,
-                   arc_offset=(bend.arc_u - edge_u) * outwards + bend.arc_v * down,
-                   arc_std=bend.arc_std)
+    return replace(edge, to_lowest=depth * down, shape_log_likelihoods=bend.shape_log_likelihoods,
+                   rounding_offset=(bend.rounding_u - edge_u) * outwards + bend.rounding_v * down,
+                   rounding_std=bend.rounding_std)
 
 
 LONGEST_RAMP = 16  # points between two levels: a wider transition is a surface
@@ -401,8 +401,8 @@ MIXED_POINTS = 2  # most points between two levels that are only mixed at the ed
 RAMP_STD = 0.2  # 1 sigma of the edge within a wide transition, over the way to its middle
 
 
-def _way_to_edge(end: FaceEnd, last: int, spacing: float, ground: Segment | None
-                 ) -> tuple[float, float]:
+def _distance_to_edge(end: FaceEnd, last: int, spacing: float, ground: Segment | None
+                      ) -> tuple[float, float]:
     """
     Return how far the edge lies beyond the last column of a plate, and 1 sigma (m).
 
@@ -414,7 +414,7 @@ def _way_to_edge(end: FaceEnd, last: int, spacing: float, ground: Segment | None
     mixed, uniform_std = 0, end.pitch / 12 ** 0.5
     if ground and 0 < ground.first - last - 1 <= LONGEST_RAMP:
         points = end.points[last:ground.first + 1]
-        columns = returned(points)
+        columns = columns_with_return(points)
         x, z = points.take(columns, axis=0).T
         depth, ground_depth = (np.abs(level - end.segment.height(x)) for level in (
             z, ground.height(x)))

@@ -26,7 +26,7 @@ from handeye_ros.profiles.lines import face_line, with_line_errors
 from handeye_ros.profiles.segment import Segment, straight_segments
 import numpy as np
 
-SURE_EDGE = 1.5  # weight of a face with a sure edge
+SURE_EDGE_WEIGHT = 1.5  # weight of a face with a sure edge
 # weight of a surface beside a nearer one: all profiles should choose the same
 BESIDE_NEARER_WEIGHT = 0.02
 WIDEST_GAP = 0.014  # largest gap (m) between adjacent surfaces, without what the nearer one hides
@@ -55,7 +55,7 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
     # the longest first: most of the others then cannot be preferred, whatever their edges are
     for ends in ends_of_segments(segments, points, config):
         segment = ends[1].segment
-        if len(segment.columns) * SURE_EDGE < best_weight:
+        if len(segment.columns) * SURE_EDGE_WEIGHT < best_weight:
             break
         edges_of_segment = list[EdgePoint]()
         for end in ends:
@@ -64,8 +64,8 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
             except NoEdgeError as reason:
                 reasons.append(str(reason))
         sure = any(edge.ending in ('step', 'shadow', 'roof') for edge in edges_of_segment)
-        beside_nearer = any(_is_above(end, other) for end in ends for other in end.beyond)
-        weight = len(segment.columns) * (SURE_EDGE if sure else 1.0) * (
+        beside_nearer = any(_is_nearer_beside(end, other) for end in ends for other in end.beyond)
+        weight = len(segment.columns) * (SURE_EDGE_WEIGHT if sure else 1.0) * (
             BESIDE_NEARER_WEIGHT if beside_nearer else 1.0)
         if edges_of_segment and (weight > best_weight
                                  or (weight == best_weight and segment.first < face.first)):
@@ -74,11 +74,11 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
         raise FeatureError('no edge of a face in the profile: the face ends only '
                            + ' or '.join(dict.fromkeys(reasons)))
     line = face_line(face, points, config.sampling.moving)
-    white_std = face.noise / math.hypot(1.0, face.slope) / math.sqrt(len(face.straight))
+    white_std = face.noise / math.hypot(1.0, face.slope) / math.sqrt(len(face.straight_columns))
     return (line, *(with_line_errors(edge, line, line.std / white_std) for edge in edges))
 
 
-def _is_above(end: FaceEnd, other: Segment) -> bool:
+def _is_nearer_beside(end: FaceEnd, other: Segment) -> bool:
     """Return whether another surface, beyond a gap or a wall at the end, is nearer."""
     rise = end.rise_of(other.columns.item(len(other.columns) // 2))
     if rise / math.hypot(1.0, end.segment.slope) <= smallest_step(end, other):
@@ -101,7 +101,7 @@ def plane_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
                  if len(segment.columns) >= SHORTEST_SURFACE * len(longest[0].columns))
 
 
-def corner_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
+def face_pair_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
     """
     Return the lines of adjacent faces that meet, in pairs ordered by x.
 

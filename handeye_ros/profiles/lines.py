@@ -31,7 +31,7 @@ def face_line(segment: Segment, points: Array, moving: bool) -> FaceLine:
     moving: whether the profile is one of a sweep.
     """
     most = SWEPT_LINE_POINTS if moving else LINE_POINTS
-    measured = points.take(segment.straight, axis=0)
+    measured = points.take(segment.straight_columns, axis=0)
     n, length = len(measured), math.hypot(1.0, segment.slope)
     middle, spread_x = float(measured[:, 0].mean()), float(measured[:, 0].std())
     bin_count = BIN_COUNT if n >= BIN_COUNT * FEWEST_POINTS else min(most, n)
@@ -65,12 +65,12 @@ def line_of_bins(centre: Array, slope: float, spread: float, bins: Array, white_
     normal = np.array([-direction[1], direction[0]])
     across, along = (bins - centre) @ normal, bins @ direction
     variance = variance_of_bins(across, white_var)
-    normal_points, size = bin_means(bins, min(most, len(bins)))
+    fitted_arc, size = bin_means(bins, min(most, len(bins)))
     if len(bins) >= FEWEST_BINS:  # of a bowed face the mean of a part lies beside the surface
         bow = (across * legendre_2((along - along.mean()) / along.std())).mean()
-        normal_points -= bow * (legendre_2(1 / len(size)) - legendre_2(0.0)) * normal
+        fitted_arc -= bow * (legendre_2(1 / len(size)) - legendre_2(0.0)) * normal
     return FaceLine(centre, direction, spread, math.sqrt(variance / len(bins)),
-                    normal_points, np.sqrt(variance / size), bins)
+                    fitted_arc, np.sqrt(variance / size), bins)
 
 
 def bin_means(values: Array, bins: int) -> tuple[Array, Indices]:

@@ -27,7 +27,8 @@ NARROWEST_LINE = 1e-6  # smallest length of a line along x (m)
 LEAST_CIRCLE_SAGITTA = 4.0  # smallest sagitta of points on a circle, in tolerances: less is a line
 
 
-def dominant_line(x: Array, z: Array, tolerance: float, fewest: int) -> NDArray[np.bool_] | None:
+def on_dominant_line(x: Array, z: Array, tolerance: float, fewest: int
+                     ) -> NDArray[np.bool_] | None:
     """
     Return which points (n,) are on the line with the most points; None if these are too few.
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from handeye_ros.data import Array, Indices
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.ransac import dominant_line, NARROWEST_LINE
+from handeye_ros.profiles.ransac import NARROWEST_LINE, on_dominant_line
 import numpy as np
 
 MAX_LINES = 5
@@ -42,7 +42,7 @@ class Segment:
     first, last: its first and last point, as columns of the profile
     columns: (k,) all its points
     noise: the standard deviation of its points in range
-    straight: columns without the ends that are bent
+    straight_columns: columns without the ends that are bent
     """
 
     first: int
@@ -51,7 +51,7 @@ class Segment:
     offset: float
     slope: float
     noise: float
-    straight: Indices
+    straight_columns: Indices
 
     def height(self, x: Any) -> Any:
         """Return the range of the line at x, a number or an array."""
@@ -65,7 +65,7 @@ class Segment:
         """Return the segment in the reversed profile of so many columns."""
         end = size - 1
         return Segment(end - self.last, end - self.first, end - self.columns[::-1], self.offset,
-                       self.slope, self.noise, end - self.straight[::-1])
+                       self.slope, self.noise, end - self.straight_columns[::-1])
 
 
 def legendre_2(spreads: Any) -> Any:
@@ -92,7 +92,7 @@ def noise_level(z: Array, configured: float) -> float:
     return min(max(level, configured / 3), MOST_NOISE * configured)
 
 
-def returned(points: Array) -> Indices:
+def columns_with_return(points: Array) -> Indices:
     """Return the columns of points (n, 2) that are finite."""
     finite = np.isfinite(points)
     return (finite[:, 0] & finite[:, 1]).nonzero()[0]
@@ -124,7 +124,7 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
     points: (n, 2); noise: configured range noise (1 sigma); min_points: fewest of a piece. Raises
     FeatureError without any.
     """
-    columns = without_clutter(returned(points), points, noise)
+    columns = without_clutter(columns_with_return(points), points, noise)
     x, z = points.take(columns, axis=0).T.copy()
     tolerance = INLIER_SIGMAS * max(noise_level(z, noise), noise)
     segments, unassigned = list[Segment](), np.arange(len(columns))
@@ -136,7 +136,7 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
 
     for _ in range(MAX_LINES):
         left_x, left_z = x.take(unassigned), z.take(unassigned)
-        is_near = dominant_line(left_x, left_z, tolerance, min_points)
+        is_near = on_dominant_line(left_x, left_z, tolerance, min_points)
         if is_near is None:
             break
         new = segments_of(unassigned[is_near])
@@ -186,7 +186,7 @@ def _segment(columns: Indices, x: Array, z: Array, least_noise: float) -> Segmen
     if line is None:
         return None
     _, _, noise, residual = line
-    bent = _bent_end(residual, noise), _bent_end(residual[::-1], noise)
+    bent = _bent_point_count(residual, noise), _bent_point_count(residual[::-1], noise)
     if max(bent) > unused:
         inner = slice(max(unused, bent[0]), n - max(unused, bent[1]))
         line = line_through(x, z, inner, least_noise)
@@ -194,7 +194,7 @@ def _segment(columns: Indices, x: Array, z: Array, least_noise: float) -> Segmen
             return None
     offset, slope, noise, _ = line
     return Segment(columns.item(0), columns.item(-1), columns, offset, slope, noise,
-                   straight=columns[bent[0]:n - bent[1]])
+                   straight_columns=columns[bent[0]:n - bent[1]])
 
 
 def line_through(x: Array, z: Array, part: slice = slice(None), least_noise: float = 0.0
@@ -216,7 +216,7 @@ def line_through(x: Array, z: Array, part: slice = slice(None), least_noise: flo
     return middle_z - slope * middle_x, slope, max(noise, least_noise), residual
 
 
-def _bent_end(residual: Array, noise: float) -> int:
+def _bent_point_count(residual: Array, noise: float) -> int:
     """Return the number of leading residuals (n,) that indicate a bent end."""
     bent, most = 0, len(residual) // BENT_SHARE // END_POINTS * END_POINTS
     least = ROUNDED_SIGMAS * noise * END_POINTS ** 0.5

@@ -20,7 +20,7 @@ from handeye_ros.output import rendered
 from handeye_ros.results import exports, table
 from handeye_ros.results.calibration_file import config_of
 from handeye_ros.results.scene import (
-    in_plane,
+    feature_points,
     in_sensor,
     profile_picture,
     scene,
@@ -52,7 +52,7 @@ class SolvedRecording:
 def html(calibration: Calibration, recording: SolvedRecording) -> str:
     """Return the report as HTML."""
     config = config_of(calibration)
-    seen = in_plane(f for stop in recording.stops if stop.used for f in stop.features)
+    seen = feature_points(f for stop in recording.stops if stop.used for f in stop.features)
     good, sentence = verdict(calibration, recording, in_sensor(seen, config))
     picture = scene(calibration, recording.stops, config)
     return rendered(

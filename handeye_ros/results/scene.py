@@ -94,7 +94,8 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
                        ('laser line, not used', UNUSED_COLOUR))
         draw('points', name, color, 2.0, se3.apply(stop.T_mount @ X, in_sensor(plane, config)))
     seen = np.concatenate([np.empty((0, 3)), *(
-        se3.apply(stop.T_mount @ X, in_sensor(in_plane(stop.features), config)) for stop in used)])
+        se3.apply(stop.T_mount @ X, in_sensor(feature_points(stop.features), config))
+        for stop in used)])
     target = outline_of(calibration.target, config.target.size, seen)
     for outline in target.outline:
         draw('line', 'target', TARGET_COLOUR, 1.2, outline)
@@ -114,7 +115,7 @@ def rounded(values: Array | Sequence[float]) -> Any:
     return np.round(values, 6).tolist()
 
 
-def in_plane(features: Iterable[Feature]) -> Array:
+def feature_points(features: Iterable[Feature]) -> Array:
     """Return points (k, 2) of the sensor plane that represent features: ends, edges, arcs."""
     return np.concatenate([np.empty((0, 2)), *(feature.polyline for feature in features)])
 

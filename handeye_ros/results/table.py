@@ -193,4 +193,4 @@ def sample_summary(sample: Sample | Reject) -> str:
         return sample.reason
     counts = Counter(feature.noun for feature in sample.features)
     seen = ', '.join(count_of(count, name) for name, count in counts.items())
-    return f'{seen} from {count_of(sample.profiles, "profile")}'
+    return f'{seen} from {count_of(sample.profile_count, "profile")}'

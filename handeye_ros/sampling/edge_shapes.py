@@ -14,10 +14,10 @@ SHARP_DEPTH = 2.5e-5  # largest depth of ends that count as sharp (m)
 # depth of a rounding, over its radius, from which light may be lost (26 degrees); where ends bend
 # less, the sensor's field or the face is bent, or a driver that smooths bends a few by much more
 LEAST_SEEN = 0.1
-LARGEST_LOG_ODDS = 8.0  # largest log odds of one end against a shape
+LARGEST_LOG_RATIO = 8.0  # largest log odds of one end against a shape
 SHAPE_STD = 0.2  # relative 1 sigma of a radius or a bevel's legs: it may be another curve
-SLANT_STD = 0.1  # 1 sigma of the log radius of one end: an oblique laser sees an ellipse
-OBLIQUE_STD = 0.03  # 1 sigma of an edge over the radius: an oblique laser sees an ellipse
+ELLIPSE_RADIUS_STD = 0.1  # 1 sigma of the log radius of one end: an oblique laser sees an ellipse
+ELLIPSE_EDGE_STD = 0.03  # 1 sigma of an edge over the radius: an oblique laser sees an ellipse
 DEPTH_STD = 1.5e-5  # 1 sigma of the depth of an end (m)
 LEAST_DEPTH = 1e-6  # of the middle of an arc (m)
 
@@ -49,7 +49,8 @@ def with_common_edge_shape(samples: Sequence[Sample], shape: EdgeShape | None = 
     shape: that of other samples, which these are compared with; None: their own.
     """
     shape = shape or common_shape(samples)
-    return [replace(sample, features=tuple(_moved(f, shape) for f in sample.features))
+    return [replace(sample, features=tuple(
+        _with_corrected_edge(feature, shape) for feature in sample.features))
             for sample in samples]
 
 
@@ -60,11 +61,11 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     depth = np.hypot(*np.reshape([edge.to_lowest for edge in edges], (-1, 2)).T)
     if len(edges) < 3 or np.median(depth) <= SHARP_DEPTH:
         return EdgeShape()
-    bent = [edge.shape_log_odds for edge in edges if len(edge.shape_log_odds)]
-    log_odds = sum(map(_blurred, bent), np.zeros(len(TRIED_RADII) + 1))
-    rounded = np.logaddexp.reduce(log_odds[:-1]) - np.log(len(TRIED_RADII))
-    if rounded > log_odds[-1]:
-        shape = EdgeShape(*_radius(log_odds[:-1]))
+    bent = [edge.shape_log_likelihoods for edge in edges if len(edge.shape_log_likelihoods)]
+    log_likelihoods = sum(map(_blurred, bent), np.zeros(len(TRIED_RADII) + 1))
+    rounded = np.logaddexp.reduce(log_likelihoods[:-1]) - np.log(len(TRIED_RADII))
+    if rounded > log_likelihoods[-1]:
+        shape = EdgeShape(*_radius_and_std(log_likelihoods[:-1]))
     else:  # deeper ends say more about the legs of a bevel
         order = np.argsort(depth)
         squares = np.cumsum(depth[order] ** 2)
@@ -74,32 +75,32 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     return shape if np.median(depth) > LEAST_SEEN * shape.size else EdgeShape()
 
 
-def _blurred(log_odds: Array) -> Array:
+def _blurred(log_likelihoods: Array) -> Array:
     """
     Return log likelihoods (k + 1,) of the shapes at one end, bounded against model error.
 
     A laser that crosses at a slant sees an ellipse: other radii nearby are as likely.
     """
     log_radii = np.log(TRIED_RADII[:, 0])
-    kernel = -0.5 * ((log_radii[:, None] - log_radii) / SLANT_STD) ** 2
-    rounded = np.logaddexp.reduce(kernel + log_odds[:-1], axis=1)
-    rounded += log_odds[:-1].max() - rounded.max()
-    return np.asarray(np.maximum(np.append(rounded, log_odds[-1]), -LARGEST_LOG_ODDS))
+    kernel = -0.5 * ((log_radii[:, None] - log_radii) / ELLIPSE_RADIUS_STD) ** 2
+    rounded = np.logaddexp.reduce(kernel + log_likelihoods[:-1], axis=1)
+    rounded += log_likelihoods[:-1].max() - rounded.max()
+    return np.asarray(np.maximum(np.append(rounded, log_likelihoods[-1]), -LARGEST_LOG_RATIO))
 
 
-def _radius(log_odds: Array) -> tuple[float, float]:
+def _radius_and_std(log_likelihoods: Array) -> tuple[float, float]:
     """Return the radius (m) and its relative 1 sigma from log likelihoods (k,) of TRIED_RADII."""
     from scipy.interpolate import CubicSpline  # 0.09 s, only for round edges
     tried = np.log(TRIED_RADII[:, 0])
-    log_radii = np.linspace(tried[0], tried[-1], 8 * len(log_odds))
-    log_likelihood = CubicSpline(tried, log_odds)(log_radii)
+    log_radii = np.linspace(tried[0], tried[-1], 8 * len(log_likelihoods))
+    log_likelihood = CubicSpline(tried, log_likelihoods)(log_radii)
     weights = np.exp(log_likelihood - log_likelihood.max())
     mean = float(weights @ log_radii / weights.sum())
     spread = float(weights @ (log_radii - mean) ** 2 / weights.sum()) ** 0.5
     return float(np.exp(mean)), float(np.hypot(spread, SHAPE_STD))
 
 
-def _moved(feature: Feature, shape: EdgeShape) -> Feature:
+def _with_corrected_edge(feature: Feature, shape: EdgeShape) -> Feature:
     """
     Return a feature with its edge point moved to the intersection of face and wall.
 
@@ -107,18 +108,18 @@ def _moved(feature: Feature, shape: EdgeShape) -> Feature:
     result is on the wall for any crossing angle of the laser. Of a bevel, or a barely visible
     rounding, the end is. A bevel returns light as a whole or not at all; it is as wide as deep.
     """
-    if not isinstance(feature, EdgePoint) or feature.ending == 'roof' or feature.is_moved:
+    if not isinstance(feature, EdgePoint) or feature.ending == 'roof' or feature.is_corrected:
         return feature
-    edge, size = replace(feature, is_moved=True), shape.size
+    edge, size = replace(feature, is_corrected=True), shape.size
     if not size:
         return replace(edge, to_lowest=np.zeros(2))
     # the point of the shape that is measured: how far outwards of the end it is, and how deep
     outwards, to_lowest, least_depth, std = 0.0, edge.to_lowest, DEPTH_STD, 0.0
-    is_arc = shape.is_round and 0 < edge.arc_std < size
+    is_arc = shape.is_round and 0 < edge.rounding_std < size
     if is_arc:
-        least_depth, std = LEAST_DEPTH, edge.arc_std
-        outwards = float(edge.arc_offset @ edge.direction)
-        to_lowest = edge.arc_offset - outwards * edge.direction
+        least_depth, std = LEAST_DEPTH, edge.rounding_std
+        outwards = float(edge.rounding_offset @ edge.direction)
+        to_lowest = edge.rounding_offset - outwards * edge.direction
     depth = min(max(float(np.hypot(*to_lowest)), least_depth), size)
     # the shape has this depth so far from its start; the wall is `size` from its start
     if shape.is_round:
@@ -130,5 +131,5 @@ def _moved(feature: Feature, shape: EdgeShape) -> Feature:
         from_start = (1 - wrt_size) * size
     wall = outwards + size - from_start
     return replace(edge, point=edge.point + wall * edge.direction, to_lowest=to_lowest,
-                   std=float(np.sqrt(edge.std ** 2 + std ** 2 + (OBLIQUE_STD * size) ** 2)),
+                   std=float(np.sqrt(edge.std ** 2 + std ** 2 + (ELLIPSE_EDGE_STD * size) ** 2)),
                    shape_std=shape.relative_std * size * wrt_size)

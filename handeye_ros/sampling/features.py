@@ -31,9 +31,9 @@ from handeye_ros.data import (
     Sample,
 )
 from handeye_ros.errors import FeatureError, mm, UnusableMessageError
-from handeye_ros.profiles.arcs import distances_from_circle, normal_points
+from handeye_ros.profiles.arcs import distances_from_circle, fitted_arc
 from handeye_ros.profiles.lines import line_of_bins, with_line_errors
-from handeye_ros.sampling.stops import decoded, even_indices, evenly, Stop
+from handeye_ros.sampling.stops import decoded, even_indices, evenly_spaced, Stop
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.sampling.trajectory import trajectory_of
 import numpy as np
@@ -54,45 +54,46 @@ def result_of(stop: Stop, config: Config) -> Sample | Reject:
     """Return the sample of a stop, or the reject with the reason."""
     stop = stop.load(config)
     try:
-        return _pass_of(stop, config) if config.sampling.moving else _sample_of(stop, config)
+        return (_sample_of_pass if config.sampling.moving else _sample_of_stop)(stop, config)
     except (FeatureError, UnusableMessageError) as error:
         return Reject(stop.stamp, str(error))
 
 
-def _sample_of(stop: Stop, config: Config) -> Sample:
+def _sample_of_stop(stop: Stop, config: Config) -> Sample:
     """Return the sample of a robot that stood still; raises FeatureError with the reason."""
     settled = stop.settled_profiles(config)
     profiles = decoded(settled, config)
     if not profiles:
-        raise _no_profiles(settled, stop, config)
+        raise _no_profiles_error(settled, stop, config)
     used, features = combined_features(profiles, config)
     poses = interpolate(stop.poses, [profile.stamp for profile in used])
     return Sample(used[0].stamp, se3.mean_pose(poses), features, len(used),
                   _flipped(used[0], config), centroid=_centroid(used[0]))
 
 
-def _pass_of(stop: Stop, config: Config) -> Sample:
+def _sample_of_pass(stop: Stop, config: Config) -> Sample:
     """Return the middle sample of a pass, with those of its profiles; raises FeatureError."""
     # of a stored pass some may lie beyond its poses, with another time_offset
     profiles = [p for p in stop.profiles if stop.start <= p.stamp <= stop.end]
     for most in (MOST_OF_PASS, 2 * MOST_OF_PASS):
-        shown, reason = _features_of_each(decoded(evenly(profiles, most), config), config)
+        some = decoded(evenly_spaced(profiles, most), config)
+        shown, reason = _features_by_profile(some, config)
         if len(shown) >= LEAST_SHOWING * MOST_OF_PASS or len(profiles) <= most:
             break
     if not shown:
-        raise FeatureError(reason) if reason else _no_profiles(profiles, stop, config)
+        raise FeatureError(reason) if reason else _no_profiles_error(profiles, stop, config)
     T = interpolate(stop.poses, [profile.stamp for profile, _ in shown])
     single = tuple(
         Sample(profile.stamp, pose, features,
                flipped_features=_flipped(profile, config) if k % FLIPPED_EVERY == 0 else None)
         for k, ((profile, features), pose) in enumerate(zip(shown, T, strict=True)))
     middle = single[len(single) // 2]
-    return replace(middle, profiles=len(single), profile_samples=single,
+    return replace(middle, profile_count=len(single), profile_samples=single,
                    trajectory=trajectory_of(stop.poses, config.sampling.max_pose_gap),
                    centroid=_centroid(shown[0][0]))
 
 
-def _no_profiles(unusable: Iterable[AnyProfile], stop: Stop, config: Config) -> FeatureError:
+def _no_profiles_error(unusable: Iterable[AnyProfile], stop: Stop, config: Config) -> FeatureError:
     """Return why there are no profiles; if there are, raises why the first is unusable."""
     for profile in unusable:
         profile.read(config.profile)
@@ -127,8 +128,8 @@ def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
     return ()
 
 
-def _features_of_each(profiles: Sequence[Profile], config: Config
-                      ) -> tuple[list[tuple[Profile, tuple[Feature, ...]]], str]:
+def _features_by_profile(profiles: Sequence[Profile], config: Config
+                         ) -> tuple[list[tuple[Profile, tuple[Feature, ...]]], str]:
     """Return the profiles that show the target, with their features, and why most others fail."""
     shown, reasons = [], Counter[str]()
     for profile in profiles:
@@ -146,15 +147,15 @@ def combined_features(profiles: Sequence[Profile], config: Config
 
     Raises FeatureError when most do not show it, or do not agree.
     """
-    shown, reason = _features_of_each(profiles, config)
+    shown, reason = _features_by_profile(profiles, config)
     if not shown or len(shown) < LEAST_SHOWING * len(profiles):
         raise FeatureError(reason)
-    return ([profile for profile, _ in shown],
-            combine([features for _, features in shown], targets.target_for(config).face_count))
+    used, features_by_profile = zip(*shown, strict=True)
+    return list(used), features_of_stop(features_by_profile, targets.target_for(config).face_count)
 
 
-def combine(features_by_profile: Sequence[tuple[Feature, ...]], lines_per_group: int
-            ) -> tuple[Feature, ...]:
+def features_of_stop(features_by_profile: Sequence[tuple[Feature, ...]], lines_per_group: int
+                     ) -> tuple[Feature, ...]:
     """
     Return the features of a stop from those of its profiles (one tuple each).
 
@@ -176,7 +177,7 @@ def combine(features_by_profile: Sequence[tuple[Feature, ...]], lines_per_group:
         if len(of_side) > LEAST_SHOWING * len(features_by_profile):
             combined_edges.append(with_line_errors(_combined_edge(of_side), lines[0]))
     if edges and not combined_edges:
-        raise _disagreeing('where the edge is', [edge.point for edge in edges])
+        raise _disagreement_error('where the edge is', [edge.point for edge in edges])
     return (*lines, *combined_edges)
 
 
@@ -264,15 +265,16 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     std = np.hypot(single_std, scatter / min(n, MOST_INDEPENDENT) ** 0.5)
     combined = EdgePoint(points[agree].mean(axis=0), direction, float(std), std_across, ending,
                          np.median([edge.to_lowest for edge in edges], axis=0))
-    bent = [edge for edge in edges if len(edge.shape_log_odds)]
+    bent = [edge for edge in edges if len(edge.shape_log_likelihoods)]
     if len(bent) <= LEAST_SHOWING * n:
         return combined
     independent = min(len(bent), MOST_INDEPENDENT)
-    log_odds = np.mean([edge.shape_log_odds for edge in bent], axis=0) * independent
-    arc_middle = np.mean([edge.point + edge.arc_offset for edge in bent], axis=0)
-    return replace(combined, shape_log_odds=log_odds - log_odds.max(),
-                   arc_offset=arc_middle - combined.point,
-                   arc_std=float(np.median([edge.arc_std for edge in bent])) / independent ** 0.5)
+    log_likelihoods = np.mean([edge.shape_log_likelihoods for edge in bent], axis=0) * independent
+    arc_middle = np.mean([edge.point + edge.rounding_offset for edge in bent], axis=0)
+    return replace(combined, shape_log_likelihoods=log_likelihoods - log_likelihoods.max(),
+                   rounding_offset=arc_middle - combined.point,
+                   rounding_std=float(np.median([edge.rounding_std for edge in bent])
+                                      / independent ** 0.5))
 
 
 def _near_median(values: Array, scatters: float, least: float, what: str) -> NDArray[np.bool_]:
@@ -286,7 +288,7 @@ def _near_median(values: Array, scatters: float, least: float, what: str) -> NDA
     limit = min(max(scatters * robust_std(values - median), least), LARGEST_DISAGREEMENT)
     near = np.abs(values - median) <= limit
     if near.sum() < LEAST_AGREEING * len(values):
-        raise _disagreeing(what, values)
+        raise _disagreement_error(what, values)
     return np.asarray(near)
 
 
@@ -294,19 +296,21 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     """Return one arc from all points of the profiles of a stop."""
     circle = np.median([arc.circle for arc in arcs], axis=0)
     # a short arc determines its centre worse than the position of its points
-    distance = np.array([rms(distances_from_circle(arc.raw, circle)) for arc in arcs])
-    scatter = float(np.median([rms(distances_from_circle(arc.raw, arc.circle)) for arc in arcs]))
+    distance = np.array([rms(distances_from_circle(arc.measured, circle)) for arc in arcs])
+    scatter = float(np.median([rms(distances_from_circle(arc.measured, arc.circle))
+                               for arc in arcs]))
     agree = distance < min(LARGEST_DISAGREEMENT,
                            scatter + max(3.0 * scatter, SMALLEST_DISAGREEMENT))
     if agree.sum() < LEAST_AGREEING * len(arcs):
-        raise _disagreeing('where the sphere is', [arc.centre for arc in arcs])
-    combined = normal_points(np.concatenate([
-        arc.raw for arc, agrees in zip(arcs, agree, strict=True) if agrees]))
+        raise _disagreement_error('where the sphere is', [arc.centre for arc in arcs])
+    combined = fitted_arc(np.concatenate([
+        arc.measured for arc, agrees in zip(arcs, agree, strict=True) if agrees]))
     # for the residuals: 0.8 MB of a sample at most
-    return replace(combined, raw=combined.raw[even_indices(len(combined.raw), 50_000)])
+    kept = even_indices(len(combined.measured), 50_000)
+    return replace(combined, measured=combined.measured[kept])
 
 
-def _disagreeing(what: str, places: Sequence[Array] | Array) -> FeatureError:
+def _disagreement_error(what: str, places: Sequence[Array] | Array) -> FeatureError:
     """Return the refusal of profiles that show the target at places (n, ...), in m."""
     distance = float(np.linalg.norm(np.ptp(places, axis=0)))
     return FeatureError(f'the profiles of this stop do not agree on {what}: they are '

@@ -12,7 +12,7 @@ The same Session takes the messages of a bag and those of live topics. A stop pa
    `take_remaining`, with the current one). `stop_on_request` and `early_stop` return the current
    stop already while the robot stands: it may come back with more profiles, unless `mark_done`
    forbids it
-4. evaluated: `result_of` (features.py) makes a Sample or a Reject of it, `numbered` gives it a
+4. evaluated: `result_of` (features.py) makes a Sample or a Reject of it, `with_result` gives it a
    number, and `add_stop` stores it
 """
 from __future__ import annotations
@@ -42,7 +42,7 @@ NO_PROFILE_PATIENCE = 2 * NS
 LATER_LOOK = 1.4  # ratio of the times after which a stop without a sample is tried again
 
 
-def duplicate_pose(sample: Sample, others: Iterable[Stop], config: Config) -> str:
+def duplicate_pose_reason(sample: Sample, others: Iterable[Stop], config: Config) -> str:
     """Return in words which of other stops has the pose of a sample, '' if none."""
     limits = config.sampling
     for other in others:
@@ -80,7 +80,7 @@ class Session(Copyable):
         self._done: set[int] = set()  # stamps of stops that are not returned (again)
         self._early_looks = 0  # how often early_stop has looked at the current stop
         self._unrequested_count = 0  # stops in manual mode
-        self._expired_stops = 0  # stops dropped while waiting for profiles
+        self._expired_count = 0  # stops dropped while waiting for profiles
         self._reach = 0.0  # of the last pose (m)
         self._pose_stream: Stream[TimedPose] = Stream('pose', frames[0])
         self._profile_stream: Stream[AnyProfile] = Stream('profile', frames[1])
@@ -123,19 +123,19 @@ class Session(Copyable):
         """Take a laser profile; one that cannot be used is dropped with a warning."""
         self._profiles.add(self._profile_stream.add(profile, profile.frame_id))
 
-    def keep_waiting(self, most: int) -> None:
+    def limit_waiting(self, most: int) -> None:
         """Limit the number of stops that wait for profiles; the oldest are dropped and counted."""
         too_many = max(len(self._waiting) - most, 0)
-        self._expired_stops += too_many
+        self._expired_count += too_many
         del self._waiting[:too_many]
 
     def take_completed(self) -> list[Stop]:
         """Return the stops that are over in both streams, each once, with their profiles."""
-        if any(stream.set_back for stream in self._streams):
+        if any(stream.step_back for stream in self._streams):
             return self._before_setting_back()
         # a sensor that is triggered once at each stop does not send the next profile soon
         now = self._pose_stream.latest
-        self._profiles.add(self._profile_stream.released(now - REORDER_TIME, now + REORDER_TIME))
+        self._profiles.add(self._profile_stream.release(now - REORDER_TIME, now + REORDER_TIME))
         stops = self._take_out([stop for stop in self._waiting
                                 if stop.end < self._profile_stream.latest])
         # keep only the profiles that stops that wait, the current one, and those to come can use
@@ -147,10 +147,10 @@ class Session(Copyable):
         """Continue after a clock was set back; return the stops from before."""
         stops = self._take_out(self._all_stops())
         self._finder = StopFinder(self.config.sampling)
-        if self._profile_stream.set_back:
+        if self._profile_stream.step_back:
             self._profiles.clear()
         for stream in self._streams:
-            if stream.set_back:
+            if stream.step_back:
                 stream.restart()
         return stops
 
@@ -163,8 +163,8 @@ class Session(Copyable):
         topic, unless there are samples: all are of the first.
         """
         self._require_no_conflict()
-        self._take_poses(self._pose_stream.released(0, LAST_STAMP))
-        self._profiles.add(self._profile_stream.released(0, LAST_STAMP))
+        self._take_poses(self._pose_stream.release(0, LAST_STAMP))
+        self._profiles.add(self._profile_stream.release(0, LAST_STAMP))
         return self._take_out(self._all_stops())
 
     def _all_stops(self) -> list[Stop]:
@@ -203,16 +203,16 @@ class Session(Copyable):
                             'those before', reason='late_poses')
         silence = (self._profile_stream.latest - poses.latest) / NS
         if max(POSES_MISSING_TIME, 5 * poses.period) < silence < REORDER_TIME / NS:
-            raise silent_poses(silence)
+            raise silent_poses_error(silence)
         if stop is None:
             motion = self.motion.sentence if self.motion else 'too few poses have come'
             raise DataError(f'the robot must stand still for {self.config.sampling.still_time:g} '
                             f's, and {motion}: wait, and take the sample again', reason='moving')
-        self._profiles.add(self._profile_stream.released(stop.start, stop.end))
+        self._profiles.add(self._profile_stream.release(stop.start, stop.end))
         return stop.with_profiles(self._profiles.items, self.config)
 
     @property
-    def unusable_poses(self) -> DataError | None:
+    def unusable_poses_error(self) -> DataError | None:
         """Return the error of poses whose clock stands still, or in another unit, or None."""
         if self._pose_stream.repeats >= MOST_REPEATS:
             return DataError('all poses have the same stamp: the clock of their driver stands '
@@ -225,8 +225,8 @@ class Session(Copyable):
         return None
 
     def _require_usable_poses(self) -> None:
-        if self.unusable_poses:
-            raise self.unusable_poses
+        if self.unusable_poses_error:
+            raise self.unusable_poses_error
         if self._pose_stream.frame is None:  # one that is held was received too
             topic, keys = self.config.pose_origin
             raise DataError(f'no flange pose was received on {topic}: start the robot driver, or '
@@ -252,16 +252,16 @@ class Session(Copyable):
         """
         self._require_no_conflict()
         poses, sampling, count = self._pose_stream, self.config.sampling, len(self._done)
-        if sampling.mode == 'still' and self._finder.short_rests > count and (
+        if sampling.mode == 'still' and self._finder.short_rest_count > count and (
                 0 < count < targets.target_for(self.config).min_samples):
             raise DataError(f'the robot stood still for {sampling.still_time:g} s only '
-                            f'{count_of(count, "time")}, and {self._finder.short_rests} times for '
-                            'less: stay longer at each stop, or lower sampling.still_time',
-                            reason='no_stops')
+                            f'{count_of(count, "time")}, and {self._finder.short_rest_count} '
+                            'times for less: stay longer at each stop, or lower '
+                            'sampling.still_time', reason='no_stops')
         if count or self.last_number:
             return
-        if self.unrequested_stops:
-            raise DataError(self.unrequested_stops, reason='not_asked')
+        if self.unrequested_stops_notice:
+            raise DataError(self.unrequested_stops_notice, reason='not_asked')
         self._require_usable_poses()
         if poses.period > sampling.max_pose_gap:
             raise DataError(
@@ -274,8 +274,8 @@ class Session(Copyable):
                             f'{min(sampling.still_time, 1.0):g} s of them without a gap: record '
                             'a longer sweep', reason='no_stops')
         raise DataError(f'the robot never stood still for {sampling.still_time:g} s in '
-                        f'{poses.count} poses, but for {self._finder.longest_rest / NS:.2g} s at '
-                        'most: stop at each sample, and let its poses be sent while it stands, '
+                        f'{poses.count} poses, but for {self._finder.longest_rest_ns / NS:.2g} s '
+                        'at most: stop at each sample, and let its poses be sent while it stands, '
                         'too, or lower sampling.still_time; if its poses are noisy, raise '
                         'sampling.still_translation and sampling.still_rotation; if the robot '
                         'moves all the time, set sampling.mode to moving',
@@ -288,8 +288,8 @@ class Session(Copyable):
 
         And for wrong numbers in samples.exclude, and a frame that is not as it seems.
         """
-        sentences = [f'gave up {count_of(self._expired_stops, "stop")}, the oldest that waited '
-                     'for profiles'] if self._expired_stops else []
+        sentences = [f'gave up {count_of(self._expired_count, "stop")}, the oldest that waited '
+                     'for profiles'] if self._expired_count else []
         numbers = [stop.number for stop in self._stops.values()]
         missing = [number for number in self.config.samples.exclude if number not in numbers]
         if missing and numbers:
@@ -312,7 +312,7 @@ class Session(Copyable):
             return InputError(f'the poses are given in "{self.base_frame}", but robot_base_frame '
                               f'is "{wanted}": set it to {self.base_frame}, or leave it out; it '
                               'is then that of the poses', reason='base_frame')
-        return (_tilted_plane(self._centroids, self.config.profile.axes)
+        return (_tilted_plane_error(self._centroids, self.config.profile.axes)
                 or self._pose_stream.conflict or self._profile_stream.conflict)
 
     @property
@@ -321,7 +321,7 @@ class Session(Copyable):
                 if stop.sample and stop.sample.centroid is not None]
 
     @property
-    def frame_change(self) -> str:
+    def frame_change_notice(self) -> str:
         """Return in words that another frame replaced the first, which gave no sample; or ''."""
         for stream in self._streams:
             if stream.successor and not self._has_samples:
@@ -341,7 +341,7 @@ class Session(Copyable):
         return (self._pose_stream.frame or '').lstrip('/')
 
     @property
-    def late(self) -> tuple[str, ...]:
+    def late_streams(self) -> tuple[str, ...]:
         """Return which streams (poses, profiles) are dropped because their stamps are too old."""
         return tuple(f'{stream.kind}s' for stream in self._streams if stream.late)
 
@@ -354,10 +354,10 @@ class Session(Copyable):
     def is_standing(self) -> bool:
         """Return whether the robot has stood still long enough for a sample."""
         motion = self.motion
-        return motion is not None and motion.still >= self.config.sampling.still_time
+        return motion is not None and motion.rest_time >= self.config.sampling.still_time
 
     @property
-    def unrequested_stops(self) -> str:
+    def unrequested_stops_notice(self) -> str:
         """Return in words that the robot stopped but no sample was requested, '' otherwise."""
         if self._done or not self._unrequested_count:
             return ''
@@ -400,7 +400,7 @@ class Session(Copyable):
     def evaluate_remaining(self) -> None:
         """Evaluate and store all remaining stops; raises InputError as take_remaining does."""
         for stop in self.take_remaining():
-            self.add_stop(self.numbered(stop, result_of(stop, self.config)))
+            self.add_stop(self.with_result(stop, result_of(stop, self.config)))
 
     def early_stop(self) -> Stop | None:
         """
@@ -426,12 +426,12 @@ class Session(Copyable):
         stop = stop.with_profiles(self._profiles.items, self.config)
         return stop if len(stop.settled_profiles(self.config)) >= fewest else None
 
-    def numbered(self, stop: Stop, result: Sample | Reject) -> Stop:
+    def with_result(self, stop: Stop, result: Sample | Reject) -> Stop:
         """Return a stop with its number and result; a duplicate pose gives no sample."""
         earlier = self._stops.get(stop.stamp)  # of the same stop, with fewer profiles
         others = [other for other in self.stops
                   if other is not earlier and not self.excludes(other)]
-        duplicate = '' if isinstance(result, Reject) or result.moving else duplicate_pose(
+        duplicate = '' if isinstance(result, Reject) or result.moving else duplicate_pose_reason(
             result, others, self.config)
         return replace(stop, number=earlier.number if earlier else self.last_number + 1,
                        result=Reject(result.stamp, duplicate, final=True) if duplicate else result)
@@ -446,7 +446,7 @@ class Session(Copyable):
         self._stops.pop(stop.stamp, None)
 
 
-def _tilted_plane(centroids: Sequence[Array], axes: Sequence[str]) -> InputError | None:
+def _tilted_plane_error(centroids: Sequence[Array], axes: Sequence[str]) -> InputError | None:
     """
     Return the error of profiles in a plane that is tilted against their axes, None if it is not.
 
@@ -469,7 +469,7 @@ def _tilted_plane(centroids: Sequence[Array], axes: Sequence[str]) -> InputError
         'transform can hold the tilt', reason='tilted_plane')
 
 
-def silent_poses(seconds: float) -> DataError:
+def silent_poses_error(seconds: float) -> DataError:
     """Return the refusal of a sample while no pose has come for a time (s)."""
     return DataError(f'no pose has come for {seconds:.1f} s, so the robot position is not known: '
                      'check the robot driver, and take the sample again', reason='silent_poses')

@@ -20,7 +20,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config, SamplingConfig
 from handeye_ros.data import AnyProfile, Array, Indices, NS, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.sampling.stream import around, by_stamp, Copyable, LAST_STAMP
+from handeye_ros.sampling.stream import by_stamp, Copyable, LAST_STAMP, poses_around
 import numpy as np
 
 MOTION_TIME = 3 * NS // 10  # time over which the speed is averaged
@@ -48,8 +48,8 @@ class Stop:
     stamp: of the first pose (ns), though a long stop may keep later ones only; it identifies the
         stop
     poses, profiles: in the order of their stamps
-    reader: of a stop on the disk, of which at most the last pose is in memory: returns it with
-        its poses and profiles, decoded as a configuration says
+    load_messages: of a stop on the disk, of which at most the last pose is in memory: returns it
+        with its poses and profiles, decoded as a configuration says
     number: in its session, from 1, never reused; 0 before
     result: a sample, or the reason why there is none
     """
@@ -57,7 +57,7 @@ class Stop:
     stamp: int
     poses: tuple[TimedPose, ...] = ()
     profiles: tuple[AnyProfile, ...] = ()
-    reader: Callable[[Config], Stop] | None = None
+    load_messages: Callable[[Config], Stop] | None = None
     number: int = 0
     result: Sample | Reject = NOT_EVALUATED
 
@@ -74,10 +74,10 @@ class Stop:
 
     def load(self, config: Config) -> Stop:
         """Return the stop with its messages."""
-        if self.reader is None:
+        if self.load_messages is None:
             return self
-        messages = self.reader(config)
-        return replace(self, poses=messages.poses, profiles=messages.profiles, reader=None)
+        messages = self.load_messages(config)
+        return replace(self, poses=messages.poses, profiles=messages.profiles, load_messages=None)
 
     @property
     def start(self) -> int:
@@ -99,8 +99,8 @@ class Stop:
         begin = bisect_left(candidates, self.start, key=by_stamp)
         end = bisect_right(candidates, self.end, key=by_stamp)
         taken = [profile for profile in candidates[begin:end]
-                 if self.start <= profile.stamp - profile.reach[0]
-                 and profile.stamp + profile.reach[1] <= self.end]
+                 if self.start <= profile.stamp - profile.time_margins[0]
+                 and profile.stamp + profile.time_margins[1] <= self.end]
         first_settled, last_settled = self._settled_span(config)
         begin = bisect_left(taken, first_settled, key=by_stamp)
         end = max(begin, bisect_right(taken, last_settled, key=by_stamp))
@@ -111,15 +111,16 @@ class Stop:
     def settled_profiles(self, config: Config) -> list[AnyProfile]:
         """Return PROFILES_OF_SAMPLE of the time without vibration at most, not yet decoded."""
         first, last = self._settled_span(config)
-        return evenly([p for p in self.profiles if first <= p.stamp <= last], PROFILES_OF_SAMPLE)
+        settled = [profile for profile in self.profiles if first <= profile.stamp <= last]
+        return evenly_spaced(settled, PROFILES_OF_SAMPLE)
 
     def trimmed(self, config: Config) -> Stop:
         """Return the stop reduced to what its sample needs, to be evaluated elsewhere."""
         stop = replace(self, result=NOT_EVALUATED)
-        if self.reader or config.sampling.moving:
+        if self.load_messages or config.sampling.moving:
             return stop
         profiles = self.settled_profiles(config)
-        poses = around(self.poses, [profile.stamp for profile in profiles])
+        poses = poses_around(self.poses, [profile.stamp for profile in profiles])
         return replace(stop, poses=tuple(poses), profiles=tuple(profiles))
 
     def _settled_span(self, config: Config) -> tuple[int, int]:
@@ -134,7 +135,8 @@ NO_STOP = Stop(0)
 def _thinned(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
     """Return a part of the profiles of a stop, evenly spread."""
     seconds = (profiles[-1].stamp - profiles[0].stamp) / NS if profiles else 0.0
-    return evenly(profiles, min(MOST_KEPT, max(least, 1 + round(KEPT_PER_SECOND * seconds))))
+    most = min(MOST_KEPT, max(least, 1 + round(KEPT_PER_SECOND * seconds)))
+    return evenly_spaced(profiles, most)
 
 
 def even_indices(n: int, most: int) -> Indices:
@@ -142,7 +144,7 @@ def even_indices(n: int, most: int) -> Indices:
     return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.intp)
 
 
-def evenly(items: Sequence[Item], most: int) -> list[Item]:
+def evenly_spaced(items: Sequence[Item], most: int) -> list[Item]:
     """Return at most a number of items, evenly spaced."""
     return [items[i] for i in even_indices(len(items), most)]
 
@@ -160,10 +162,10 @@ class Motion(NamedTuple):
     """
     How the robot moves, in words.
 
-    still: how long it has stood near where it is (s); in a pass, too, it may stand
+    rest_time: how long it has stood near where it is (s); in a pass, too, it may stand
     """
 
-    still: float
+    rest_time: float
     sentence: str
 
 
@@ -172,8 +174,8 @@ class StopFinder(Copyable):
     Cuts a stream of poses into stops, or into passes where sampling.mode is moving.
 
     stamp: of the first pose of the current stop or pass (ns), -1 before any pose
-    longest_rest: the longest time that the robot stood near one pose (ns); in a pass, too
-    short_rests: number of stops or passes that lasted SHORT_REST, but not sampling.still_time
+    longest_rest_ns: the longest time that the robot stood near one pose (ns); in a pass, too
+    short_rest_count: number of stops or passes that lasted SHORT_REST, but not sampling.still_time
     """
 
     def __init__(self, sampling: SamplingConfig) -> None:
@@ -183,7 +185,7 @@ class StopFinder(Copyable):
         self._recent: deque[TimedPose] = deque(maxlen=MOST_POSES)  # of the last MOTION_TIME
         self._rest: TimedPose | None = None  # first pose near which the robot still is
         self.stamp = -1
-        self.longest_rest = self.short_rests = 0
+        self.longest_rest_ns = self.short_rest_count = 0
 
     def add(self, pose: TimedPose) -> Stop | None:
         """Add the next pose; return the stop that it ends, or None."""
@@ -192,7 +194,7 @@ class StopFinder(Copyable):
             pose.stamp - self._recent[-1].stamp <= sampling.max_pose_gap * NS)
         if not (no_gap and self._rest and self._is_near(self._rest, pose)):
             self._rest = pose
-        self.longest_rest = max(self.longest_rest, pose.stamp - self._rest.stamp)
+        self.longest_rest_ns = max(self.longest_rest_ns, pose.stamp - self._rest.stamp)
         self._recent.append(pose)
         while pose.stamp - self._recent[0].stamp > MOTION_TIME:
             self._recent.popleft()
@@ -203,7 +205,7 @@ class StopFinder(Copyable):
             return None
         ended = self.current()
         if self._poses and ended is None:
-            self.short_rests += self._poses[-1].stamp - self._poses[0].stamp >= SHORT_REST
+            self.short_rest_count += self._poses[-1].stamp - self._poses[0].stamp >= SHORT_REST
         self._poses, self.stamp = deque([pose]), pose.stamp
         return ended
 
@@ -263,7 +265,7 @@ class ProfileBuffer(Copyable):
     If it is full, the oldest are dropped and counted.
 
     items: the profiles
-    dropped: the number of dropped ones
+    dropped_count: the number of dropped ones
     most_bytes: that may be kept
     """
 
@@ -271,21 +273,21 @@ class ProfileBuffer(Copyable):
         """Start with none; by default 8 s of 2000 profiles a second of 1280 points fit in."""
         self.most_bytes, self._bytes = most_bytes, 0
         self.items: list[AnyProfile] = []
-        self.dropped = 0
+        self.dropped_count = 0
 
     def add(self, profiles: Sequence[AnyProfile]) -> None:
         """Add the next profiles."""
         self.items += profiles
         self._bytes += sum(profile.held_bytes for profile in profiles)
         while self._bytes > self.most_bytes and len(self.items) > 1:
-            self.dropped += 1
+            self.dropped_count += 1
             self._forget(slice(0, 1))
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return a sentence about the dropped ones, if any."""
-        return (f'dropped {self.dropped} profiles, the oldest of those that wait: together these '
-                f'may take {self.most_bytes / 1e6:.0f} MB',) if self.dropped else ()
+        return (f'dropped {self.dropped_count} profiles, the oldest of those that wait: together '
+                f'these may take {self.most_bytes / 1e6:.0f} MB',) if self.dropped_count else ()
 
     def clear(self) -> None:
         """Forget all profiles; those that were dropped stay counted."""

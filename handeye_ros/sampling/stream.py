@@ -58,7 +58,7 @@ class Stream(Copyable, Generic[Stamped]):
     repeats: how many last messages have its stamp too
     frame: of the first message; those of others are strays
     successor: the frame that alone has come for UNMIXED_TIME in place of that one, or ''
-    set_back: by how much the clock was set back (ns), 0 if it was not
+    step_back: by how much the clock was set back (ns), 0 if it was not
     """
 
     def __init__(self, kind: str, frame: str | None = None) -> None:
@@ -73,9 +73,9 @@ class Stream(Copyable, Generic[Stamped]):
         self.repeats = 0
         self.frame = frame
         self.successor = ''
-        self.set_back = 0
-        self._late: list[int] = []  # stamps of the last messages, if all were far too late
-        self._set_backs: list[int] = []  # by how much, each time before (ns)
+        self.step_back = 0
+        self._late_stamps: list[int] = []  # stamps of the last messages, if all were far too late
+        self._steps_back: list[int] = []  # by how much, each time before (ns)
         self._strays = 0  # with less than UNMIXED_TIME of the first frame between them
         self._last_stray = -1  # `latest` when it came
         self._other, self._other_since = '', -1  # frame of the last stray, since when it is alone
@@ -85,14 +85,14 @@ class Stream(Copyable, Generic[Stamped]):
         """Return the error of a topic with two frames, None for a few strays or if they ended."""
         if self._strays <= FEW_STRAYS or self.latest - self._last_stray > UNMIXED_TIME:
             return None
-        return two_frames(self.kind, str(self.frame), self._other)
+        return two_frames_error(self.kind, str(self.frame), self._other)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return one sentence for each reason for which messages were dropped."""
         dropped = [f'dropped a {self.kind} {reason} ({count} times)'
                    for reason, count in self._dropped.items()]
-        steps = self._set_backs
+        steps = self._steps_back
         return (*([f'the clock of the {self.kind}s was set back by {steps[-1] * 1e-9:.1f} s '
                    f'({len(steps)} times): sampling continues in the new time'] if steps else []),
                 *dropped)
@@ -112,16 +112,16 @@ class Stream(Copyable, Generic[Stamped]):
         if self._held and self._held.stamp - item.stamp > REORDER_TIME:
             self._held = None
             self._dropped['whose stamp lies far ahead of the next one'] += 1
-        passed = self.released(0, item.stamp - 1)
+        passed = self.release(0, item.stamp - 1)
         newest = max(self.latest, self._held.stamp if self._held else -1)
         self.late = item.stamp < newest
         self.repeats = self.repeats + 1 if item.stamp == newest else 0
         if item.stamp <= newest:
             self._dropped['whose stamp is not later than the one before'] += 1
-            self._look_for_set_back(item.stamp)
+            self._look_for_step_back(item.stamp)
         else:
             self._held = item
-            passed += self.released(0, self.latest + REORDER_TIME)
+            passed += self.release(0, self.latest + REORDER_TIME)
         return passed
 
     def _count_stray(self, frame: str, stamp: int) -> None:
@@ -135,35 +135,36 @@ class Stream(Copyable, Generic[Stamped]):
             self._other, self._other_since = frame, stamp
         self.successor = frame if stamp - self._other_since > UNMIXED_TIME else ''
 
-    def _look_for_set_back(self, stamp: int) -> None:
+    def _look_for_step_back(self, stamp: int) -> None:
         """Note a clock that was set back: LATE_COUNT messages, in order, are far too late."""
-        if self.latest - stamp <= REORDER_TIME or (self._late and stamp < self._late[-1]):
-            self._late = []
+        late = self._late_stamps
+        if self.latest - stamp <= REORDER_TIME or (late and stamp < late[-1]):
+            self._late_stamps = []
         if self.latest - stamp > REORDER_TIME:
-            self._late.append(stamp)
-        if len(self._late) >= LATE_COUNT and stamp - self._late[0] >= LATE_TIME:
-            self.set_back = self.latest - self._late[0]
+            self._late_stamps.append(stamp)
+        if len(self._late_stamps) >= LATE_COUNT and stamp - self._late_stamps[0] >= LATE_TIME:
+            self.step_back = self.latest - self._late_stamps[0]
 
     def restart(self) -> None:
         """Continue in the time of the next message: the clock was set back, or its offset set."""
-        self._set_backs += [self.set_back] if self.set_back else []
+        self._steps_back += [self.step_back] if self.step_back else []
         self._held, self.latest, self.late, self.count = None, -1, False, 0
         self._last_stray = -1  # strays before are of the past
-        self.set_back, self._late = 0, []
+        self.step_back, self._late_stamps = 0, []
 
-    def released(self, first: int, last: int) -> list[Stamped]:
+    def release(self, first: int, last: int) -> list[Stamped]:
         """Return the message held back if its stamp lies between two given ones."""
         held = self._held
         if held is None or not first <= held.stamp <= last:
             return []
-        self._held, self._late = None, []
+        self._held, self._late_stamps = None, []
         self._first = self._first if self.count else held.stamp
         self.latest = held.stamp
         self.count += 1
         return [held]
 
 
-def two_frames(kind: str, first: str, second: str) -> InputError:
+def two_frames_error(kind: str, first: str, second: str) -> InputError:
     """Return the error of two frames on the topic of a kind of messages, profile or pose."""
     why = ('profiles cannot be of one sensor; give each sensor its own topic' if kind == 'profile'
            else 'poses cannot be in one robot base; let only one node publish them, in one frame')
@@ -209,7 +210,7 @@ def _longest_rising(stamps: Sequence[int]) -> NDArray[np.bool_]:
     return rising
 
 
-def around(poses: Sequence[TimedPose], stamps: Sequence[int]) -> list[TimedPose]:
+def poses_around(poses: Sequence[TimedPose], stamps: Sequence[int]) -> list[TimedPose]:
     """Return the poses next to each stamp, the first and the last: enough for interpolate."""
     last = len(poses) - 1
     indices = {0, last}
@@ -225,7 +226,7 @@ def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:
 
     Linearisation in the translation, slerp in the rotation. Raises ValueError outside.
     """
-    poses = around(poses, stamps)
+    poses = poses_around(poses, stamps)
     pose_times = np.array([pose.stamp - poses[0].stamp for pose in poses], dtype=float)
     times = np.array([stamp - poses[0].stamp for stamp in stamps], dtype=float)
     rotations = Rotation.from_quat([pose.quaternion for pose in poses])

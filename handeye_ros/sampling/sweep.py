@@ -11,9 +11,9 @@ sweep). Its rotation is that of a time later by the lag.
 - lag: the robot reports its rotation later than its position, in seconds
 
 The way of a sweep: StopFinder (stops.py) cuts it into passes of two seconds. A pass gives a sample
-of each of its profiles, and its part of the trajectory (_pass_of in features.py). passes_expanded
-takes the passes apart and joins their trajectories. with_estimated_clocks finds the three unknowns
-and, with them, the pose of each sample: a station of the solve, as any stop is.
+of each of its profiles, and its part of the trajectory (_sample_of_pass in features.py).
+passes_expanded takes the passes apart and joins their trajectories. with_estimated_clocks finds
+the three unknowns and, with them, the pose of each sample: a station of the solve, as any stop is.
 
 The derivative of a condition by an unknown is its derivative by the pose of the flange times the
 twist of the flange: one more column each. They need no start value: some of the samples are fitted
@@ -70,15 +70,15 @@ from handeye_ros.estimation.search import (
     refined_robustly,
     station_squares,
 )
-from handeye_ros.sampling.stops import even_indices, evenly
-from handeye_ros.sampling.trajectory import Instants, joined, Trajectory
+from handeye_ros.sampling.stops import even_indices, evenly_spaced
+from handeye_ros.sampling.trajectory import FlangeStates, joined, Trajectory
 from handeye_ros.targets import problem_of_known_poses
 from handeye_ros.targets.profile_target import out_of_face
 import numpy as np
 from numpy.typing import NDArray
 
 CLOCK_KEYS = TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT
-LEAST_TIME = 1.0  # s of a sweep: of less any cause may seem to explain what does not fit
+SHORTEST_SWEEP = 1.0  # s of a sweep: of less any cause may seem to explain what does not fit
 NO_POSES = 'there are no poses of that time'
 MOST_SAMPLES, SEARCH_SAMPLES = 400, 60  # of a sweep; where some do: a start, a wrong convention
 
@@ -112,7 +112,7 @@ class ClockedPoses:
         first, last = int(self.trajectory.stamps[0]), int(self.trajectory.stamps[-1])
         return np.asarray((self.stamps - (first + (last - first) // 2)) * 1e-9)
 
-    def at(self, offset: float, lag: float = 0.0, drift: float = 0.0) -> Instants:
+    def at(self, offset: float, lag: float = 0.0, drift: float = 0.0) -> FlangeStates:
         """Return the flange at each sample; offset, lag (s), drift: as in the module's text."""
         shift = np.rint((offset + drift * self.since_middle) * 1e9).astype(np.int64)
         n, moving = len(self.stamps), self.moving
@@ -120,7 +120,7 @@ class ClockedPoses:
         T, twists, inside = self.T_base_flange.copy(), np.zeros((n, 6)), np.ones(n, dtype=bool)
         T[moving], twists[moving] = instants.T_base_flange, instants.twists
         inside[moving] = instants.inside
-        return Instants(T, twists, inside)
+        return FlangeStates(T, twists, inside)
 
 
 def _poses_and_derivatives(clocked: ClockedPoses, clock_values: Array) -> tuple[Array, Array]:
@@ -167,7 +167,7 @@ def errors_in_motion(stamps: NDArray[np.int64], linear: Linearisation) -> Blocks
 
 
 @dataclass(frozen=True, eq=False)
-class TimedSamples:
+class SyncedSamples:
     """
     Samples with the poses at the most likely times.
 
@@ -180,7 +180,7 @@ class TimedSamples:
     estimate: Estimate | None = None
 
 
-def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSamples:
+def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> SyncedSamples:
     """
     Return samples of a moving robot with the poses at the most likely times.
 
@@ -188,9 +188,9 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     neither samples of the answer nor rejects. Raises DataError where too few have poses.
     """
     if not any(sample.moving for sample in samples):
-        return TimedSamples(list(samples), [])
-    samples = evenly(samples, MOST_SAMPLES)
-    if (seconds := (samples[-1].stamp - samples[0].stamp) * 1e-9) < LEAST_TIME:
+        return SyncedSamples(list(samples), [])
+    samples = evenly_spaced(samples, MOST_SAMPLES)
+    if (seconds := (samples[-1].stamp - samples[0].stamp) * 1e-9) < SHORTEST_SWEEP:
         raise DataError(f'the profiles that show the target are of {seconds:.1f} s, in which a '
                         'robot hardly turns: record a longer sweep', reason='few')
     clocked, problem = ClockedPoses(samples), problem_with_clocks(samples, config)
@@ -199,8 +199,8 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
                                np.random.default_rng(SEED))
     start_values = start.problem.pose_parameters
     # profiles in gaps between the poses would pull the offset
-    in_time = np.flatnonzero(_flange_at(start_values, clocked, problem).inside)
-    fit = refined_robustly(problem.subset(in_time).with_pose_parameters(start_values),
+    with_poses = np.flatnonzero(_flange_at(start_values, clocked, problem).inside)
+    fit = refined_robustly(problem.subset(with_poses).with_pose_parameters(start_values),
                            start.estimate)
     # each sample gets the pose of its time
     clock_values = ClockValues(*fit.problem.pose_parameters.tolist())
@@ -211,11 +211,12 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSam
     rejects = [Reject(sample.stamp, NO_POSES)
                for sample, inside in zip(samples, instants.inside, strict=True) if not inside]
     problem = problem.subset(np.flatnonzero(instants.inside))
-    return TimedSamples(timed, rejects, problem.with_pose_parameters(fit.problem.pose_parameters),
-                        fit.estimate)
+    return SyncedSamples(timed, rejects, problem.with_pose_parameters(fit.problem.pose_parameters),
+                         fit.estimate)
 
 
-def _flange_at(clock_values: Iterable[float], clocked: ClockedPoses, problem: Problem) -> Instants:
+def _flange_at(clock_values: Iterable[float], clocked: ClockedPoses, problem: Problem
+               ) -> FlangeStates:
     """Return the flange at each sample; raises DataError where few have poses at their time."""
     instants, least = clocked.at(*clock_values), problem.target.min_samples
     if (count := instants.inside.sum()) < least:

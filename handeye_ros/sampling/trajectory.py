@@ -34,7 +34,7 @@ OUTLIER_SCATTERS = 8.0  # residual, in robust scatters, above which a pose is an
 
 
 @dataclass(frozen=True, eq=False)
-class Instants:
+class FlangeStates:
     """
     The flange at n times: poses (n, 4, 4), twists (n, 6).
 
@@ -68,14 +68,14 @@ class Trajectory:
         return min(self.max_gap, max(4.0 * period, 0.06))
 
     @cached_property
-    def pieces(self) -> tuple[_Piece, ...]:
+    def pieces(self) -> tuple[_SplinePiece, ...]:
         """Return the pieces between the gaps."""
         ends = np.flatnonzero(np.diff(self.stamps) > self.longest_bridged * 1e9) + 1
         parts = zip(np.split(self.stamps, ends), np.split(self.values, ends), strict=True)
         return tuple(_piece_through(stamps, values) for stamps, values in parts
                      if len(stamps) >= FEWEST_POSES)
 
-    def at(self, stamps: NDArray[np.int64], lag: float = 0.0) -> Instants:
+    def at(self, stamps: NDArray[np.int64], lag: float = 0.0) -> FlangeStates:
         """Return the flange at stamps (n,); lag: of the reported rotation (s)."""
         values, rates, inside = self._at(stamps)
         later_values, later_rates, later_inside = self._at(stamps + round(lag * 1e9))
@@ -83,8 +83,8 @@ class Trajectory:
         q, dq = later_values[:, 3:] / length, later_rates[:, 3:] / length
         # the vector of 2 dq/dt q*, in which the change of length is of the scalar part alone
         turning = 2 * (q[:, 3:] * dq[:, :3] - dq[:, 3:] * q[:, :3] - np.cross(dq[:, :3], q[:, :3]))
-        return Instants(se3.from_quaternion(values[:, :3], q), np.hstack([rates[:, :3], turning]),
-                        inside & later_inside)
+        return FlangeStates(se3.from_quaternion(values[:, :3], q),
+                            np.hstack([rates[:, :3], turning]), inside & later_inside)
 
     def _at(self, stamps: NDArray[np.int64]) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return translation and quaternion (n, 7), their rates, and which are inside (n,)."""
@@ -102,7 +102,8 @@ class Trajectory:
             std[nearest] = piece.std_at(stamps[nearest])
         return std
 
-    def _by_piece(self, stamps: NDArray[np.int64]) -> Iterator[tuple[_Piece, NDArray[np.bool_]]]:
+    def _by_piece(self, stamps: NDArray[np.int64]
+                  ) -> Iterator[tuple[_SplinePiece, NDArray[np.bool_]]]:
         """Yield each piece with the stamps (n,) to which it is the nearest one, if any."""
         middles = np.array([before.last + (after.first - before.last) // 2
                             for before, after in pairwise(self.pieces)], dtype=np.int64)
@@ -113,7 +114,7 @@ class Trajectory:
 
 
 @dataclass(frozen=True, eq=False)
-class _Piece:
+class _SplinePiece:
     """
     A cubic spline of translation and quaternion, from one stamp to another.
 
@@ -167,7 +168,7 @@ def trajectory_of(poses: Iterable[TimedPose], max_gap: float) -> Trajectory:
     return Trajectory(stamps, rows['pose'][first_of], max_gap)
 
 
-def _piece_through(stamps: NDArray[np.int64], values: Array) -> _Piece:
+def _piece_through(stamps: NDArray[np.int64], values: Array) -> _SplinePiece:
     """
     Return the piece through poses (n, 7) with the knots that predict them best.
 
@@ -175,10 +176,10 @@ def _piece_through(stamps: NDArray[np.int64], values: Array) -> _Piece:
     wrong.
     """
     values = _with_steady_signs(values)
-    piece, residuals = _smoothed(stamps, values)
-    fits = _without_outliers(residuals)
+    piece, residuals = _fitted_spline(stamps, values)
+    fits = _are_inliers(residuals)
     if not fits.all() and fits.mean() > 0.95:
-        piece, _ = _smoothed(stamps[fits], values[fits])
+        piece, _ = _fitted_spline(stamps[fits], values[fits])
     return piece
 
 
@@ -189,7 +190,7 @@ def _with_steady_signs(values: Array) -> Array:
     return np.hstack([values[:, :3], np.vstack([values[:1, 3:], values[1:, 3:] * signs])])
 
 
-def _without_outliers(residuals: Array) -> NDArray[np.bool_]:
+def _are_inliers(residuals: Array) -> NDArray[np.bool_]:
     """
     Return which poses are as far from a spline as most are, or less than 1 mm and 5 mrad.
 
@@ -202,7 +203,7 @@ def _without_outliers(residuals: Array) -> NDArray[np.bool_]:
     return np.asarray(fits)
 
 
-def _smoothed(stamps: NDArray[np.int64], values: Array) -> tuple[_Piece, Array]:
+def _fitted_spline(stamps: NDArray[np.int64], values: Array) -> tuple[_SplinePiece, Array]:
     """
     Return the least-squares spline through poses (n, 7), and its residuals (n, 7).
 
@@ -233,7 +234,7 @@ def _smoothed(stamps: NDArray[np.int64], values: Array) -> tuple[_Piece, Array]:
         error = float(np.log(sums / max(freedom, 1) ** 2).sum())
         if error < least + 2 * np.log(0.995):  # nearer knots must be worth 0.5 %
             least = error
-            best = _Piece(int(stamps[0]), int(stamps[-1]), BSpline(knots, coefficients, 3),
-                          np.sqrt(sums / max(freedom, 1)), root), residuals
+            best = _SplinePiece(int(stamps[0]), int(stamps[-1]), BSpline(knots, coefficients, 3),
+                                np.sqrt(sums / max(freedom, 1)), root), residuals
     assert best is not None
     return best

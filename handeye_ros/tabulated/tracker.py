@@ -32,7 +32,7 @@ from handeye_ros.errors import (
 )
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.profiles.arcs import arc_features
-from handeye_ros.profiles.faces import corner_features
+from handeye_ros.profiles.faces import face_pair_features
 from handeye_ros.published import jing2020
 from handeye_ros.results.file_values import input_values
 from handeye_ros.results.truth import field_points, FIELD_TEXT
@@ -324,7 +324,7 @@ def _parts_in(points: Array, config: Config) -> list[tuple[str, Array]]:
     with suppress(FeatureError):
         arc, = arc_features(points, config)
         return [('swept_ball', arc.points)]
-    left, right = corner_features(points, config)[:2]
+    left, right = face_pair_features(points, config)[:2]
     # a ridge is nearer to the sensor in the middle: the range falls towards it from both sides
     bend = float(np.linalg.det([left.direction, right.direction])) * config.profile.range_sign
     if bend < math.sin(RIDGE_ANGLE):

@@ -84,7 +84,7 @@ class Sphere(ProfileTarget):
     def measured(self, sample: Sample, points: Array, kind: NDArray[np.intp]
                  ) -> tuple[Array, NDArray[np.intp]]:
         """Return all raw points of the arcs of a sample."""
-        points = np.concatenate([f.raw for f in sample.features if isinstance(f, Arc)])
+        points = np.concatenate([f.measured for f in sample.features if isinstance(f, Arc)])
         return points, np.zeros(len(points), dtype=np.intp)
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:

@@ -18,7 +18,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine
 from handeye_ros.estimation.problem import Estimate, Observations, Problem
-from handeye_ros.profiles.faces import corner_features
+from handeye_ros.profiles.faces import face_pair_features
 from handeye_ros.targets.line import EDGE_Y, EDGE_Z, LINE, line_starts
 from handeye_ros.targets.profile_target import ObservationRows, ProfileTarget, xyz
 from handeye_ros.targets.starts import (
@@ -97,7 +97,7 @@ class Wedge(ProfileTarget):
     name = 'wedge'
     kinds = ('face_1', 'face_2')
     parameter_names, pose_axes = ('y', 'z', 'ry', 'rz', 'turn', 'angle'), (1, 2, 4, 5)
-    extract = staticmethod(corner_features)
+    extract = staticmethod(face_pair_features)
     required_features = (FaceLine, FaceLine)
     face_count, several_in_view = 2, True
 

@@ -41,7 +41,7 @@ from handeye_ros.estimation.noise import NoiseScales, Whitening, whitening
 from handeye_ros.estimation.problem import Estimate, Linearisation, linearise, Problem, UNUSED
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import direction_in_words, mount_frame, target_frame
-from handeye_ros.sampling.stops import evenly
+from handeye_ros.sampling.stops import evenly_spaced
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.profile_target import GRAZING
 from handeye_ros.verification.fit import (
@@ -146,7 +146,7 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
     answer = pipeline.answer_session(session, config)
     offset, solution = answer.require_calibration().time_offset, answer.require_solution()
     used = [answer.samples[i] for i in solution.used_stations]
-    still = [replace(sample, trajectory=None) for sample in evenly(used, MOST_OF_SWEEP)]
+    still = [replace(sample, trajectory=None) for sample in evenly_spaced(used, MOST_OF_SWEEP)]
     result = check(still, calibration, config, session.rejects,
                    [stop.stamp for stop in session.stops])
     before = calibration.time_offset

@@ -31,7 +31,7 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.problem import Observations, Problem
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import mount_poses, mount_poses_of, T_sensor_plane
-from handeye_ros.sampling.stops import even_indices, evenly
+from handeye_ros.sampling.stops import even_indices, evenly_spaced
 from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
@@ -248,7 +248,8 @@ def _at_calibrated_time(samples: Sequence[Sample], calibration: Calibration, con
 
     Raises InputError where neither the calibration nor the settings know it.
     """
-    samples, offset = evenly(passes_expanded(samples), SWEEP_SAMPLES), calibration.time_offset
+    samples = evenly_spaced(passes_expanded(samples), SWEEP_SAMPLES)
+    offset = calibration.time_offset
     if offset is None and config.time_offset_std > KNOWN_OFFSET_STD:
         raise InputError('the calibration has no time offset, which a sweep needs: verify with '
                          'stops, calibrate with a sweep, or state time_offset and time_offset_std '

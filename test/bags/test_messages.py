@@ -11,10 +11,10 @@ from handeye_ros import config as configs
 from handeye_ros.bags.messages import (
     DATATYPES,
     pose_from_cdr,
+    profile_count,
     profile_from_cdr,
     profile_from_cloud,
     ProfileReader,
-    row_count,
     transforms_from_cdr,
 )
 from handeye_ros.config import ProfileConfig
@@ -341,4 +341,4 @@ def test_the_edge_is_found_in_the_messages_of_a_driver(name: str, tmp_path: Path
     assert min(abs(x - 0.004) for x in edges) < 2e-4
     if name == 'Mech-Mind':  # which sends batches, stamped when they are complete
         batch = cloud({key: np.tile(v, 5) for key, v in columns.items()}, layout, step, height=5)
-        assert (row_count(batch, config.profile), config.profile.stamp) == (5, 'last')
+        assert (profile_count(batch, config.profile), config.profile.stamp) == (5, 'last')

@@ -11,7 +11,7 @@ import sqlite3
 
 from handeye_ros.arm import arm_of
 from handeye_ros.bags import bag, bag_write
-from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, Raw, TF_TYPE
+from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, RecordedMessage, TF_TYPE
 from handeye_ros.config import Config, ProfileConfig
 from handeye_ros.errors import DataError, InputError, UnwritableError
 from handeye_ros.results.truth import true_transform
@@ -168,7 +168,7 @@ def test_a_file_that_changes_after_it_was_read_is_told(good_bag, tmp_path):
     recording = bag.read(file, CONFIG)
     file.write_bytes(file.read_bytes()[:100])
     with pytest.raises(InputError, match='none of the 30 profiles .* can be used'):
-        list(recording.returns())
+        list(recording.profiles_of_returns())
 
 
 def test_another_recording_at_the_same_place_is_read_anew(tmp_path):
@@ -362,7 +362,8 @@ def test_messages_that_cannot_be_used_are_counted_and_left_out(good_bag, tmp_pat
         f'1 of {len(PROFILES)} messages on /profile were left out; the first: ')
     far = [replace(p, points=p.points * 1e3) if i in (5, 6) else p for i, p in enumerate(PROFILES)]
     recording = bag.read(written(tmp_path, name='far', profiles=far), CONFIG)
-    assert [p.stamp for p in recording.returns()] == [p.stamp for p in PROFILES[:5] + PROFILES[7:]]
+    assert [p.stamp for p in recording.profiles_of_returns()] == [
+        p.stamp for p in PROFILES[:5] + PROFILES[7:]]
     assert recording.warnings[0].startswith(
         f'2 of {len(PROFILES)} profiles of the recording were left out; the first: PointCloud2')
     few = [replace(p, points=p.points * np.nan) if i < 5 else p for i, p in enumerate(PROFILES)]
@@ -425,7 +426,7 @@ def tf_bag(folder, tmp_path, moving, static=()):
     for topic, messages in (('/tf', moving), ('/tf_static', static)):
         for stamp, transforms in messages:
             data = TYPES.serialize_cdr(TYPES.types[TF_TYPE](transforms), TF_TYPE)
-            raws.append(Raw(topic, TF_TYPE, stamp, bytes(data)))
+            raws.append(RecordedMessage(topic, TF_TYPE, stamp, bytes(data)))
     return rewrite(folder, tmp_path / 'tf.mcap', raws,
                    types={'/tf': TF_TYPE, '/tf_static': TF_TYPE})
 

@@ -8,8 +8,8 @@ from functools import partial
 
 from handeye_ros.bags import bag
 from handeye_ros.bags.bag_write import pose_cdr
-from handeye_ros.bags.messages import ProfileReader, profiles_of, row_count
-from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE, Raw
+from handeye_ros.bags.messages import profile_count, ProfileReader, profiles_of
+from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE, RecordedMessage
 from handeye_ros.config import Config, ProfileConfig, SamplingConfig
 from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import InputError, UnusableMessageError
@@ -54,7 +54,7 @@ def test_with_a_period_every_row_is_a_message_with_its_stamp(stamp: str, begin: 
         message = STORE.deserialize_cdr(row.fetch(), CLOUD_TYPE)
         assert (message.height, message.width, len(message.data)) == (1, 60, 720)
         again = ProfileReader(config).take(row.fetch())
-        assert (again.stamp, again.rows, row.reach) == (row.stamp, 1, (0, 0))
+        assert (again.stamp, again.profile_count, row.time_margins) == (row.stamp, 1, (0, 0))
         for profile in (row.read(), again.read()):
             assert profile.stamp == row.stamp
             np.testing.assert_allclose(profile.points[:, 1], 0.2 + 1e-5 * index, rtol=1e-6)
@@ -68,8 +68,8 @@ def test_with_a_period_every_row_is_a_message_with_its_stamp(stamp: str, begin: 
 
 def test_rows_that_part_the_line_are_points() -> None:
     scan = cloud({'x': X, 'y': 0 * X, 'z': 0.2 + 0 * X}, LAYOUT, 12, height=4)
-    assert row_count(scan, ProfileConfig()) == 1
-    assert row_count(scan, ProfileConfig(rows='profiles')) == 4
+    assert profile_count(scan, ProfileConfig()) == 1
+    assert profile_count(scan, ProfileConfig(rows='profiles')) == 4
     assert points(scan, ProfileConfig()).shape == (60, 2)
     one, = profiles([batch(START, 1, gocator=True)], ProfileConfig())
     assert one.read().points.shape == (60, 2)
@@ -80,7 +80,7 @@ def test_rows_that_part_the_line_are_points() -> None:
 def test_without_a_period_a_row_has_a_range_of_times(stamp: str, reach: tuple[int, int]) -> None:
     rows = profiles([batch(START + i * 40 * MS, 8) for i in range(3)], ProfileConfig(stamp=stamp))
     assert len(rows) == 16, 'nobody knows how long the first took'
-    assert all(p.reach == (reach[0] * MS, reach[1] * MS) for p in rows)
+    assert all(p.time_margins == (reach[0] * MS, reach[1] * MS) for p in rows)
     stamps = [p.stamp for p in rows]
     assert stamps == sorted(set(stamps))
 
@@ -103,19 +103,21 @@ def test_a_batch_during_which_the_robot_moved_is_not_used(stamp: str, used: set[
 
 def test_a_bag_of_batches_is_read_row_by_row(good_bag, tmp_path) -> None:
     data = [batch(START + i * 50 * MS, 5, first=5 * i) for i in range(20)]
-    raws = [Raw('/profile', CLOUD_TYPE, START + i * 50 * MS, d) for i, d in enumerate(data)]
+    raws = [RecordedMessage('/profile', CLOUD_TYPE, START + i * 50 * MS, d)
+            for i, d in enumerate(data)]
     stands = [TimedPose(START + i * 10 * MS, p.translation, p.quaternion)
               for i, p in enumerate(POSES)]
-    raws += [Raw('/flange_pose', POSE_TYPE, p.stamp, pose_cdr(p)) for p in stands]
+    raws += [RecordedMessage('/flange_pose', POSE_TYPE, p.stamp, pose_cdr(p)) for p in stands]
     file = rewrite(good_bag, tmp_path / 'batches.mcap', raws)
     config = Config(profile=ProfileConfig(period=0.01))
     recording = bag.read(file, config)
     assert [p.stamp for p in recording.profiles] == [START + i * 10 * MS for i in range(100)]
     np.testing.assert_allclose([p.read().points[0, 1] for p in recording.profiles],
                                0.2 + 1e-5 * np.arange(100), rtol=1e-6)
-    assert [p.stamp for p in recording.returns()] == [p.stamp for p in recording.profiles]
+    assert [p.stamp for p in recording.profiles_of_returns()] == [
+        p.stamp for p in recording.profiles]
     with pytest.raises(InputError, match='several profiles, .*: set profile.period'):
-        list(bag.read(file, Config()).returns())
+        list(bag.read(file, Config()).profiles_of_returns())
     one = rewrite(good_bag, tmp_path / 'one.mcap', [raws[0], *raws[20:]])
     with pytest.raises(InputError, match='several profiles, .*: set profile.period'):
         bag.read(one, Config())

@@ -12,7 +12,7 @@ from handeye_ros import config as configs
 from handeye_ros import pipeline
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.messages import field_view
-from handeye_ros.bags.reader import CLOUD_TYPE, Raw
+from handeye_ros.bags.reader import CLOUD_TYPE, RecordedMessage
 from handeye_ros.errors import HandeyeError
 from live_sessions import computed, fed, new
 import numpy as np
@@ -20,7 +20,8 @@ import pytest
 from recordings import scan, TYPES, with_messages
 
 
-def tilted(raw: Raw, types: dict[str, str], degrees: float, each: bool = True) -> Raw:
+def tilted(raw: RecordedMessage, types: dict[str, str], degrees: float, each: bool = True
+           ) -> RecordedMessage:
     """Return a message whose points (x, 0, z) are turned about x; each: or all by the same y."""
     if types[raw.topic] != CLOUD_TYPE:
         return raw

@@ -79,7 +79,7 @@ def test_to_compare_clocks_each_stored_stop_is_read_once() -> None:
         reads[stop.stamp] += 1
         return stop
     for stop in session.stops:
-        session.add_stop(replace(stop, poses=(), profiles=(), reader=partial(read, stop)))
+        session.add_stop(replace(stop, poses=(), profiles=(), load_messages=partial(read, stop)))
     require_same_clock(session, recording.config)
     assert reads == Counter(stop.stamp for stop in session.stops)
 

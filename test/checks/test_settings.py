@@ -27,7 +27,7 @@ def fault_recording(name: str) -> Recorded:
 def test_a_stored_stop_is_thinned_as_one_of_a_bag_is() -> None:
     recording = fault_recording('sphere')
     stop = pipeline.gather(recording.profiles, recording.poses, recording.config).stops[0]
-    stored_stop = replace(stop, poses=(), profiles=(), reader=lambda config: stop)
+    stored_stop = replace(stop, poses=(), profiles=(), load_messages=lambda config: stop)
     stored, read = (with_few_profiles(s, recording.config) for s in (stored_stop, stop))
     assert stored.profiles == read.profiles and len(stored.profiles) < len(stop.profiles)
 

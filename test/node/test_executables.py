@@ -19,7 +19,7 @@ from command import PATIENCE, PLATE, ROOT, run_python, running  # noqa: E402, I1
 from geometry_msgs.msg import PoseStamped  # noqa: E402
 from handeye_ros import se3  # noqa: E402
 from handeye_ros.arm import arm_of  # noqa: E402
-from handeye_ros.bags.reader import Raw  # noqa: E402
+from handeye_ros.bags.reader import RecordedMessage  # noqa: E402
 from handeye_ros.errors import InputError  # noqa: E402
 from handeye_ros.node.main import ros  # noqa: E402
 from handeye_ros.results.calibration_file import write_calibration  # noqa: E402
@@ -98,7 +98,8 @@ def test_the_demo_of_the_readme_ends_with_the_answer_and_its_report(tmp_path: Pa
 
 def test_every_message_of_a_bag_arrives_as_it_was_recorded(tmp_path, client: Client) -> None:
     _, recorded = scan(BAG)
-    old_clock = Raw('/clock', 'rosgraph_msgs/msg/Clock', recorded[9].log_time, bytes(12))
+    old_clock = RecordedMessage(
+        '/clock', 'rosgraph_msgs/msg/Clock', recorded[9].log_time, bytes(12))
     bag = rewrite(BAG, tmp_path / 'with_clock.mcap', [*recorded, old_clock],
                   {'/clock': old_clock.message_type})
     types = {'/profile': PointCloud2, '/flange_pose': PoseStamped}

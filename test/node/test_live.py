@@ -132,7 +132,7 @@ def test_the_review_follows_a_stop_that_goes_on() -> None:
             answer, last = live.solver.review.answer, live.session.stops[-1].sample
             if answer and last:
                 shared.append((last.stamp, last.profiles) in {
-                    (sample.stamp, sample.profiles) for sample in answer.samples})
+                    (sample.stamp, sample.profile_count) for sample in answer.samples})
     assert all(shared) and len(shared) > 10
 
 
@@ -149,8 +149,8 @@ def test_settings_that_change_as_a_stop_ends_lose_no_profiles() -> None:
     live.call_on_worker(live.evaluate_all)
     whole = fed(other)
     whole.call_on_worker(whole.evaluate_all)
-    assert waited and [sample.profiles for sample in live.session.samples] == [
-        sample.profiles for sample in whole.session.samples]
+    assert waited and [sample.profile_count for sample in live.session.samples] == [
+        sample.profile_count for sample in whole.session.samples]
 
 
 @pytest.mark.parametrize(('before', 'lost'), [(4.8, 4), (-4.8, 4), (0.02, 0), (-0.02, 0)])
@@ -369,5 +369,5 @@ def test_the_newest_stops_are_kept_and_others_counted(monkeypatch: pytest.Monkey
     assert any('stops, the oldest that waited for profiles' in note
                for note in state_of(live)['session']['warnings'])
     session = live.session_copy()
-    session.keep_waiting(0)
+    session.limit_waiting(0)
     assert len(session.take_remaining()) <= 1, 'the current one'

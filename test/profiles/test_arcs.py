@@ -10,7 +10,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Arc, Array
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.arcs import arc_features
-from handeye_ros.sampling.features import combine
+from handeye_ros.sampling.features import features_of_stop
 from hypothesis import given
 import numpy as np
 from profiles import any_points, drawn, face, NOISE
@@ -37,7 +37,7 @@ def wide(height: Callable[[Array], Array], seed: int = 0, noise: float = NOISE) 
 def test_an_exact_arc_is_recovered_exactly(config: Config, radius: float) -> None:
     arc, = arc_features(wide(lambda x: ball(x, radius), noise=0.0), config)
     assert np.allclose(arc.centre, CENTRE, atol=1e-9) and arc.radius == pytest.approx(radius)
-    assert np.allclose(np.linalg.norm(arc.raw - CENTRE, axis=1), radius)
+    assert np.allclose(np.linalg.norm(arc.measured - CENTRE, axis=1), radius)
     # a mean of angles and radii, so the normal points lie on the circle too
     assert np.allclose(np.linalg.norm(arc.points - CENTRE, axis=1), radius)
 
@@ -85,7 +85,7 @@ def test_a_ball_is_found_among_random_ranges(share: float, noise: float, alike: 
     for seed in range(10):
         arc, = arc_features(in_clutter(unbroken, share, noise, alike, seed), config)
         assert np.linalg.norm(arc.centre - CENTRE) < 5e-5 + noise
-        assert len(arc.raw) > 250  # of 317, but for the rims
+        assert len(arc.measured) > 250  # of 317, but for the rims
 
 
 @pytest.mark.parametrize('share', [0.3, 0.9])
@@ -119,10 +119,10 @@ def test_any_array_gives_a_finite_arc_or_a_reason(points: Array) -> None:
             except FeatureError as error:
                 assert str(error)
                 continue
-        for value in (arc.points, arc.std, arc.centre, arc.radius, arc.raw):
+        for value in (arc.points, arc.std, arc.centre, arc.radius, arc.measured):
             assert np.isfinite(value).all()
         assert (arc.std >= 0).all() and 0 < arc.radius < 0.6
-        assert len(arc.points) == len(arc.std) >= 3 and len(arc.raw) >= 20
+        assert len(arc.points) == len(arc.std) >= 3 and len(arc.measured) >= 20
     assert np.array_equal(points, before, equal_nan=True)
 
 
@@ -168,7 +168,7 @@ def test_what_repeats_is_not_averaged_away() -> None:
             points[:, 1] += frozen + rng.normal(0, 4e-6, len(points))
             features.append(arc_features(points, KNOWN))
         for count, misfit in misfits.items():
-            arc, = combine(features[:count], 1)
+            arc, = features_of_stop(features[:count], 1)
             assert isinstance(arc, Arc)
             misfit.append((np.linalg.norm(arc.points - CENTRE, axis=1) - 0.03) / arc.std)
     for misfit in misfits.values():
@@ -178,10 +178,10 @@ def test_what_repeats_is_not_averaged_away() -> None:
 def test_the_profiles_of_a_station_are_one_arc_without_a_stray() -> None:
     features = [arc_features(wide(ball, seed), KNOWN) for seed in range(8)]
     stray = arc_features(wide(lambda x: ball(x, 0.02)), KNOWN)
-    arc, = combine(features, 1)
-    with_stray, = combine([*features, stray], 1)
+    arc, = features_of_stop(features, 1)
+    with_stray, = features_of_stop([*features, stray], 1)
     assert isinstance(arc, Arc) and isinstance(with_stray, Arc)
-    assert np.array_equal(arc.raw, with_stray.raw)
+    assert np.array_equal(arc.measured, with_stray.measured)
     assert np.median(arc.std) == pytest.approx(np.median(features[0][0].std) / 8 ** 0.5, rel=0.2)
 
 

@@ -55,7 +55,7 @@ def test_repeated_messages_are_not_late_but_a_clock_that_stands_is_told() -> Non
     for item in in_order(stops((0, 1)), profiles(0, 1)):
         add(session, item)
         add(session, item)
-    assert session.late == () and taken(session, MANUAL).profiles > 5
+    assert session.late_streams == () and taken(session, MANUAL).profile_count > 5
     for _ in range(20):
         session.add_pose(pose(1.0))
     with pytest.raises(DataError, match='clock of their driver stands still'):
@@ -82,12 +82,12 @@ def test_a_tilted_light_plane_is_told_from_an_encoder(tilt: float, refused: bool
 def test_a_clock_that_is_set_back_goes_on_by_itself(config: Config) -> None:
     session = played(stops((100, 101), (102, 103)), profiles(100, 103), config, finish=False)
     add(session, pose(40.0, x=0.5))
-    assert session.late == ('poses',)
+    assert session.late_streams == ('poses',)
     with pytest.raises(DataError, match='older stamps'):
         taken(session)  # of where the robot stood before its clock was set
     elsewhere = [replace(p, translation=p.translation + [0.5, 0.0, 0.0]) for p in stops((40, 42))]
     go_on(session, in_order(elsewhere, profiles(40, 42)), config)
-    assert session.late == () and session.motion.still > 1.0
+    assert session.late_streams == () and session.motion.rest_time > 1.0
     if config is MANUAL:
         taken(session)
     else:
@@ -106,13 +106,13 @@ def test_a_stop_is_given_early_and_again_when_it_is_over() -> None:
         stop = session.early_stop()
         if stop:
             seconds.append((item.stamp - START) / NS)
-            session.add_stop(session.numbered(stop, result_of(stop, CONFIG)))
+            session.add_stop(session.with_result(stop, result_of(stop, CONFIG)))
         collect(session)
     session.evaluate_remaining()
     assert len(session.samples) == session.last_number == 2
     assert len(seconds) == 2 and 0.7 <= seconds[0] < 1.1 and 4.7 <= seconds[1] <= 5.0
     without_early = played(stops((0, 3), (4, 5)), profiles(0, 5, 40.0))
-    assert [s.profiles for s in session.samples] == [s.profiles for s in without_early.samples]
+    assert [s.profile_count for s in session.samples] == [s.profile_count for s in without_early.samples]
 
 
 def test_a_stop_without_profiles_is_reported_while_the_robot_stands() -> None:
@@ -256,7 +256,7 @@ def test_one_wild_stamp_changes_only_its_message(jump: float, kind: str, place: 
         go_on(session, [*items[:at], *changed, *items[at + 1:]])
         session.evaluate_remaining()
         outcomes.append(key(session))
-        assert not session.late
+        assert not session.late_streams
     assert outcomes[0] == outcomes[1]
     # the first of all may be early: nothing tells that it is
     assert len(session.warnings) == (0 if place == 0 and jump < 0 else 1)

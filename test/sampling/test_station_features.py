@@ -13,7 +13,7 @@ from handeye_ros.data import Array, EdgePoint
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.profiles.lines import bin_means
-from handeye_ros.sampling.features import combine
+from handeye_ros.sampling.features import features_of_stop
 import numpy as np
 from profiles import (
     COLUMNS,
@@ -33,8 +33,8 @@ import pytest
     lambda x: step_up_to(0.002, tilt=0.25)(x)])
 def test_a_profile_that_disagrees_is_outvoted(other_shape: Callable[[Array], Array]) -> None:
     agreeing = many(step_up_to(0.002), 11)
-    line, edge = combine(agreeing, 1)
-    line_w, edge_w = combine([*agreeing, *many(other_shape, 2, 7)], 1)
+    line, edge = features_of_stop(agreeing, 1)
+    line_w, edge_w = features_of_stop([*agreeing, *many(other_shape, 2, 7)], 1)
     assert np.linalg.norm(edge_w.point - edge.point) < edge.std
     for x in (0.005, 0.015):
         heights = [f.centre[1] + f.direction[1] / f.direction[0] * (x - f.centre[0])
@@ -45,9 +45,9 @@ def test_a_profile_that_disagrees_is_outvoted(other_shape: Callable[[Array], Arr
 def test_an_edge_that_few_profiles_show_is_left_out() -> None:
     def with_two_edges(x: Array) -> Array:
         return np.where(x > 0.012, np.nan, step_up_to(0.002)(x))
-    features = combine([*many(step_up_to(0.002), 8), *many(with_two_edges, 3, 1)], 1)
+    features = features_of_stop([*many(step_up_to(0.002), 8), *many(with_two_edges, 3, 1)], 1)
     assert [f.direction[0] < 0 for f in features if isinstance(f, EdgePoint)] == [True]
-    features = combine([*many(step_up_to(0.002), 3), *many(with_two_edges, 8, 1)], 1)
+    features = features_of_stop([*many(step_up_to(0.002), 3), *many(with_two_edges, 8, 1)], 1)
     assert len([f for f in features if isinstance(f, EdgePoint)]) == 2
 
 
@@ -57,10 +57,10 @@ def test_a_station_that_was_bumped_is_refused_with_a_reason(apart: float) -> Non
         halves = [*many(step_up_to(0.002), 7),
                   *many(lambda x: step_up_to(0.002)(x) + apart, count, 1)]
         with pytest.raises(FeatureError, match=f'how high the face is: .* {apart * 1e3:.1f}'):
-            combine(halves, 1)
+            features_of_stop(halves, 1)
         halves = [*many(step_up_to(0.002), 7), *many(step_up_to(0.002 + apart), count, 1)]
         with pytest.raises(FeatureError, match='where the edge is'):
-            combine(halves, 1)
+            features_of_stop(halves, 1)
 
 
 @pytest.mark.parametrize(('coarse_count', 'shake'), [(1, 0.0), (4, 5e-5)])
@@ -70,8 +70,8 @@ def test_the_finer_lines_are_combined_though_some_profiles_show_fewer_points(
               for seed, by in enumerate(np.random.default_rng(0).normal(size=9) * shake)]
     coarse = [(replace(line, bins=bin_means(line.bins, 6)[0]), *edges)
               for line, *edges in shaken[:coarse_count]]
-    fine_line = combine(shaken, 1)[0]
-    line = combine([*coarse, *shaken[coarse_count:]], 1)[0]
+    fine_line = features_of_stop(shaken, 1)[0]
+    line = features_of_stop([*coarse, *shaken[coarse_count:]], 1)[0]
     assert len(line.bins) == len(fine_line.bins)
     # those of each profile tell how much a robot shakes
     assert line.std == pytest.approx(fine_line.std, rel=0.1)
@@ -89,7 +89,7 @@ def test_frozen_speckle_of_a_face_does_not_average_out(
         points = [drawn(gap_up_to(-0.005), 100 * seed + k, white) + np.column_stack(
             [np.zeros(COLUMNS), speckle * frozen]) for k in range(count)]
         features = [face_features(with_lost(p), Config()) for p in points]
-        line = combine(features, 1)[0]
+        line = features_of_stop(features, 1)[0]
         normal = np.array([-np.sin(0.1), np.cos(0.1)])
         offsets.append((line.centre - [0, face(0.0)]) @ normal / line.std)
         shares.append((line.points - [0, face(0.0)]) @ normal / line.points_std)

@@ -77,7 +77,7 @@ def test_profiles_near_the_ends_of_a_stop_are_left_out() -> None:
         config = with_values(CONFIG, {'sampling.settle_time': settle}, 'test')
         sample, = played(stops((0, 1)), profiles(0, 1), config).samples
         times = np.arange(0, 1, 0.05) + 0.003
-        assert sample.profiles == ((times >= settle) & (times <= 1 - settle)).sum()
+        assert sample.profile_count == ((times >= settle) & (times <= 1 - settle)).sum()
     config = with_values(CONFIG, {'sampling.settle_time': 0.6}, 'test')
     reject, = played(stops((0, 1)), profiles(0, 1), config).rejects
     assert reject.reason.startswith('sampling.settle_time leaves out 0.6 s at either end of')
@@ -101,7 +101,7 @@ def test_a_fast_sensor_is_thinned_out_evenly() -> None:
     settle = round(CONFIG.sampling.settle_time * NS)
     session = played(stops((0, 2)), profiles(0, 2, rate=500.0), finish=True)
     sample, = session.samples
-    assert sample.profiles == PROFILES_OF_SAMPLE < 900
+    assert sample.profile_count == PROFILES_OF_SAMPLE < 900
     stop, = session.stops
     stamps = np.array([p.stamp for p in stop.load(CONFIG).profiles]) - START
     inside = (stamps >= settle) & (stamps <= 2 * NS - settle)
@@ -128,7 +128,7 @@ def test_most_profiles_of_a_stop_must_show_the_target() -> None:
         session = played(stops((0, 1)), mixed)
         assert len(session.samples) == count and len(session.rejects) == 1 - count
         if count:
-            assert session.samples[0].profiles == with_target
+            assert session.samples[0].profile_count == with_target
 
 
 def test_a_stop_near_an_earlier_one_brings_nothing_new() -> None:
@@ -165,10 +165,10 @@ def raw(stamp: int, size: int) -> RawProfile:
 def test_no_more_is_kept_than_fits(steps: list[tuple[int, int, int]]) -> None:
     buffer = ProfileBuffer(1000)
     for stamp, (size, behind, ahead) in enumerate(steps):
-        items, dropped = [*buffer.items, raw(stamp, size)], buffer.dropped
+        items, dropped = [*buffer.items, raw(stamp, size)], buffer.dropped_count
         buffer.add(items[-1:])
         assert sum(p.held_bytes for p in buffer.items) <= 1000
-        assert buffer.items == items[buffer.dropped - dropped:], 'the oldest go first'
+        assert buffer.items == items[buffer.dropped_count - dropped:], 'the oldest go first'
         first, last = stamp - behind, stamp - behind + ahead
         buffer.keep(first, last, stamp)
         assert all(first <= p.stamp <= last or p.stamp > stamp for p in buffer.items)

@@ -114,6 +114,6 @@ def test_arcs_have_the_noise_that_they_state() -> None:
             points = se3.apply(T_target_sensor(station, truth), lift(arc.points))
             radial = np.linalg.norm(points, axis=1) - 0.04
             pulls.append(radial / (arc.radius / 0.04) / arc.std)
-            raw.append(np.linalg.norm(arc.raw - arc.centre, axis=1) - arc.radius)
+            raw.append(np.linalg.norm(arc.measured - arc.centre, axis=1) - arc.radius)
     assert np.std(np.concatenate(pulls)) == pytest.approx(1, abs=0.05)
     assert 1.5e-5 < np.std(np.concatenate(raw)) < 3e-5

@@ -11,7 +11,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import FaceLine, Sample
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.faces import corner_features
+from handeye_ros.profiles.faces import face_pair_features
 from handeye_ros.simulate import Scenario, SCENARIOS, scenes
 from handeye_ros.simulate.solids import box, Solid
 from handeye_ros.targets import problem_of_known_poses
@@ -50,7 +50,7 @@ def roof(bevel: float = 0.0, noise: float = 1e-5) -> np.ndarray:
 
 @pytest.mark.parametrize('bevel', [0.0, 1e-3, 3e-3])
 def test_what_lies_between_the_faces_belongs_to_neither(bevel: float) -> None:
-    left, right = corner_features(roof(bevel), Config())
+    left, right = face_pair_features(roof(bevel), Config())
     for line, slope in ((left, -1.0), (right, 1.0)):
         assert line.direction[1] / line.direction[0] == pytest.approx(slope, abs=1e-3)
         at_edge = line.centre[1] - line.centre[0] * slope
@@ -59,11 +59,11 @@ def test_what_lies_between_the_faces_belongs_to_neither(bevel: float) -> None:
 
 def test_profiles_without_two_faces_say_so() -> None:
     with pytest.raises(FeatureError, match='both faces of the edge must be in view'):
-        corner_features(roof()[:300], Config())
+        face_pair_features(roof()[:300], Config())
     x = np.linspace(-0.02, 0.02, 600)
     step = np.column_stack([x, np.where(x < 0, 0.17, 0.18)])
     with pytest.raises(FeatureError, match='no two of the 2 straight pieces'):
-        corner_features(step, Config())
+        face_pair_features(step, Config())
 
 
 def test_a_groove_beside_the_edge_is_another_corner() -> None:
@@ -71,7 +71,7 @@ def test_a_groove_beside_the_edge_is_another_corner() -> None:
     z = 0.17 + np.abs(x)  # a block, whose foot stands on a table at x = 0.008
     foot = x > 0.008
     z[foot] = 0.178 - (x[foot] - 0.008)
-    lines = corner_features(np.column_stack([x, z]), Config())
+    lines = face_pair_features(np.column_stack([x, z]), Config())
     slopes = [round(float(line.direction[1] / line.direction[0]), 3) for line in lines]
     assert sorted(zip(slopes[::2], slopes[1::2], strict=True)) == [(-1.0, 1.0), (1.0, -1.0)]
 
