@@ -25,7 +25,7 @@ import shutil
 from handeye_ros import se3
 from handeye_ros.config import SAVE_FORMATS
 from handeye_ros.data import Calibration
-from handeye_ros.errors import UnknownNameError
+from handeye_ros.errors import InputError, UnknownNameError
 from handeye_ros.output import rendered, write_atomically, write_errors_for, yaml_text
 from handeye_ros.results import calibration_file
 from handeye_ros.results.calibration_file import config_of, one_line, preamble
@@ -81,7 +81,9 @@ def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> s
 
 
 def by_template(calibration: Calibration, template: str) -> str:
-    """Return the text that a template in results/assets makes of a calibration."""
+    """Return the text that a template in results/assets makes of it; raises InputError."""
+    if not (calibration.parent_frame and calibration.child_frame):
+        raise InputError('parent_frame and child_frame of a calibration must be names, not empty')
     T = calibration.T_flange_sensor
     # ROS takes letters, digits and underscores in the name of a node
     node = 'publish_' + re.sub(r'\W', '_', calibration.child_frame, flags=re.ASCII)

@@ -18,7 +18,7 @@ from calibrations import CALIBRATION
 from command import handeye
 from handeye_ros import config, se3
 from handeye_ros.data import Array
-from handeye_ros.errors import UnknownNameError, UnwritableError
+from handeye_ros.errors import InputError, UnknownNameError, UnwritableError
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.tables import notation_of
 from hypothesis import example, given, settings
@@ -204,6 +204,11 @@ def test_an_unknown_format_and_an_unwritable_place_are_refused(tmp_path: Path) -
     (tmp_path / 'file').write_text('')
     with pytest.raises(UnwritableError, match='choose another place'):
         exports.save_all(CALIBRATION, tmp_path / 'file', ())
+
+
+def test_a_frame_without_a_name_is_not_exported() -> None:
+    with pytest.raises(InputError, match='parent_frame and child_frame .* must be names'):
+        exports.FORMATS['urdf'].text(replace(CALIBRATION, parent_frame=''))
 
 
 def test_the_verb_exports_beside_the_calibration(tmp_path: Path) -> None:
