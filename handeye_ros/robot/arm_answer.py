@@ -52,7 +52,7 @@ class ArmAnswer:
 
     @property
     def joints(self) -> list[dict[str, Any]]:
-        """Return of each joint what the URDF states, and value, std, undetermined by kind of error."""
+        """Return of each joint what the URDF states, and the columns by kind of error."""
         arm, entries = self.outcome.arm, []
         columns = {'value': arm.values, 'std': np.sqrt(np.diag(arm.covariance)),
                    'undetermined': self.outcome.undetermined}

@@ -100,9 +100,14 @@ class ArmPoints:
     points: Array
     in_hand: bool
 
+    def mount_poses(self, arm: Arm) -> Array:
+        """Return the poses (n, 4, 4) of the mount of the sensor where the target is fixed."""
+        T_base_flange = arm.forward(self.q)
+        return T_base_flange if self.in_hand else se3.inverse(T_base_flange)
+
     def residuals(self, arm: Arm, X: Array, target: Array) -> Residuals:
         """Return the residuals with the sensor in its mount X (4, 4) and the target (3,)."""
-        T = arm.forward(self.q) if self.in_hand else se3.inverse(arm.forward(self.q))
+        T = self.mount_poses(arm)
         lever, n = self.points @ X[:3, :3].T, len(self.q)
         in_fixed = se3.apply(T, (lever + X[:3, 3])[:, None])[:, 0]  # where the target is fixed
         to_mount = np.broadcast_to(X[:3, :3].T, (n, 3, 3))
