@@ -173,6 +173,13 @@ def nearest_rotation(M: Array) -> Array:
     return cast(Array, (U * flip) @ V_transposed)
 
 
+def best_fit(points: Array, reference: Array) -> Array:
+    """Return the transform (4, 4) of points (n, 3) that brings them nearest to others (n, 3)."""
+    mean, reference_mean = points.mean(axis=0), reference.mean(axis=0)
+    R = Rotation.align_vectors(reference - reference_mean, points - mean)[0].as_matrix()
+    return transform(R, reference_mean - R @ mean)
+
+
 def mean_pose(T: Array) -> Array:
     """Return the mean (4, 4) of close (n, 4, 4) transforms."""
     R = _rotations(T[:, :3, :3]).mean().as_matrix()

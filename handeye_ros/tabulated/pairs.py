@@ -23,7 +23,7 @@ from typing import Any, ClassVar, Self
 from handeye_ros import se3
 from handeye_ros.checks.refusals import require_rotations
 from handeye_ros.config import Config, with_values
-from handeye_ros.data import Array, Indices
+from handeye_ros.data import Array, Indices, SEED
 from handeye_ros.errors import DataError, require_count
 from handeye_ros.estimation.least_squares import (
     adjust,
@@ -39,7 +39,6 @@ from handeye_ros.results.file_values import input_values
 from handeye_ros.tables import NOTATIONS, Table
 from handeye_ros.tabulated.values import Misreading, TableAnswer, TableProblem
 import numpy as np
-from scipy.spatial.transform import Rotation
 from scipy.special import fdtri
 
 SHORTEST_REACH, LONGEST_REACH = 0.02, 50.0  # m: what a sensor or a robot reaches lies between them
@@ -48,7 +47,7 @@ SMALLEST_VARIANCE = 1e-18  # m^2 or rad^2: a smaller scatter is rounding
 PRIOR_FREEDOM = 0.5  # degrees of freedom of the prior of each variance, about the typical one
 LIKELIHOOD_STEPS = 100
 SMALLEST_WIDTH = 0.05  # of points: smallest spread across their line over that along it
-PAIR_COUNT, SEED = 2000, 0  # of pairs of poses, drawn for the closed form
+PAIR_COUNT = 2000  # of pairs of poses, drawn for the closed form
 LARGEST_SURE_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
 
 
@@ -280,9 +279,7 @@ class PointPairs(PairedRows):
                             'them well outside it')
 
     def closed_form(self) -> Array:
-        seen_mean, robot_mean = self.seen.mean(axis=0), self.robot.mean(axis=0)
-        R = Rotation.align_vectors(self.robot - robot_mean, self.seen - seen_mean)[0].as_matrix()
-        return se3.transform(R, robot_mean - R @ seen_mean)
+        return se3.best_fit(self.seen, self.robot)
 
     def state_of(self, X: Array) -> Array:
         return X[None]

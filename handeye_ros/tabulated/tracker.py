@@ -20,7 +20,7 @@ from handeye_ros import se3
 from handeye_ros.bags.bag import read as read_bag
 from handeye_ros.calibration import rms_by
 from handeye_ros.config import Config
-from handeye_ros.data import AnyProfile, Array, rms, TimedPose
+from handeye_ros.data import AnyProfile, Array, rms, SEED, TimedPose
 from handeye_ros.errors import (
     BadValueError,
     count_of,
@@ -36,7 +36,6 @@ from handeye_ros.profiles.arcs import arc_features
 from handeye_ros.profiles.faces import corner_features
 from handeye_ros.published import jing2020
 from handeye_ros.results.file_values import input_values
-from handeye_ros.results.truth import field_points, FIELD_TEXT
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.tables import LENGTH, Table, TableError
 from handeye_ros.tabulated.values import TableAnswer, TableProblem
@@ -49,7 +48,7 @@ UNKNOWNS = 28  # number of unknowns in the fits to the points of these parts
 SMALLEST_FORWARD_SHARE = 0.9  # of the way along arc and line
 LARGEST_TURN = 0.35  # largest angle between the sweep (by the ball) and the line (rad)
 LARGEST_PART_RMS, LARGEST_ROW_RMS = 3.0, 10.0  # sigmas of the points of a part, of a row
-NOISE_DRAWS, SEED = 100, 0  # of the noise, for the covariance
+NOISE_DRAWS = 100  # for the covariance
 # of the sweep
 RIDGE_ANGLE = 0.35  # smallest angle between two faces that meet (rad)
 LARGEST_SWEEP_TURN = 2e-3  # largest rotation of the flange during a sweep (rad)
@@ -89,7 +88,6 @@ class TrackerProblem(TableProblem):
     calibration_types = ('eye_in_hand',)
     advice = 'measure a longer arc and line, sweep over more of ball and faces'
     to_check = 'which face is which, h0 and h1, and the readings of P3?'
-    field_text = FIELD_TEXT
 
     @classmethod
     def read(cls, path: Path, config: Config) -> Self:
@@ -121,9 +119,6 @@ class TrackerProblem(TableProblem):
     @property
     def T_sensor_plane(self) -> Array:
         return T_sensor_plane(self.config)
-
-    def field(self) -> Array:
-        return field_points()
 
     @cached_property
     def readings(self) -> jing2020.Readings:
