@@ -124,7 +124,7 @@ class PairedRows(TableProblem):
         return _positions(self.seen)
 
     @property
-    def distances(self) -> list[float]:
+    def reaches(self) -> list[float]:
         """Return the median distances (m) of both lists from the origins of their frames."""
         return [float(np.median(np.linalg.norm(_positions(values), axis=1)))
                 for values in (self.seen, self.robot)]
@@ -138,8 +138,8 @@ class PairedRows(TableProblem):
             raise DataError(f'{len(repeated)} rows repeat others to the last digit, first row '
                             f'{repeated[0]}: the answer would seem more certain than it is; keep '
                             'each row once')
-        if max(self.distances) < SHORTEST_REACH or min(self.distances) > LONGEST_REACH:
-            (seen, robot), (near, far) = self.prefixes, self.distances
+        if max(self.reaches) < SHORTEST_REACH or min(self.reaches) > LONGEST_REACH:
+            (seen, robot), (near, far) = self.prefixes, self.reaches
             raise DataError(
                 f'the positions of the {seen} are typically {near:.3g} m from the origin, those '
                 f'of the {robot} {far:.3g} m, as in no cell: correct the units in the header, of '
@@ -153,7 +153,7 @@ class PairedRows(TableProblem):
                 scaled = getattr(self, attribute).copy()
                 _positions(scaled)[:] *= factor
                 values = replace(self, **{attribute: scaled})
-                if SHORTEST_REACH < min(values.distances) <= max(values.distances) < LONGEST_REACH:
+                if SHORTEST_REACH < min(values.reaches) <= max(values.reaches) < LONGEST_REACH:
                     yield Misreading(
                         f'the positions of the {prefix} 1000 times {words}', 'correct the unit in '
                         f'the header of {prefix}_x, {prefix}_y, {prefix}_z', values)
