@@ -162,7 +162,7 @@ def skew(v: Array) -> Array:
 
 
 def unit(vectors: Array) -> Array:
-    """Return vectors (..., 3) at length 1."""
+    """Return vectors (..., k) at length 1."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
