@@ -130,14 +130,11 @@ def by_tracker(seed: int) -> dict[str, np.ndarray]:
     cell = laser_tracker(np.random.default_rng(1000 + seed))
     config = with_values(Config(), cell.settings, 'cell')
     swept, q30 = sweep_from(cell.profiles, cell.poses, config)
-    reflector: dict[str, list[list[float]]] = {}
-    for kind, *point in csv.reader(cell.tables['tracker.csv'].splitlines()[1:]):
-        reflector.setdefault(kind, []).append([1e-3 * float(v) for v in point])
-    ball = np.mean(reflector.pop('ball'), axis=0)
-    pieces = [Piece(0, kind, np.array(points))
-              for kind, points in reflector.items()]
-    session = TrackerProblem(config, [*pieces, *swept], ball, q30)
-    found = session.answer.T_flange_sensor
+    pieces: dict[str, list[Piece]] = {}
+    for row, (kind, *point) in enumerate(csv.reader(cell.tables['tracker.csv'].splitlines()[1:])):
+        pieces.setdefault(kind, []).append(Piece(row, 1e-3 * np.array([point], dtype=float)))
+    session = TrackerProblem(config, {**pieces, **swept}, q30)
+    found = session.published_answer(session.readings).T_flange_sensor
     x, z = np.meshgrid((-0.02, 0.0, 0.02), (0.16, 0.175, 0.19))
     field = np.column_stack([x.ravel(), np.zeros(x.size), z.ravel()])
     return {'Jing 2020': trials.errors(found, cell.T_flange_sensor, field)}

@@ -27,7 +27,7 @@ from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mount_poses
 from handeye_ros.robot.estimate import ArmFit, ArmPoints, with_estimated_weights
 from handeye_ros.robot.selection import ArmOutcome, corrected_arm
-from handeye_ros.robot.sources import fit_of_sources, PointRows, solve_rows, Source
+from handeye_ros.robot.sources import fit_of_sources, solve_points, Source
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import recording as cells
 from handeye_ros.simulate import robot, SCENARIOS, settings
@@ -90,8 +90,8 @@ class Cell:
     arm: Arm
     X: Array
     ball: Array
-    data: PointRows
-    exact: PointRows
+    data: ArmPoints
+    exact: ArmPoints
 
 
 def draw(case: Case, stops: int, seed: int) -> Cell:
@@ -115,8 +115,7 @@ def draw(case: Case, stops: int, seed: int) -> Cell:
         if found is not None:
             q.append(found[0])
             points.append(found[1])
-    target, number = np.zeros(stops, dtype=int), np.arange(1, stops + 1)
-    exact = PointRows(np.array(q), np.array(points), target, ('ball',), number, case.on_flange)
+    exact = ArmPoints(np.array(q), np.array(points), case.on_flange)
     noise = rng.normal(size=(stops, 3)) * NOISE
     return Cell(arm, X, ball, replace(exact, points=exact.points + noise), exact)
 
@@ -151,19 +150,15 @@ def _off(arm: Arm, q: Array, X: Array, ball: Array, wanted: Array, on_flange: bo
     return there - fixed[:3], J
 
 
-def selected(rows: PointRows, keep: Array) -> PointRows:
-    """Return some rows, by a mask."""
-    return replace(rows, **{name: getattr(rows, name)[keep]
-                            for name in ('q', 'points', 'target', 'number')})
+def selected(data: ArmPoints, keep: Array) -> ArmPoints:
+    """Return some points, by a mask."""
+    return replace(data, q=data.q[keep], points=data.points[keep])
 
 
-def predicted(fit: ArmFit, data: PointRows) -> Array:
+def predicted(fit: ArmFit, data: ArmPoints) -> Array:
     """Return where the points (n, 3) are in the sensor, by an estimate."""
-    T, X = fit.arm.forward(data.q), fit.X
-    targets = np.hstack([np.array(fit.targets)[data.target], np.ones((len(T), 1))])[:, :, None]
-    sensor = T @ X if data.in_hand else np.broadcast_to(X, T.shape)
-    there = targets if data.in_hand else T @ targets
-    return (np.linalg.inv(sensor) @ there)[:, :3, 0]
+    ball, = fit.targets
+    return se3.apply(se3.inverse(data.mount_poses(fit.arm) @ fit.X), ball[None])[:, 0]
 
 
 def rms(off: Array) -> float:
@@ -171,12 +166,11 @@ def rms(off: Array) -> float:
     return float(np.sqrt((off ** 2).sum(axis=1).mean())) * 1e3
 
 
-def bound(cell: Cell, rows: PointRows, held: PointRows) -> float:
+def bound(cell: Cell, rows: ArmPoints, held: ArmPoints) -> float:
     """Return the RMS error (mm) of the best prediction that knows the sizes of all errors."""
     scale = max(float(np.sqrt(((cell.arm.errors / cell.arm.priors) ** 2).mean())), 1e-6)
     seen, others = (replace(ArmFit.of_arm(
-        cell.arm, [ArmPoints(each.q, each.points, each.in_hand)], cell.X, [cell.ball],
-        np.full(3, NOISE)),
+        cell.arm, [each], cell.X, [cell.ball], np.full(3, NOISE)),
         variances=np.full(3, scale ** 2)) for each in (rows, held))
     best = seen.solved()
     J = replace(others, X=best.X, arm=best.arm, targets=best.targets).linear[1]
@@ -184,7 +178,7 @@ def bound(cell: Cell, rows: PointRows, held: PointRows) -> float:
     return float(np.sqrt(variances.sum(axis=1).mean())) * 1e3 * NOISE
 
 
-def judged(cell: Cell, case: Case, outcome: ArmOutcome, held: PointRows) -> tuple[float, ...]:
+def judged(cell: Cell, case: Case, outcome: ArmOutcome, held: ArmPoints) -> tuple[float, ...]:
     """Return before and after (mm), NEES over 6, and the share of parameters within 2 sigma."""
     before, after = (rms(predicted(m.fit, held) - held.points)
                      for m in (outcome.models[0], outcome.chosen))
@@ -267,7 +261,7 @@ def main() -> None:
             first = np.arange(len(cell.data.q)) < given.stops
             began = time.perf_counter()
             seen, held = selected(cell.data, first), selected(cell.exact, ~first)
-            outcome = solve_rows(seen, cell.arm.freed(()), LIMIT)
+            outcome = solve_points([seen], cell.arm.freed(()), LIMIT)
             times.append(time.perf_counter() - began)
             rows.append((*judged(cell, case, outcome, held),
                          bound(cell, seen, held)))

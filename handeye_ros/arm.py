@@ -63,8 +63,7 @@ class Joint:
     def across(self) -> Array:
         """Return two unit vectors (3, 2) orthogonal to the axis: for z, x and y."""
         helper = np.eye(3)[0 if abs(self.axis[0]) < 0.9 else 1]
-        first = helper - self.axis * (self.axis @ helper)
-        first /= np.linalg.norm(first)
+        first = se3.unit(helper - self.axis * (self.axis @ helper))
         return np.column_stack([first, np.cross(self.axis, first)])
 
     @property

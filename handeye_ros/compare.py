@@ -62,7 +62,6 @@ class ComparedStations:
     """
 
     samples: tuple[Sample, ...]
-    config: Config
     problem: Problem
     estimate: Estimate
     noise: NoiseScales
@@ -76,7 +75,7 @@ class ComparedStations:
     @property
     def T_sensor_plane(self) -> Array:
         """Return the sensor plane (4, 4), in which X and field are, in the sensor."""
-        return T_sensor_plane(self.config)
+        return T_sensor_plane(self.problem.config)
 
     def field(self) -> Array:
         """Return points (k, 3) in the sensor plane over which errors are reported."""
@@ -132,7 +131,7 @@ class Estimator:
 def _by_method(name: str) -> Callable[[ComparedStations], Array]:
     """Return the fit by one of the own methods."""
     def fit(stations: ComparedStations) -> Array:
-        config = replace(stations.config, method=name)
+        config = replace(stations.problem.config, method=name)
         solution = pipeline.answer_samples(stations.samples, (), config).require_solution()
         require_certain(solution.transform_covariance, config, missing_motion(solution, config))
         return solution.estimate.X
@@ -150,7 +149,7 @@ def _edges(stations: ComparedStations) -> tuple[Array, Array, Array]:
 
 def _ball(stations: ComparedStations) -> tuple[Array, Array]:
     """Return poses (n, 4, 4), and the centres (n, 3) of the ball as the sensor sees it."""
-    radius = stations.config.target.radius
+    radius = stations.problem.config.target.radius
     if radius <= 0:
         raise SingularError('the fixed point', 'it needs the radius of the sphere; set '
                             'target.radius')
@@ -267,7 +266,7 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
         solution = answer.require_solution()
         # the others know no motion
         used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used_stations)
-        stations = ComparedStations(used, config, solution.problem, solution.estimate,
+        stations = ComparedStations(used, solution.problem, solution.estimate,
                                     solution.posterior.noise)
         return stations, solution.estimate.X, answer.refusal
     return _comparison(config.target.type, solve_own, len(samples) + len(rejects), T_true, folds,

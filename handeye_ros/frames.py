@@ -55,12 +55,12 @@ def unit_vectors(names: Sequence[str]) -> Array:
 
 def direction_in_words(direction: Array, frame: str) -> str:
     """Return a direction (3,) in words: the nearest axis if within 15 degrees, else numbers."""
+    direction = se3.unit(direction)
     axis = int(np.argmax(np.abs(direction)))
-    away = np.degrees(np.arccos(min(1.0, abs(direction[axis]) / np.linalg.norm(direction))))
+    away = np.degrees(np.arccos(min(1.0, abs(direction[axis]))))
     if away < 15:
         return f'{frame} {"xyz"[axis]} within {max(1, round(away + 0.5))} degrees'
-    text = ', '.join(f'{c:.2f}' for c in direction / np.linalg.norm(direction))
-    return f'the direction ({text}) of {frame}'
+    return f'the direction ({", ".join(f"{c:.2f}" for c in direction)}) of {frame}'
 
 
 def weakest_position(covariance: Array, frame: str) -> tuple[str, float]:

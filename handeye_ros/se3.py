@@ -162,7 +162,7 @@ def skew(v: Array) -> Array:
 
 
 def unit(vectors: Array) -> Array:
-    """Return vectors (..., 3) at length 1."""
+    """Return vectors (..., k) at length 1."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
@@ -171,6 +171,13 @@ def nearest_rotation(M: Array) -> Array:
     U, _, V_transposed = np.linalg.svd(M)
     flip = np.array([1.0, 1.0, np.linalg.det(U @ V_transposed)])
     return cast(Array, (U * flip) @ V_transposed)
+
+
+def best_fit(points: Array, reference: Array) -> Array:
+    """Return the transform (4, 4) of points (n, 3) that brings them nearest to others (n, 3)."""
+    mean, reference_mean = points.mean(axis=0), reference.mean(axis=0)
+    R = Rotation.align_vectors(reference - reference_mean, points - mean)[0].as_matrix()
+    return transform(R, reference_mean - R @ mean)
 
 
 def mean_pose(T: Array) -> Array:

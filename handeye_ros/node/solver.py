@@ -22,8 +22,7 @@ from handeye_ros.errors import count_of, DataError, HandeyeError
 from handeye_ros.guidance.advice import Advice, advise
 from handeye_ros.guidance.view import extremes
 from handeye_ros.output import folder_name
-from handeye_ros.results import exports
-from handeye_ros.results.calibration_file import dated
+from handeye_ros.results import calibration_file, exports
 from handeye_ros.results.scene import Agreement
 from handeye_ros.results.table import transform_rows
 from handeye_ros.review import agreements
@@ -210,7 +209,7 @@ class LiveSolver:
         if is_newest:  # else the answer is the one that was requested later
             sources = [{'topic': live.config.profile_topic},
                        {'topic': live.config.pose_origin[0]}, {'session': live.path}]
-            self.calibration = dated(replace(
+            self.calibration = calibration_file.dated(replace(
                 calibration, provenance={**calibration.provenance, 'inputs': sources}))
             self.solved_session, self.why_missing, self.saved = session, '', ''
         return summary(calibration)
@@ -226,9 +225,9 @@ class LiveSolver:
         """Write the answer; return the message. Raises DataError without one, InputError."""
         live, calibration = self._live, self.require_calibration()
         live.retry_storing()
-        written = exports.save_all(calibration, live.folders.locked_folder(live.config),
-                                   live.config.save.formats)
-        self.saved = str(written.files[0])
+        folder = live.folders.locked_folder(live.config)
+        written = exports.save_all(calibration, folder, live.config.save.formats)
+        self.saved = str(folder / calibration_file.NAME)
         note = (f'; {COMPUTING} again: save it again after that'
                 if COMPUTING in live.running_jobs else '')
         return f'{written}{self.changes_since(live.session_copy())}{note}'

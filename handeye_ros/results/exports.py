@@ -25,7 +25,7 @@ import shutil
 from handeye_ros import se3
 from handeye_ros.config import SAVE_FORMATS
 from handeye_ros.data import Calibration
-from handeye_ros.errors import UnknownNameError
+from handeye_ros.errors import InputError, UnknownNameError
 from handeye_ros.output import rendered, write_atomically, write_errors_for, yaml_text
 from handeye_ros.results import calibration_file
 from handeye_ros.results.calibration_file import config_of, one_line, preamble
@@ -81,7 +81,9 @@ def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> s
 
 
 def by_template(calibration: Calibration, template: str) -> str:
-    """Return the text that a template in results/assets makes of a calibration."""
+    """Return the text that a template in results/assets makes of it; raises InputError."""
+    if not (calibration.parent_frame and calibration.child_frame):
+        raise InputError('parent_frame and child_frame of a calibration must be names, not empty')
     T = calibration.T_flange_sensor
     # ROS takes letters, digits and underscores in the name of a node
     node = 'publish_' + re.sub(r'\W', '_', calibration.child_frame, flags=re.ASCII)
@@ -141,25 +143,6 @@ FORMATS = {
 }
 
 
-@dataclass(frozen=True)
-class Saved:
-    """
-    The files of a saved answer, and the folder with those of the previous one; absolute paths.
-
-    unchanged: whether the files were there already, with this content.
-    """
-
-    files: tuple[Path, ...]
-    previous: Path | None = None
-    unchanged: bool = False
-
-    def __str__(self) -> str:
-        """Return in words where the files are."""
-        history = f'; the previous result is kept in {self.previous}' if self.previous else ''
-        done = 'saved already:' if self.unchanged else 'wrote'
-        return f'{done} {", ".join(map(str, self.files))}{history}'
-
-
 def format_of(name: str) -> Format:
     """Return the format of a name; raises UnknownNameError."""
     if name not in FORMATS:
@@ -167,9 +150,9 @@ def format_of(name: str) -> Format:
     return FORMATS[name]
 
 
-def save_all(calibration: Calibration, folder: Path, formats: Sequence[str]) -> Saved:
+def save_all(calibration: Calibration, folder: Path, formats: Sequence[str]) -> str:
     """
-    Write a calibration into a folder in all given formats, always also calibration.yaml.
+    Write a calibration in all given formats, always also calibration.yaml; say where, as `write`.
 
     The files of a previous result are kept in its history: nothing is lost, and all files of these
     names are of one answer. Raises UnknownNameError and UnwritableError.
@@ -181,32 +164,34 @@ def save_all(calibration: Calibration, folder: Path, formats: Sequence[str]) -> 
                  folder.expanduser().absolute(), names_of_result)
 
 
-def export(calibration: Calibration, name: str, file: Path) -> Saved:
+def export(calibration: Calibration, name: str, file: Path) -> str:
     """
-    Write a calibration in one format; an existing file with other content is kept in the history.
+    Write a calibration in one format; say where, as `write`.
 
-    Raises UnknownNameError and UnwritableError.
+    An existing file with other content is kept in the history. Raises UnknownNameError and
+    UnwritableError.
     """
     file, text = file.expanduser().absolute(), format_of(name).text(calibration)
     return write({file.name: text}, file.parent, {file.name})
 
 
-def write(texts: Mapping[str, str], folder: Path, names_of_result: set[str]) -> Saved:
+def write(texts: Mapping[str, str], folder: Path, names_of_result: set[str]) -> str:
     """
-    Write files by name into a folder, unless it has just these already.
+    Write files by name into a folder, unless it has just these already; say where they are.
 
     names_of_result: of all files that belong to a result; those of the previous one, also its
     report, are kept in the history of the folder, named after the time when they were replaced. A
     reader finds at each moment a whole file of each name. Raises UnwritableError.
     """
-    files = tuple(folder / name for name in texts)
+    files = [folder / name for name in texts]
+    listed = ', '.join(map(str, files))
     history = folder / HISTORY_FOLDER / datetime.now(UTC).strftime('%Y-%m-%dT%H%M%S.%fZ')
     with write_errors_for(folder):
         existing = {name: (folder / name).read_bytes() for name in names_of_result
                     if (folder / name).is_file()}
         if {name: content for name, content in existing.items() if name != REPORT_FILE} == {
                 name: text.encode() for name, text in texts.items()}:
-            return Saved(files, unchanged=True)
+            return f'saved already: {listed}'
         if existing:
             history.mkdir(parents=True)
         for name in existing:
@@ -215,4 +200,5 @@ def write(texts: Mapping[str, str], folder: Path, names_of_result: set[str]) -> 
                 (folder / name).unlink()
     for file, text in zip(files, texts.values(), strict=True):
         write_atomically(file, text)
-    return Saved(files, history if existing else None)
+    kept = f'; the previous result is kept in {history}' if existing else ''
+    return f'wrote {listed}{kept}'

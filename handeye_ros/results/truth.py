@@ -14,7 +14,9 @@ import numpy as np
 
 TRUTH_NAME = 'truth.yaml'
 SIDE_POINTS = 13  # points along each side of the field of view: fewer would be mostly its corners
-FIELD_TEXT = 'x within +-20 mm, range 160-190 mm'
+FIELD_X, FIELD_RANGE = (-0.02, 0.02), (0.16, 0.19)  # of a typical field of view (m)
+FIELD_TEXT = (f'x within +-{FIELD_X[1] * 1e3:.0f} mm, '
+              f'range {FIELD_RANGE[0] * 1e3:.0f}-{FIELD_RANGE[1] * 1e3:.0f} mm')
 
 
 def true_transform(bag: Path, corrected: bool = False) -> Array | None:
@@ -63,8 +65,7 @@ def errors_against(T_est: Array, T_true: Array, field: Array | None = None) -> E
                   rms(distances))
 
 
-def field_points(x: tuple[float, float] = (-0.02, 0.02), z: tuple[float, float] = (0.16, 0.19)
-                 ) -> Array:
+def field_points(x: tuple[float, float] = FIELD_X, z: tuple[float, float] = FIELD_RANGE) -> Array:
     """Return a grid of points (k, 3) in the sensor plane (m): x along the line, z the range."""
     on_line, ranges = np.meshgrid(np.linspace(*x, SIDE_POINTS), np.linspace(*z, SIDE_POINTS))
     return np.column_stack([on_line.ravel(), np.zeros(on_line.size), ranges.ravel()])

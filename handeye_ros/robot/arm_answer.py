@@ -38,7 +38,7 @@ FILE_HEADER = """\
 # Errors of the joints and axes of an arm, found with the hand-eye transform in calibration.yaml.
 # offset is added to the joint's reading; direction (rad) and position (m) turn and shift its axis
 # across itself. covariance: of all these values, in their order; configurations: joint values of
-# which they were found. known: sigma after over sigma before; {limit} or more: not determined.
+# which they were found. undetermined: sigma after over sigma before; {limit} or more: not known.
 """
 
 
@@ -52,10 +52,10 @@ class ArmAnswer:
 
     @property
     def joints(self) -> list[dict[str, Any]]:
-        """Return of each joint what the URDF states, and value, std and known by kind of error."""
+        """Return of each joint what the URDF states, and the columns by kind of error."""
         arm, entries = self.outcome.arm, []
         columns = {'value': arm.values, 'std': np.sqrt(np.diag(arm.covariance)),
-                   'known': self.outcome.posterior_share}
+                   'undetermined': self.outcome.undetermined}
         joint_of, column_of = np.nonzero(arm.free)
         for j, joint in enumerate(arm.joints):
             rows_of = {kind: (joint_of == j) & (ERROR_KINDS[column_of] == kind)
@@ -112,13 +112,13 @@ def table(answer: ArmAnswer) -> RenderableType:
     for joint in answer.joints:
         cells, unknown = [], []
         for kind in GEOMETRY:
-            entry = joint.get(kind, {'value': [], 'std': [], 'known': [0.0]})
+            entry = joint.get(kind, {'value': [], 'std': [], 'undetermined': [0.0]})
             lengths = kind == POSITION or (kind == OFFSET and joint['type'] != REVOLUTE)
             factor, digits, unit = (1e3, 3, 'mm') if lengths else (math.degrees(1), 4, 'deg')
             values = [f'{value * factor:+.{digits}f} ± {std * factor:.{digits}f}'
                       for value, std in zip(entry['value'], entry['std'], strict=True)]
             cells.append(f'{", ".join(values)} {unit}' if values else '-')
-            unknown += [kind] * (min(entry['known']) > UNDETERMINED_SHARE)
+            unknown += [kind] * (min(entry['undetermined']) > UNDETERMINED_SHARE)
         joints.add_row(joint['name'], *cells, ', '.join(unknown))
     stated, chosen = answer.outcome.models[0], answer.outcome.chosen
     return Group(

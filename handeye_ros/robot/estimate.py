@@ -14,19 +14,19 @@ kind of error, its most likely value for the estimate and a conservative one for
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.arm import Arm, ERROR_KINDS
+from handeye_ros.calibration import rms_by
 from handeye_ros.data import Array, Indices, rms
 from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.least_squares import (
     covariance_of,
     drop_outliers,
-    identity,
     LeastSquares,
     leave_one_out,
     Rows,
@@ -50,20 +50,20 @@ LARGEST_VARIANCE = 1e3  # of a kind of error, relative to its prior
 @dataclass(frozen=True, eq=False)
 class Residuals:
     """
-    The residuals of one target, and their derivatives.
+    The residuals of one target, independent and of one variance, and their derivatives.
 
-    values: (m,) in metres
+    values: (m,) of profiles in sigmas, of points in metres
     station: (m,) the stop of each
     wrt_X_and_target: (m, 6 + k) by X and the k parameters of the target
     wrt_pose: (m, 6) by a shift of the flange and a turn about it, in the base
-    whiten: what whitens values (m, ...)
+    distances: (n,) of the points of each stop from the target, RMS (m)
     """
 
     values: Array
     station: Indices
     wrt_X_and_target: Array
     wrt_pose: Array
-    whiten: Callable[[Array], Array] = identity
+    distances: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +77,11 @@ class ArmProfiles:
         """Return the residuals with the sensor in its mount X (4, 4) and a state of the target."""
         poses = mount_poses(arm.forward(self.q), self.problem.config)
         problem = replace(self.problem, poses=poses)
-        linear = linearise(problem, Estimate(X, target))
-        return Residuals(linear.residuals, problem.observations.station,
-                         linear.jacobian[:, problem.free_columns], linear.wrt_pose,
-                         whitening(linear, BLOCKS_AS_NOISE))
+        linear, station = linearise(problem, Estimate(X, target)), problem.observations.station
+        whiten = whitening(linear, BLOCKS_AS_NOISE)
+        return Residuals(whiten(linear.residuals), station,
+                         whiten(linear.jacobian[:, problem.free_columns]), whiten(linear.wrt_pose),
+                         rms_by(station, linear.residuals, len(poses)))
 
     def stepped(self, target: Array, step: Array) -> Array:
         """Return the state of the target after a step (k,)."""
@@ -100,9 +101,14 @@ class ArmPoints:
     points: Array
     in_hand: bool
 
+    def mount_poses(self, arm: Arm) -> Array:
+        """Return the poses (n, 4, 4) of the mount of the sensor where the target is fixed."""
+        T_base_flange = arm.forward(self.q)
+        return T_base_flange if self.in_hand else se3.inverse(T_base_flange)
+
     def residuals(self, arm: Arm, X: Array, target: Array) -> Residuals:
         """Return the residuals with the sensor in its mount X (4, 4) and the target (3,)."""
-        T = arm.forward(self.q) if self.in_hand else se3.inverse(arm.forward(self.q))
+        T = self.mount_poses(arm)
         lever, n = self.points @ X[:3, :3].T, len(self.q)
         in_fixed = se3.apply(T, (lever + X[:3, 3])[:, None])[:, 0]  # where the target is fixed
         to_mount = np.broadcast_to(X[:3, :3].T, (n, 3, 3))
@@ -114,7 +120,8 @@ class ArmPoints:
             -to_mount, target @ T[:, :3, :3])
         wrt_pose = wrt_shift @ se3.perturbation_jacobian(from_flange)
         return Residuals(values.ravel(), np.repeat(np.arange(n), 3),
-                         wrt_X_and_target.reshape(3 * n, -1), wrt_pose.reshape(3 * n, 6))
+                         wrt_X_and_target.reshape(3 * n, -1), wrt_pose.reshape(3 * n, 6),
+                         np.linalg.norm(values[:, :, 0], axis=1))
 
     def stepped(self, target: Array, step: Array) -> Array:
         """Return the position of the target after a step (3,)."""
@@ -198,12 +205,10 @@ class ArmFit:
         return [data.residuals(self.arm, self.X, target)
                 for data, target in zip(self.measured, self.targets, strict=True)]
 
-    @cached_property
+    @property
     def distances(self) -> Array:
-        """Return the length (n,) of the residual of each stop, RMS of several (m)."""
-        values = np.concatenate([residual.values for residual in self.residuals])
-        vectors = np.bincount(self.station) / len(self.noise)
-        return np.asarray(np.sqrt(np.bincount(self.station, values ** 2) / vectors))
+        """Return the distances (n,) of the points of each stop from the target, RMS (m)."""
+        return np.concatenate([residual.distances for residual in self.residuals])
 
     @property
     def residual_rms(self) -> float:
@@ -222,13 +227,9 @@ class ArmFit:
         values = values + wrt_errors[:, len(self.arm.values):] @ self.smooth
         wrt_targets = block_diag(*(residual.wrt_X_and_target[:, 6:]
                                    for residual in self.residuals))
-        rows = np.column_stack([values, wrt_X, wrt_errors, wrt_targets])
-        counts = [len(residual.values) for residual in self.residuals]
-        rows_of_targets = np.split(rows, np.cumsum(counts)[:-1])
-        whitened = np.concatenate([residual.whiten(part) for residual, part in zip(
-            self.residuals, rows_of_targets, strict=True)])[self.rows]
-        whitened /= self.noise[self.rows % len(self.noise), None]
-        return whitened[:, 0], whitened[:, 1:]
+        rows = np.column_stack([values, wrt_X, wrt_errors, wrt_targets])[self.rows]
+        rows /= self.noise[self.rows % len(self.noise), None]
+        return rows[:, 0], rows[:, 1:]
 
     @cached_property
     def with_priors(self) -> tuple[Array, Array]:

@@ -78,7 +78,7 @@ class ArmOutcome:
 
     arm: with its k errors, their covariance, and where they were found
     covariance: (6, 6) of X
-    posterior_share: (k,) posterior over prior sigma of each error
+    undetermined: (k,) posterior over prior sigma of each error, 1 where the data say nothing
     smooth: RMS of the smooth remaining error of the robot, per axis (m)
     notes: sentences
     """
@@ -87,7 +87,7 @@ class ArmOutcome:
     chosen: Model
     arm: Arm
     covariance: Array
-    posterior_share: Array
+    undetermined: Array
     smooth: float
     notes: tuple[str, ...]
 
@@ -128,7 +128,7 @@ def corrected_arm(fit: ArmFit, q: Array, limit: float, residual_with: Callable[[
     covariance *= models[-1].variance_ratio
     arm = replace(chosen.fit.arm, covariance=covariance[6:, 6:], configurations=fit.q)
     return ArmOutcome(tuple(models), chosen, arm, covariance[:6, :6],
-                      _posterior_share(chosen.fit), smooth, tuple(_notes(models, chosen)))
+                      _undetermined(chosen.fit), smooth, tuple(_notes(models, chosen)))
 
 
 def _regions(q: Array, most: int = REGION_COUNT) -> Indices:
@@ -164,7 +164,7 @@ def _predicts_better(richer: Model, simpler: Model) -> bool:
     return bool(gain.mean() > gain.std() / len(gain) ** 0.5)
 
 
-def _posterior_share(fit: ArmFit) -> Array:
+def _undetermined(fit: ArmFit) -> Array:
     """Return the posterior over the prior sigma (k,) of the errors, with the priors as stated."""
     stated = replace(fit, variances=np.ones_like(fit.variances))
     return np.sqrt(np.diag(stated.covariance)[6:6 + len(stated.stds)]) / stated.stds

@@ -5,13 +5,14 @@ The corrected arm from its data: recordings and sessions, or a table.
 
 They give samples with the joint values of their time; a table has a row for each configuration,
 with the point that the sensor measured there. Both are read (source_of, read_table), give the
-hand-eye transform alone (fit_of_sources, fit_of_rows), then the best model of the arm
+hand-eye transform alone (fit_of_sources, fit_of_points), then the best model of the arm
 (corrected_arm), and the answer with its calibration (solve_sources, solve_table).
 """
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 
 from handeye_ros import pipeline, se3
@@ -202,33 +203,15 @@ def _combined(calibrations: Sequence[Calibration], X: Array, covariance: Array) 
 # -- a table
 
 
-@dataclass(frozen=True, eq=False)
-class PointRows:
+def read_table(path: Path, arm: Arm, in_hand: bool
+               ) -> tuple[list[ArmPoints], dict[str, Indices], list[str]]:
     """
-    The rows of a table, target by target.
-
-    q: (n, joints) reported values of all joints
-    points: (n, 3) in the sensor frame
-    target: (n,) index of each in names, ascending
-    number: (n,) of the row
-    in_hand: whether the sensor is on the flange
-    """
-
-    q: Array
-    points: Array
-    target: Indices
-    names: tuple[str, ...]
-    number: Indices
-    in_hand: bool = True
-
-
-def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, list[str]]:
-    """
-    Return the contents of a table, and a sentence for each peculiarity.
+    Return the points of a table, target by target, its rows by target, and peculiarities.
 
     A row for each configuration. Columns: the joints of the URDF with their unit
     (`joint_1 [degrees]`), `x [mm]`, `y [mm]`, `z [mm]` in the sensor frame; optional: `target`
-    names the point where there are several. Raises InputError and DataError.
+    names the point where there are several. in_hand: as in ArmPoints. Rows count from 0, a
+    peculiarity is a sentence. Raises InputError and DataError.
     """
     table = Table(path)
     kinds = {j.name: LENGTH if j.kind == PRISMATIC else ANGLE for j in arm.joints}
@@ -236,35 +219,32 @@ def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, list[str
                 if name in table.columns}
     q, points = arm.positions(readings, path), table.values(['x', 'y', 'z'], LENGTH)
     labels = table.text('target') if 'target' in table.columns else ['target'] * len(points)
-    names = tuple(dict.fromkeys(labels))
-    target = np.array([names.index(label) for label in labels], dtype=np.intp)
-    order = np.argsort(target, kind='stable')
+    rows = {name: np.flatnonzero(np.array(labels) == name) for name in dict.fromkeys(labels)}
     unused = [f'the column {name} is no joint between {arm.base} and {arm.flange}: it is not used'
               for name, (unit, _) in table.columns.items()
               if unit in UNITS[ANGLE] and name not in kinds]
-    return (PointRows(q[order], points[order], target[order], names, order + 1, in_hand),
+    return ([ArmPoints(q[part], points[part], in_hand) for part in rows.values()], rows,
             [*unused, *joint_notes(arm, q)])
 
 
-def solve_rows(rows: PointRows, arm: Arm, limit: float) -> ArmOutcome:
+def solve_points(measured: Sequence[ArmPoints], arm: Arm, limit: float) -> ArmOutcome:
     """Return the corrected arm; limit: the largest valid residual (m); raises DataError."""
-    require_enough(len(rows.q))
-    return corrected_arm(fit_of_rows(rows, arm), rows.q, limit, lambda joints: fit_of_rows(
-        replace(rows, q=rows.q @ joints.T), arm).residual_rms)
+    q = np.concatenate([points.q for points in measured])
+    require_enough(len(q))
+    return corrected_arm(fit_of_points(measured, arm), q, limit, lambda joints: fit_of_points(
+        [replace(points, q=points.q @ joints.T) for points in measured], arm).residual_rms)
 
 
-def fit_of_rows(rows: PointRows, arm: Arm) -> ArmFit:
+def fit_of_points(measured: Sequence[ArmPoints], arm: Arm) -> ArmFit:
     """Return the hand-eye transform alone, with the arm as stated, whatever its residuals."""
-    parts = [rows.target == k for k in range(len(rows.names))]
-    T = arm.forward(rows.q) if rows.in_hand else se3.inverse(arm.forward(rows.q))
-    largest = max(parts, key=np.count_nonzero)
-    X, _ = jing2020.fixed_point_linear(T[largest], rows.points[largest])
-    places = se3.apply(T @ X, rows.points[:, None])[:, 0]
-    start = ArmFit.of_arm(
-        arm, [ArmPoints(rows.q[part], rows.points[part], rows.in_hand) for part in parts], X,
-        [np.median(places[part], axis=0) for part in parts], np.full(3, INACCURATE_RMS))
+    poses = [points.mount_poses(arm) for points in measured]
+    largest = max(range(len(measured)), key=lambda k: len(measured[k].q))
+    X, _ = jing2020.fixed_point_linear(poses[largest], measured[largest].points)
+    places = [np.median(se3.apply(T @ X, points.points[:, None])[:, 0], axis=0)
+              for T, points in zip(poses, measured, strict=True)]
+    start = ArmFit.of_arm(arm, measured, X, places, np.full(3, INACCURATE_RMS))
     adjusted = robust_least_squares(start.system, start, FEWEST_STOPS)
-    used = np.isin(np.arange(len(rows.q)), adjusted.used)
+    used = np.isin(np.arange(len(start.q)), adjusted.used)
     return with_estimated_weights(replace(adjusted.state, used=used).solved())
 
 
@@ -275,19 +255,21 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
 
     inputs: path and sha256 of the files. Raises HandeyeError.
     """
-    rows, notes = read_table(path, arm, config.in_hand)
-    outcome = solve_rows(rows, arm, config.limits.residual)
+    measured, rows, notes = read_table(path, arm, config.in_hand)
+    outcome = solve_points(measured, arm, config.limits.residual)
     fit, covariance = outcome.chosen.fit, outcome.covariance
     config = replace(config, robot_base_frame=arm.base, robot_effector_frame=arm.flange)
     require_certain(covariance, config, 'move all joints, and bring the target to different '
                     'points of the field of view')
     target = {f'point_{name}': xyz(place)
-              for name, place in zip(rows.names, fit.targets, strict=True)}
+              for name, place in zip(rows, fit.targets, strict=True)}
+    numbered = [(row + 1, name) for name, part in rows.items() for row in part]
+    reports = [report_of_row(*of_row, used, distance) for of_row, used, distance in zip(
+        numbered, fit.used, fit.distances, strict=True)]
     calibration = assemble_calibration(
         config, 'kinematics', config.sensor_frame, fit.X, covariance,
         fit.residual_rms, outcome.chosen.left_out_rms,
         {**target, 'robot_position_error': outcome.smooth},
-        [report_of_row(rows.number[k], rows.names[rows.target[k]], fit.used[k], fit.distances[k])
-         for k in np.argsort(rows.number)], {'inputs': list(inputs)})
+        sorted(reports, key=attrgetter('stamp')), {'inputs': list(inputs)})
     return ArmAnswer(outcome, replace(calibration, name=config.name or calibration.method),
                      (*notes, *outcome.notes))

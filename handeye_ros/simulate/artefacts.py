@@ -198,7 +198,7 @@ class Preform:
         """Return the points (n, 3) of the sheet, and its normals (n, 3)."""
         points = np.stack([x, y, -x ** 2 / (2 * self.bend) - y ** 2 / (2 * self.arch)], axis=-1)
         normals = np.stack([x / self.bend, y / self.arch, np.ones_like(x)], axis=-1)
-        return points, normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+        return points, se3.unit(normals)
 
     def seam(self, x: Array) -> tuple[Array, Array]:
         """Return y (n,) of the middle seam in plan, and its slope (n,)."""

@@ -88,8 +88,7 @@ class Simulated:
         """Return stamps and joint values of the arm at the poses, empty without an arm."""
         if not self.scenario.robot.geometry:
             return []
-        T = se3.from_quaternion(np.array([pose.translation for pose in self.poses]),
-                                np.array([pose.quaternion for pose in self.poses]))
+        T = np.array([se3.of_pose(pose) for pose in self.poses])
         values = np.unwrap(robots.inverse(T), axis=0)
         return [(pose.stamp, row) for pose, row in zip(self.poses, values, strict=True)]
 

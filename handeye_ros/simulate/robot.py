@@ -125,8 +125,7 @@ def bumped(T: Array, count: int, rng: np.random.Generator) -> Array:
     """Return the poses (n, 4, 4), count of them with errors of 1-3 mm and 0.1-0.3 degrees."""
     error = np.zeros((len(T), 6))
     size = np.repeat(rng.uniform([1e-3, 2e-3], [3e-3, 5e-3], (count, 2)), 3, axis=1)
-    direction = rng.normal(size=(count, 2, 3))
-    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    direction = se3.unit(rng.normal(size=(count, 2, 3)))
     error[rng.permutation(len(T))[:count]] = size * direction.reshape(-1, 6)
     return se3.perturb(T, error)
 

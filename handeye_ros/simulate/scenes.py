@@ -143,8 +143,7 @@ def _along(T_target_sensor: Array, axis: int, into: Array) -> tuple[Array, Array
     axis: of the target, the normal of the face; into: (3,) or (n, 3) the side that they point to
     """
     normal = T_target_sensor[:, axis, [0, 2]]
-    along = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    along = se3.unit(np.stack([normal[:, 1], -normal[:, 0]], axis=1))
     in_target = (T_target_sensor[:, :3, :3] @ lift(along)[:, :, None])[:, :, 0]
     sense = np.sign((in_target * into).sum(axis=1))[:, None]
     return sense * along, sense * in_target
@@ -164,8 +163,7 @@ def _lines(scenario: Scenario, start: Array, along: Array, length: Array, noise:
     shift, turn = noise * std
     normals = along[:, ::-1] * [-1, 1]
     centre = start + (length / 2)[:, None] * along + shift[:, None] * normals
-    direction = along * np.reshape(sense, (-1, 1)) + (turn / spread)[:, None] * normals
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction = se3.unit(along * np.reshape(sense, (-1, 1)) + (turn / spread)[:, None] * normals)
     return [FaceLine(centre[k], direction[k], float(spread[k]), float(std[k]))
             for k in range(len(length))], columns
 

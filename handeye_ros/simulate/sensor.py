@@ -14,7 +14,6 @@ import numpy as np
 from numpy.polynomial.legendre import legval2d
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d, gaussian_filter1d
-from scipy.spatial.transform import Rotation
 
 CHUNK_PROFILES = 32  # profiles cast at once, so that the arrays stay in the cache
 EDGE_COLUMNS = 3
@@ -225,9 +224,7 @@ class Distortion:
         x = across * (distorted if self.sensor.sampling == 'fan' else z)
         true = lift(np.stack([across * z, z], axis=-1)).reshape(-1, 3)
         reported = lift(self.points(np.stack([x, distorted], axis=-1))).reshape(-1, 3)
-        R = Rotation.align_vectors(true - true.mean(axis=0), reported - reported.mean(axis=0)
-                                   )[0].as_matrix()
-        return se3.transform(R, true.mean(axis=0) - R @ reported.mean(axis=0))
+        return se3.best_fit(reported, true)
 
 
 def draw_distortion(sensor: SensorModel, rng: np.random.Generator) -> Distortion | None:

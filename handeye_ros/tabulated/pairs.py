@@ -23,7 +23,7 @@ from typing import Any, ClassVar, Self
 from handeye_ros import se3
 from handeye_ros.checks.refusals import require_rotations
 from handeye_ros.config import Config, with_values
-from handeye_ros.data import Array, Indices
+from handeye_ros.data import Array, Indices, SEED
 from handeye_ros.errors import DataError, require_count
 from handeye_ros.estimation.least_squares import (
     chi2_isf,
@@ -39,7 +39,6 @@ from handeye_ros.results.file_values import input_values
 from handeye_ros.tables import NOTATIONS, Table
 from handeye_ros.tabulated.values import Misreading, TableAnswer, TableProblem
 import numpy as np
-from scipy.spatial.transform import Rotation
 from scipy.special import fdtri
 
 SHORTEST_REACH, LONGEST_REACH = 0.02, 50.0  # m: what a sensor or a robot reaches lies between them
@@ -48,7 +47,7 @@ SMALLEST_VARIANCE = 1e-18  # m^2 or rad^2: a smaller scatter is rounding
 PRIOR_FREEDOM = 0.5  # degrees of freedom of the prior of each variance, about the typical one
 LIKELIHOOD_STEPS = 100
 SMALLEST_WIDTH = 0.05  # of points: smallest spread across their line over that along it
-PAIR_COUNT, SEED = 2000, 0  # of pairs of poses, drawn for the closed form
+PAIR_COUNT = 2000  # of pairs of poses, drawn for the closed form
 LARGEST_SURE_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
 
 
@@ -125,7 +124,7 @@ class PairedRows(TableProblem):
         return _positions(self.seen)
 
     @property
-    def distances(self) -> list[float]:
+    def reaches(self) -> list[float]:
         """Return the median distances (m) of both lists from the origins of their frames."""
         return [float(np.median(np.linalg.norm(_positions(values), axis=1)))
                 for values in (self.seen, self.robot)]
@@ -139,8 +138,8 @@ class PairedRows(TableProblem):
             raise DataError(f'{len(repeated)} rows repeat others to the last digit, first row '
                             f'{repeated[0]}: the answer would seem more certain than it is; keep '
                             'each row once')
-        if max(self.distances) < SHORTEST_REACH or min(self.distances) > LONGEST_REACH:
-            (seen, robot), (near, far) = self.prefixes, self.distances
+        if max(self.reaches) < SHORTEST_REACH or min(self.reaches) > LONGEST_REACH:
+            (seen, robot), (near, far) = self.prefixes, self.reaches
             raise DataError(
                 f'the positions of the {seen} are typically {near:.3g} m from the origin, those '
                 f'of the {robot} {far:.3g} m, as in no cell: correct the units in the header, of '
@@ -154,7 +153,7 @@ class PairedRows(TableProblem):
                 scaled = getattr(self, attribute).copy()
                 _positions(scaled)[:] *= factor
                 values = replace(self, **{attribute: scaled})
-                if SHORTEST_REACH < min(values.distances) <= max(values.distances) < LONGEST_REACH:
+                if SHORTEST_REACH < min(values.reaches) <= max(values.reaches) < LONGEST_REACH:
                     yield Misreading(
                         f'the positions of the {prefix} 1000 times {words}', 'correct the unit in '
                         f'the header of {prefix}_x, {prefix}_y, {prefix}_z', values)
@@ -280,9 +279,7 @@ class PointPairs(PairedRows):
                             'them well outside it')
 
     def closed_form(self) -> Array:
-        seen_mean, robot_mean = self.seen.mean(axis=0), self.robot.mean(axis=0)
-        R = Rotation.align_vectors(self.robot - robot_mean, self.seen - seen_mean)[0].as_matrix()
-        return se3.transform(R, robot_mean - R @ seen_mean)
+        return se3.best_fit(self.seen, self.robot)
 
     def state_of(self, X: Array) -> Array:
         return X[None]

@@ -18,8 +18,9 @@ from typing import NamedTuple, Self
 
 from handeye_ros import se3
 from handeye_ros.bags.bag import read as read_bag
+from handeye_ros.calibration import rms_by
 from handeye_ros.config import Config
-from handeye_ros.data import AnyProfile, Array, rms, TimedPose
+from handeye_ros.data import AnyProfile, Array, rms, SEED, TimedPose
 from handeye_ros.errors import (
     BadValueError,
     count_of,
@@ -35,7 +36,6 @@ from handeye_ros.profiles.arcs import arc_features
 from handeye_ros.profiles.faces import face_pair_features
 from handeye_ros.published import jing2020
 from handeye_ros.results.file_values import input_values
-from handeye_ros.results.truth import field_points, FIELD_TEXT
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.tables import LENGTH, Table, TableError
 from handeye_ros.tabulated.values import TableAnswer, TableProblem
@@ -48,7 +48,7 @@ UNKNOWNS = 28  # number of unknowns in the fits to the points of these parts
 SMALLEST_FORWARD_SHARE = 0.9  # of the way along arc and line
 LARGEST_TURN = 0.35  # largest angle between the sweep (by the ball) and the line (rad)
 LARGEST_PART_RMS, LARGEST_ROW_RMS = 3.0, 10.0  # sigmas of the points of a part, of a row
-NOISE_DRAWS, SEED = 100, 0  # of the noise, for the covariance
+NOISE_DRAWS = 100  # for the covariance
 # of the sweep
 RIDGE_ANGLE = 0.35  # smallest angle between two faces that meet (rad)
 LARGEST_SWEEP_TURN = 2e-3  # largest rotation of the flange during a sweep (rad)
@@ -61,16 +61,14 @@ MOST_MISSED_PROFILES = 3
 
 class Piece(NamedTuple):
     """
-    Points of one part of ball, block or arm: a row of the file, or what one profile shows of it.
+    Points of a part of ball, block or arm: of a row of the file, or what one profile shows of it.
 
     sample: the number of the row, or the stamp of the profile (ns)
-    part: one of PARTS; face_c is the face at smaller x
     points: (k, 3) in the tracker's frame; of swept parts x and z in the sensor plane and the
         reading of P3 (m)
     """
 
     sample: int
-    part: str
     points: Array
 
 
@@ -79,20 +77,17 @@ class TrackerProblem(TableProblem):
     """
     The points that tracker and profiler measured.
 
-    pieces: of all PARTS
-    ball: (3,) its centre by the tracker (m)
+    pieces: of each of PARTS, and of the ball by the tracker; face_c is the face at smaller x
     q30: the reading of P3 at which the flange frame is taken (m)
     """
 
-    pieces: Sequence[Piece]
-    ball: Array
+    pieces: Mapping[str, Sequence[Piece]]
     q30: float
 
     name = 'tracker'
     calibration_types = ('eye_in_hand',)
     advice = 'measure a longer arc and line, sweep over more of ball and faces'
     to_check = 'which face is which, h0 and h1, and the readings of P3?'
-    field_text = FIELD_TEXT
 
     @classmethod
     def read(cls, path: Path, config: Config) -> Self:
@@ -111,36 +106,27 @@ class TrackerProblem(TableProblem):
         if missing:
             raise InputError(f'{" and ".join(missing)} must be set: the answer changes by their '
                              'full size, so they have no default; see config/tracker.yaml')
-        pieces, ball = read_table(file)
+        by_reflector = read_table(file)
         swept, q30 = sweep_from(recording.profiles, recording.poses, config)
-        return cls(config, [*pieces, *swept], ball, q30,
+        return cls(config, {**by_reflector, **swept}, q30,
                    frame=recording.profiles[0].frame_id or 'laser',
                    inputs=[*recording.inputs, input_values(file)], warnings=recording.warnings)
 
     @property
     def samples(self) -> list[tuple[int, str]]:
-        return [(piece.sample, part) for part in PARTS for piece in self.pieces
-                if piece.part == part]
+        return [(piece.sample, part) for part in PARTS for piece in self.pieces[part]]
 
     @property
     def T_sensor_plane(self) -> Array:
         return T_sensor_plane(self.config)
 
-    def field(self) -> Array:
-        return field_points()
-
     @cached_property
     def readings(self) -> jing2020.Readings:
         """Return the points of both instruments by part."""
-        parts = {part: np.concatenate([p.points for p in self.pieces if p.part == part])
-                 for part in PARTS}
-        return jing2020.Readings(parts | {'ball': self.ball[None]},
-                                 self.config.tracker.h0 + self.config.tracker.h1, self.q30)
-
-    @cached_property
-    def answer(self) -> jing2020.Result:
-        """Return the answer from the points as measured; raises DataError."""
-        return self.published_answer(self.readings)
+        parts = {part: np.concatenate([piece.points for piece in self.pieces[part]])
+                 for part in (*PARTS, 'ball')}
+        parts['ball'] = parts['ball'].mean(axis=0, keepdims=True)
+        return jing2020.Readings(parts, self.config.tracker.h0 + self.config.tracker.h1, self.q30)
 
     def published_answer(self, readings: jing2020.Readings) -> jing2020.Result:
         """Return the answer of Jing 2020, of the sensor plane; raises DataError."""
@@ -157,7 +143,7 @@ class TrackerProblem(TableProblem):
             if steps.sum() < SMALLEST_FORWARD_SHARE * np.abs(steps).sum():
                 raise DataError(f'the points of the {part} go back and forth; list them in the '
                                 'order measured')
-        answer = self.answer
+        answer = self.published_answer(self.readings)
         turn = math.acos(min(1.0, float(answer.direction @ answer.T_flange_sensor[2, :3])))
         if turn > LARGEST_TURN:
             raise DataError(
@@ -167,12 +153,11 @@ class TrackerProblem(TableProblem):
 
     def estimate(self) -> TableAnswer:
         """Return the published answer, its covariance by draws of noise; raises DataError."""
-        answer = self.answer
+        answer = self.published_answer(self.readings)
         distances = self.distances(answer)
-        residuals = np.array([
-            rms(distances_of_piece) for part in PARTS for distances_of_piece in np.split(
-                distances[part], np.cumsum([len(piece.points) for piece in self.pieces
-                                            if piece.part == part])[:-1])])
+        counts = [len(piece.points) for part in PARTS for piece in self.pieces[part]]
+        residuals = rms_by(np.repeat(np.arange(len(counts)), counts),
+                           np.concatenate([distances[part] for part in PARTS]), len(counts))
         self.require_agreement(distances, residuals)
         residual_rms, point_count = rms(residuals), sum(map(len, self.readings.parts.values()))
         return TableAnswer(
@@ -243,9 +228,9 @@ class TrackerProblem(TableProblem):
         return distances
 
 
-def read_table(path: Path) -> tuple[list[Piece], Array]:
+def read_table(path: Path) -> dict[str, list[Piece]]:
     """
-    Return the positions of the reflector, row by row, and the centre (3,) of the ball (m).
+    Return the positions of the reflector, row by row, by kind (m).
 
     Columns kind (arc, line, ball, face_c or face_d) and x, y, z with their unit, as in `x [mm]`,
     in the order measured. Raises TableError.
@@ -260,15 +245,14 @@ def read_table(path: Path) -> tuple[list[Piece], Array]:
         if kinds.count(kind) < fewest:
             raise TableError(path, f'holds {count_of(kinds.count(kind), "point")} of the kind '
                              f'{kind}; at least {fewest} are needed')
-    of_ball = np.array(kinds) == 'ball'
-    return [Piece(row + 1, kinds[row], points[row:row + 1])
-            for row in np.flatnonzero(~of_ball).tolist()], points[of_ball].mean(axis=0)
+    return {kind: [Piece(row + 1, points[row:row + 1]) for row in range(len(kinds))
+                   if kinds[row] == kind] for kind in FEWEST_POINTS}
 
 
 def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], config: Config
-               ) -> tuple[list[Piece], float]:
+               ) -> tuple[dict[str, list[Piece]], float]:
     """
-    Return what a sweep shows of ball and block, and the reading of P3 in its middle (m).
+    Return what a sweep shows of each of SWEPT_PARTS, and the reading of P3 in its middle (m).
 
     profiles, poses: in the order of their stamps; config: tracker.first_reading of P3 at the
     first pose, noise.sensor, target.radius of the ball (0: unknown), sampling.min_points. Raises
@@ -280,22 +264,23 @@ def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], confi
         raise DataError('no profile lies within the time of the poses; record both together')
     q3 = config.tracker.first_reading + _travel(interpolate(poses, [
         first, *(profile.stamp for profile in profiles)]))
-    pieces = dict[int, list[Piece]]()  # by the index of the profile
+    seen = dict[int, dict[str, Piece]]()  # by the index of the profile, and the part
     for index, (profile, reading) in enumerate(zip(profiles, q3.tolist(), strict=True)):
         with suppress(UnusableMessageError, FeatureError):
-            pieces[index] = [Piece(profile.stamp, part, np.insert(points, 2, reading, axis=1))
-                             for part, points in _parts_in(profile.read().points, config)]
+            seen[index] = {part: Piece(profile.stamp, np.insert(points, 2, reading, axis=1))
+                           for part, points in _parts_in(profile.read().points, config).items()}
     # two lines may also fit the rim of the ball: the block is the longest run of two faces
-    corners = np.array([index for index in pieces if len(pieces[index]) == 2], dtype=int)
+    corners = np.array([index for index in seen if len(seen[index]) == 2], dtype=int)
     gaps = np.flatnonzero(np.diff(corners) > 1 + MOST_MISSED_PROFILES) + 1
     block = max(np.split(corners, gaps), key=len).tolist()
-    ball = [index for index in pieces if len(pieces[index]) == 1]
+    ball = [index for index in seen if len(seen[index]) == 1]
     for name, indices in (('ball', ball), ('block', block)):
         if len(indices) < FEWEST_PROFILES:
             raise DataError(f'the {name} is in {count_of(len(indices), "profile")} only; sweep '
                             f'over it slowly, at least {FEWEST_PROFILES} profiles')
-    return [piece for index in (*ball, *block) for piece in pieces[index]], (
-        q3.min() + q3.max()) / 2
+    pieces = {part: [seen[index][part] for index in (ball if part == 'swept_ball' else block)]
+              for part in SWEPT_PARTS}
+    return pieces, (q3.min() + q3.max()) / 2
 
 
 def _travel(T: Array) -> Array:
@@ -315,7 +300,7 @@ def _travel(T: Array) -> Array:
     return np.asarray(moved[1:, 2])
 
 
-def _parts_in(points: Array, config: Config) -> list[tuple[str, Array]]:
+def _parts_in(points: Array, config: Config) -> dict[str, Array]:
     """
     Return what a profile (n, 2) shows, with its points (k, 2): swept_ball, or both swept faces.
 
@@ -323,10 +308,10 @@ def _parts_in(points: Array, config: Config) -> list[tuple[str, Array]]:
     """
     with suppress(FeatureError):
         arc, = arc_features(points, config)
-        return [('swept_ball', arc.points)]
+        return {'swept_ball': arc.points}
     left, right = face_pair_features(points, config)[:2]
     # a ridge is nearer to the sensor in the middle: the range falls towards it from both sides
     bend = float(np.linalg.det([left.direction, right.direction])) * config.profile.range_sign
     if bend < math.sin(RIDGE_ANGLE):
         raise FeatureError('a groove, or an edge too blunt')
-    return [('swept_face_c', left.points), ('swept_face_d', right.points)]
+    return {'swept_face_c': left.points, 'swept_face_d': right.points}

@@ -26,6 +26,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.least_squares import single_threaded
+from handeye_ros.results.truth import field_points, FIELD_TEXT
 import numpy as np
 from numpy.typing import NDArray
 
@@ -63,7 +64,7 @@ class TableProblem(ABC):
     calibration_types: ClassVar[tuple[str, ...]]
     advice: ClassVar[str]
     to_check: ClassVar[str]
-    field_text: ClassVar[str]
+    field_text: ClassVar[str] = FIELD_TEXT
 
     @classmethod
     @abstractmethod
@@ -83,9 +84,9 @@ class TableProblem(ABC):
     def estimate(self) -> TableAnswer:
         """Return the answer, however uncertain; raises DataError."""
 
-    @abstractmethod
     def field(self) -> Array:
         """Return the points (k, 3) over which errors are reported, in the plane's frame (m)."""
+        return field_points()
 
     @property
     def T_sensor_plane(self) -> Array:

@@ -131,7 +131,7 @@ def test_the_review_follows_a_stop_that_goes_on() -> None:
             update(live)
             answer, last = live.solver.review.answer, live.session.stops[-1].sample
             if answer and last:
-                shared.append((last.stamp, last.profiles) in {
+                shared.append((last.stamp, last.profile_count) in {
                     (sample.stamp, sample.profile_count) for sample in answer.samples})
     assert all(shared) and len(shared) > 10
 

@@ -18,7 +18,7 @@ from calibrations import CALIBRATION
 from command import handeye
 from handeye_ros import config, se3
 from handeye_ros.data import Array
-from handeye_ros.errors import UnknownNameError, UnwritableError
+from handeye_ros.errors import InputError, UnknownNameError, UnwritableError
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.tables import notation_of
 from hypothesis import example, given, settings
@@ -149,29 +149,34 @@ def test_no_name_of_a_frame_breaks_a_file(tmp_path: Path) -> None:
 
 def test_all_is_saved_and_said_with_its_place(tmp_path: Path) -> None:
     assert {*config.SAVE_FORMATS} == {*exports.FORMATS}
-    saved = exports.save_all(CALIBRATION, tmp_path / 'a' / 'b', config.SAVE_FORMATS)
-    assert sorted(saved.files) == sorted((tmp_path / 'a' / 'b').iterdir())
-    assert len(saved.files) == len(config.SAVE_FORMATS) and saved.previous is None
-    assert str(saved) == f'wrote {", ".join(map(str, saved.files))}'
-    assert all(path.is_absolute() for path in saved.files)
-    assert calibration_file.read_calibration(saved.files[0]).provenance['created']
+    words = exports.save_all(CALIBRATION, tmp_path / 'a' / 'b', config.SAVE_FORMATS)
+    files = [*map(Path, words.removeprefix('wrote ').split(', '))]
+    assert sorted(files) == sorted((tmp_path / 'a' / 'b').iterdir())
+    assert len(files) == len(config.SAVE_FORMATS)
+    assert all(path.is_absolute() for path in files)
+    assert calibration_file.read_calibration(files[0]).provenance['created']
+
+
+def kept(folder: Path) -> list[Path]:
+    """Return the folders of previous results, oldest first."""
+    return sorted((folder / 'history').glob('*'))
 
 
 def test_a_former_result_is_kept_whole(tmp_path: Path) -> None:
-    first = exports.save_all(CALIBRATION, tmp_path, ['urdf', 'json'])
-    texts = {path.name: path.read_text() for path in first.files}
+    exports.save_all(CALIBRATION, tmp_path, ['urdf', 'json'])
+    texts = {path.name: path.read_text() for path in tmp_path.iterdir()}
     (tmp_path / 'notes.txt').write_text('mine')
     moved = replace(CALIBRATION, T_flange_sensor=se3.inverse(CALIBRATION.T_flange_sensor))
-    second = exports.save_all(moved, tmp_path, ['urdf'])
-    assert second.previous and second.previous.parent == tmp_path / 'history'
-    assert {path.name: path.read_text() for path in second.previous.iterdir()} == texts
+    words = exports.save_all(moved, tmp_path, ['urdf'])
+    previous, = kept(tmp_path)
+    assert {path.name: path.read_text() for path in previous.iterdir()} == texts
     # what would tell of the former answer beside the new one is gone
     assert {path.name for path in tmp_path.iterdir()} == {
         'calibration.yaml', 'sensor.urdf.xacro', 'notes.txt', 'history'}
-    assert str(second).endswith(f'; the previous result is kept in {second.previous}')
-    third = exports.save_all(moved, tmp_path, ())
-    assert third.previous and third.previous != second.previous
-    assert len(list((tmp_path / 'history').iterdir())) == 2
+    assert words.endswith(f'; the previous result is kept in {previous}')
+    words = exports.save_all(moved, tmp_path, ())
+    first, second = kept(tmp_path)
+    assert first == previous and words.endswith(str(second))
     (tmp_path / 'another.calib').write_text('of another sensor')
     exports.save_all(moved, tmp_path, ['easy_handeye2'])
     assert (tmp_path / 'another.calib').read_text() == 'of another sensor'
@@ -180,20 +185,22 @@ def test_a_former_result_is_kept_whole(tmp_path: Path) -> None:
 def test_a_former_result_that_is_brought_back_is_kept_once_more(tmp_path: Path) -> None:
     first, second = (replace(CALIBRATION, name=name) for name in ('first', 'second'))
     exports.save_all(first, tmp_path, ('yaml',))
-    former = exports.save_all(second, tmp_path, ('yaml',)).previous
-    assert former is not None
+    exports.save_all(second, tmp_path, ('yaml',))
+    former, = kept(tmp_path)
     shutil.copy2(former / 'calibration.yaml', tmp_path)  # with its time
     exports.save_all(second, tmp_path, ('yaml',))
-    assert len(list((tmp_path / 'history').iterdir())) == 2
+    assert len(kept(tmp_path)) == 2
 
 
 def test_an_export_keeps_what_was_there(tmp_path: Path) -> None:
     file = tmp_path / 'mine.xml'
-    assert exports.export(CALIBRATION, 'urdf', file).previous is None
+    assert exports.export(CALIBRATION, 'urdf', file) == f'wrote {file}'
     text = file.read_text()
-    assert exports.export(CALIBRATION, 'urdf', file).previous is None  # the same again
-    saved = exports.export(CALIBRATION, 'matrix', file)
-    assert saved.previous and (saved.previous / 'mine.xml').read_text() == text
+    assert exports.export(CALIBRATION, 'urdf', file) == f'saved already: {file}'
+    assert not kept(tmp_path)
+    exports.export(CALIBRATION, 'matrix', file)
+    previous, = kept(tmp_path)
+    assert (previous / 'mine.xml').read_text() == text
     assert file.read_text() == exports.FORMATS['matrix'].text(CALIBRATION)
 
 
@@ -204,6 +211,11 @@ def test_an_unknown_format_and_an_unwritable_place_are_refused(tmp_path: Path) -
     (tmp_path / 'file').write_text('')
     with pytest.raises(UnwritableError, match='choose another place'):
         exports.save_all(CALIBRATION, tmp_path / 'file', ())
+
+
+def test_a_frame_without_a_name_is_not_exported() -> None:
+    with pytest.raises(InputError, match='parent_frame and child_frame .* must be names'):
+        exports.FORMATS['urdf'].text(replace(CALIBRATION, parent_frame=''))
 
 
 def test_the_verb_exports_beside_the_calibration(tmp_path: Path) -> None:

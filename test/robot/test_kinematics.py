@@ -18,7 +18,7 @@ from handeye_ros.estimation.problem import Problem
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.robot import sources
 from handeye_ros.robot.selection import joint_notes
-from handeye_ros.robot.sources import solve_rows
+from handeye_ros.robot.sources import solve_points
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import robot as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples
@@ -134,8 +134,9 @@ def test_a_wrong_row_is_left_out_and_several_points_are_distinguished():
     T = cell.arm.forward(cell.data.q) @ cell.X
     second = cell.ball + [0.02, 0.01, 0.0]
     points[30:] = se3.apply(se3.inverse(T[30:]), second[None])[:, 0]
-    rows = replace(cell.data, points=points, names=('a', 'b'), target=np.repeat([0, 1], [30, 10]))
-    fit = solve_rows(rows, cell.arm.freed(()), 1e-3).chosen.fit
+    is_first, data = np.arange(40) < 30, replace(cell.data, points=points)
+    both = [bench.selected(data, is_first), bench.selected(data, ~is_first)]
+    fit = solve_points(both, cell.arm.freed(()), 1e-3).chosen.fit
     assert np.flatnonzero(~fit.used).tolist() == [7, 20]
     first, other = fit.targets
     np.testing.assert_allclose(other - first, [0.02, 0.01, 0.0], atol=2e-4)
@@ -163,7 +164,7 @@ def test_values_beyond_a_limit_are_called_degrees_only_if_they_may_be():
 
 def test_few_poses_do_not_make_an_error_less_certain_than_before():
     cell = bench.draw(bench.CASES['six'], 17, 2)
-    arm = solve_rows(cell.data, cell.arm.freed(()), 1e-3).arm
+    arm = solve_points([cell.data], cell.arm.freed(()), 1e-3).arm
     assert (np.sqrt(np.diag(arm.covariance)) < 1.2 * arm.priors[arm.free]).all()
 
 
@@ -178,9 +179,10 @@ COUPLED = np.eye(6) - np.outer(np.eye(6)[2], np.eye(6)[1])
         ('check that .* calibration_type', np.eye(6), False))),
 ])
 def test_joint_values_that_contradict_the_points_are_named(from_table, words, joints, in_hand):
-    cell, rows = from_table[0], from_table[0].data
+    cell, data = from_table[0], from_table[0].data
     with pytest.raises(HandeyeError, match=words):
-        solve_rows(replace(rows, q=rows.q @ joints.T, in_hand=in_hand), cell.arm.freed(()), 1e-3)
+        solve_points([replace(data, q=data.q @ joints.T, in_hand=in_hand)], cell.arm.freed(()),
+                     1e-3)
 
 
 @pytest.mark.parametrize(('urdf', 'flange', 'words'), [

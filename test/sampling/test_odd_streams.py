@@ -112,7 +112,8 @@ def test_a_stop_is_given_early_and_again_when_it_is_over() -> None:
     assert len(session.samples) == session.last_number == 2
     assert len(seconds) == 2 and 0.7 <= seconds[0] < 1.1 and 4.7 <= seconds[1] <= 5.0
     without_early = played(stops((0, 3), (4, 5)), profiles(0, 5, 40.0))
-    assert [s.profile_count for s in session.samples] == [s.profile_count for s in without_early.samples]
+    assert [s.profile_count for s in session.samples] == [
+        s.profile_count for s in without_early.samples]
 
 
 def test_a_stop_without_profiles_is_reported_while_the_robot_stands() -> None:

@@ -116,10 +116,9 @@ CELL = with_values(Config(), {'noise.sensor': SENSOR, 'target.radius': BALL_RADI
 
 def tracked(measured: jing2020.Readings) -> TableAnswer:
     config = with_values(CELL, {'tracker.h0': measured.height, 'tracker.h1': 0.0}, 'test')
-    pieces = [Piece(row, part, point[None])
-              for part, points in measured.parts.items() if part != 'ball'
-              for row, point in enumerate(points)]
-    return answer_table(TrackerProblem(config, pieces, measured.parts['ball'][0], measured.q30))
+    pieces = {part: [Piece(row, point[None]) for row, point in enumerate(points)]
+              for part, points in measured.parts.items()}
+    return answer_table(TrackerProblem(config, pieces, measured.q30))
 
 
 def test_the_tracker_without_noise_finds_the_truth() -> None:
@@ -143,7 +142,7 @@ def of_cell(cell: SimulatedFiles) -> Config:
 def test_the_rim_of_the_ball_is_no_block() -> None:
     cell = laser_tracker(np.random.default_rng(1003))
     pieces, q30 = sweep_from(cell.profiles, cell.poses, of_cell(cell))
-    ball, *faces = (np.concatenate([piece.points for piece in pieces if piece.part == part])
+    ball, *faces = (np.concatenate([piece.points for piece in pieces[part]])
                     for part in SWEPT_PARTS)
     assert faces[0][:, 2].min() > ball[:, 2].max()
     along = jing2020.fit_swept_ball(ball, q30, jing2020.SWEEP)[0]
