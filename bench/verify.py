@@ -61,7 +61,7 @@ from handeye_ros.verification.check import Check, check
 from handeye_ros.verification.fit import StationSet
 from handeye_ros.verification.routines import Routine, ROUTINES, settings_for
 from handeye_ros.verification.stations import stations_of, stations_of_passes
-from handeye_ros.verification.verify import Verification, verify
+from handeye_ros.verification.verify import Verification, verify_stations
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -298,9 +298,10 @@ def runs(routine: Routine, made: Artefact, found: tuple[Calibration, ...], aim: 
         lengths=made.lengths, radius=radius, reference=made.reference, aim=aim))
     if routine.in_passes:
         stations = scanned(made, config)
-        return [verify(routine, stations, one) for one in found]
+        return [verify_stations(routine, stations, one) for one in found]
     bags = stops_of(routine, made, config)
-    return [verify(routine, stations_of(routine, bags, one, config), one) for one in found]
+    return [verify_stations(routine, stations_of(routine, bags, one, config), one)
+            for one in found]
 
 
 def within(found: Verification) -> bool:

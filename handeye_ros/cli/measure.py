@@ -48,11 +48,11 @@ THINNING_SIZE = 2e-4  # m: edge of the cubes of which each keeps one point
 PATH_LINES = ('auto', 'centre', 'root', 'first', 'second')  # that the path of a tool may follow
 
 
-def _finite(value: float) -> float:
-    """Return the angle of an option, which must be a finite number."""
-    if not math.isfinite(value):
-        raise typer.BadParameter(f'{value} is no angle')
-    return value
+def _lean(degrees: float) -> float:
+    """Return the angle by which a tool leans, as an option gives it."""
+    if not abs(degrees) < 90.0:
+        raise typer.BadParameter(f'{degrees:g} degrees: a tool leans by less than 90')
+    return degrees
 
 
 @app.command()
@@ -83,8 +83,7 @@ def verify(
     from handeye_ros.verification import result_file
     from handeye_ros.verification.routines import routine_of, settings_for
     from handeye_ros.verification.stations import stations_of_passes
-    from handeye_ros.verification.verify import verify as verify_stations
-    from handeye_ros.verification.verify import verify_stops
+    from handeye_ros.verification.verify import verify_stations, verify_stops
     if protocol:
         require_html_name(protocol)
     routine = routine_of(name)
@@ -260,9 +259,9 @@ def seam(
         metavar='X Y Z', help='The tool approaches the part this way rather than the other.')
     ] = (0.0, 0.0, -1.0),
     travel: Annotated[float, typer.Option(
-        callback=_finite, help='The tool leans along the seam (degrees).')] = 0.0,
+        callback=_lean, help='The tool leans along the seam (degrees).')] = 0.0,
     work: Annotated[float, typer.Option(
-        callback=_finite, help='The tool leans across the seam (degrees).')] = 0.0,
+        callback=_lean, help='The tool leans across the seam (degrees).')] = 0.0,
     line: Annotated[str, typer.Option(callback=one_of(*PATH_LINES), help=(
         'What the path follows: auto (the root of V and fillet, the centre of butt and lap), '
         'centre, root, first or second edge.'))] = 'auto',

@@ -24,6 +24,7 @@ from handeye_ros.estimation.problem import Linear, linearise, Observations, Prob
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.view import BORDER_NORMALS, View
+from handeye_ros.profiles.faces import SMALLEST_CORNER_ANGLE
 from handeye_ros.sampling.stops import evenly
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ REFUSED_DISTANCE = (1.5e-2, 0.12)  # m and rad around a pose at which a stop gav
 ON_TARGET = 1e-4  # m: largest residual of a point on the target
 SMALLEST_SHARE = 0.5  # smallest share of a feature's length in the view
 SMALLEST_COSINE = 0.5  # smallest cosine of the incidence on a face, if the template has it
-SMALLEST_CORNER = 0.6  # rad between two faces in a profile; the finder needs 0.26
+CORNER_MARGIN = 0.34  # rad: a corner is this much sharper than it must be to be found
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +261,8 @@ def _corner_seen(A: Array, points: Array, template: Linear, view: View) -> NDArr
     offsets = (normals * (mean_of_face @ points)).sum(axis=2, keepdims=True)
     corners = np.linalg.solve(normals + 1e-9 * np.eye(2), offsets)[..., 0]
     return np.asarray((facing > SMALLEST_COSINE).all(axis=1) & (view.room(corners) > 0)
-                      & (np.abs(np.linalg.det(normals)) > np.sin(SMALLEST_CORNER)))
+                      & (np.abs(np.linalg.det(normals))
+                         > np.sin(SMALLEST_CORNER_ANGLE + CORNER_MARGIN)))
 
 
 def covariances_with_one_more(solution: Solution, candidates: Problem) -> Array:

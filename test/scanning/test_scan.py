@@ -205,6 +205,17 @@ def test_damaged_clouds_are_refused_and_one_that_breaks_off_is_not_there(tmp_pat
             read_cloud(path)
 
 
+@pytest.mark.filterwarnings('error')
+def test_of_an_ascii_cloud_without_points_numpy_does_not_warn(tmp_path):
+    path = tmp_path / 'c.ply'
+    head = ''.join(f'property float {axis}\n' for axis in 'xyz') + 'end_header\n'
+    path.write_text(f'ply\nformat ascii 1.0\nelement vertex 0\n{head}')
+    assert read_cloud(path).shape == (0, 3)
+    path.write_text(f'ply\nformat ascii 1.0\nelement vertex 4\n{head}')
+    with pytest.raises(InputError, match='is cut off: 0 of 4 points'):
+        read_cloud(path)
+
+
 def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
     beside = replace(plane_profile(0), points=np.empty((0, 2)))  # the part
