@@ -18,6 +18,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import compress, islice
 
+from handeye_ros import se3
 from handeye_ros.config import Config, NoiseConfig, parse_length
 from handeye_ros.data import Array, Calibration, Profile, ROTATION_LAG
 from handeye_ros.errors import BadValueError, DataError
@@ -187,12 +188,9 @@ def point_std(calibration: Calibration, noise: NoiseConfig, lever: Array, pose_s
     of the calibration (6x6), of the range, of single poses (noise), and of the trajectory
     (pose_std (2,), per axis, m and rad).
     """
-    X, C = calibration.T_flange_sensor, calibration.covariance
-    # E|dt + dr x l|^2 = tr(C_tt) + 2 l . E[dt x dr] + l' (tr(C_rr) I - C_rr) l
-    twist = np.array([C[1, 5] - C[2, 4], C[2, 3] - C[0, 5], C[0, 4] - C[1, 3]])
-    square = np.trace(C[:3, :3]) + 2 * lever @ twist + noise.sensor ** 2
-    square += ((lever @ (np.trace(C[3:, 3:]) * np.eye(3) - C[3:, 3:])) * lever).sum(axis=1)
-    from_flange = ((lever + X[:3, 3]) ** 2).sum(axis=1)
+    wrt_X = se3.wrt_perturbation(lever)
+    square = ((wrt_X @ calibration.covariance) * wrt_X).sum(axis=(1, 2)) + noise.sensor ** 2
+    from_flange = ((lever + calibration.T_flange_sensor[:3, 3]) ** 2).sum(axis=1)
     for translation, rotation in ((noise.robot_translation, noise.robot_rotation), pose_std):
         square += 3 * translation ** 2 + 2 * rotation ** 2 * from_flange
     return np.asarray(np.sqrt(np.maximum(square, 0.0)))

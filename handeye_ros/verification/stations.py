@@ -135,15 +135,13 @@ def _conditions(routine: Routine, samples: Sequence[Sample], T: Array) -> Observ
     if not routine.edge_distances:
         return TARGETS[routine.target].observe(samples)
     stop, edges = _features_with_stops(samples, EdgePoint)
+    ends = np.array([_ends_in_base(edge, T[k]) for k, edge in zip(stop, edges, strict=True)])
+    distances, _ = _distances_from_common(ends, stop, 3 - routine.edge_distances)
     rows = ObservationRows()
-    if edges:
-        ends = np.array([_ends_in_base(edge, T[k]) for k, edge in zip(stop, edges, strict=True)])
-        distances, _ = _distances_from_common(ends, stop, 3 - routine.edge_distances)
-        for number in np.unique(stop).tolist():
-            nearest = min(np.flatnonzero(stop == number), key=distances.__getitem__)
-            edge = edges[nearest]
-            for direction in range(routine.edge_distances):
-                rows.add(number, edge.point[None], direction, edge_error_factor(edge)[None])
+    for number in np.unique(stop).tolist():
+        edge = edges[min(np.flatnonzero(stop == number), key=distances.__getitem__)]
+        for direction in range(routine.edge_distances):
+            rows.add(number, edge.point[None], direction, edge_error_factor(edge)[None])
     return rows.observations()
 
 
@@ -232,13 +230,12 @@ def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
     if not surfaces:
         return samples, ''
     chosen = min(surfaces, key=lambda surface: np.median(depth[surface]))
-    used = {id(pieces[k]) for k in chosen.tolist()}
     sentence = '' if len(surfaces) < 2 else (
         f'of {len(surfaces)} surfaces in sight it is the nearest, '
         f'{1e3 * abs(np.median(depth[chosen])):.0f} mm from the sensor, at '
         f'{len(np.unique(stop[chosen]))} of {len(samples)} stops')
-    return [replace(sample, features=tuple(f for f in sample.features if id(f) in used))
-            for sample in samples], sentence
+    return [replace(sample, features=tuple(pieces[k] for k in chosen[stop[chosen] == number]))
+            for number, sample in enumerate(samples)], sentence
 
 
 def _at_calibrated_time(samples: Sequence[Sample], calibration: Calibration, config: Config
