@@ -298,9 +298,7 @@ def std_with_one_more(solution: Solution, levers: Array, added: Problem) -> floa
         observations=Observations(*(np.concatenate([getattr(obs, item.name)
                                                     for obs in observations])
                                     for item in fields(Observations))))
-    before, after = (
-        se3.mapped_std(levers, posterior_at(
-            each, solution.estimate, reported.noise).covariance[:6, :6])
-        for each in (problem, with_added))
-    now = se3.mapped_std(levers, solution.transform_covariance)
-    return float(now) * min(float(after / before), 1.0)
+    posterior = posterior_at(with_added, reported.estimate, reported.noise)
+    now, before, after = (float(se3.mapped_std(levers, covariance[:6, :6])) for covariance in (
+        solution.transform_covariance, reported.covariance, posterior.covariance))
+    return now * min(after / before, 1.0)

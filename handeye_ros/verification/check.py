@@ -361,13 +361,13 @@ def _predicted(problem: Problem, cell: CalibratedCell) -> _Prediction:
     return _Prediction(linear, whiten, whiten(linear.residuals), whiten(errors))
 
 
-def _log_likelihood(residuals: Array, errors: Array) -> float:
+def _log_likelihood(residuals: Array, *errors: Array) -> float:
     """
     Return the log likelihood of white residuals (m,) whose errors have a normal prior.
 
-    errors: (m, k) derivatives by values of unit variance.
+    errors: (m, k) each, derivatives by values of unit variance.
     """
-    _, covariance, square = likeliest(errors, residuals)
+    _, covariance, square = likeliest(np.hstack(errors), residuals)
     return float(np.linalg.slogdet(covariance)[1] - square) / 2
 
 
@@ -407,8 +407,8 @@ def _cause_of(prediction: _Prediction, name: str) -> _Cause:
         r = r + D @ move  # of no move, in this linearisation
         x, C, _ = likeliest(np.hstack([prediction.errors, D * sigmas]), r)
         move, C = sigmas * x[-6:], C[-6:, -6:] * np.outer(sigmas, sigmas)
-        log_likelihoods = [_log_likelihood(r, np.hstack([
-            prediction.errors, D * _move_sigmas(scale)])) for scale in MOVE_SCALES]
+        log_likelihoods = [_log_likelihood(r, prediction.errors, D * _move_sigmas(scale))
+                           for scale in MOVE_SCALES]
         sigmas = _move_sigmas(MOVE_SCALES[int(np.argmax(log_likelihoods))])
     shift, turn = np.linalg.norm(move.reshape(2, 3), axis=1).tolist()
     displacement, std = largest_displacement(lever, move, C)
@@ -427,17 +427,14 @@ def _cause_of(prediction: _Prediction, name: str) -> _Cause:
 def _robot_log_likelihood(prediction: _Prediction) -> float:
     """Return the log likelihood of a robot whose poses err otherwise, smoothly or each alone."""
     problem, wrt_pose = prediction.linear.problem, prediction.whiten(prediction.linear.wrt_pose)
-    smooth = problem.smooth_error_basis
+    smooth, station = problem.smooth_error_basis, problem.observations.station
     # the root of four is alike over twice the distance, as one joint's error reaches further
     values, axes = np.linalg.eigh(np.abs(smooth @ smooth.T) ** 0.25)
-    log_likelihoods = []
-    for root in smooth, axes * np.sqrt(np.maximum(values, 0.0)), np.eye(len(problem.poses)):
-        of_rows = root[problem.observations.station]
-        for scale in MOVE_SCALES:
-            by_twists = (wrt_pose * _move_sigmas(scale))[:, :, None] * of_rows[:, None]
-            log_likelihoods.append(_log_likelihood(prediction.residuals, np.hstack([
-                prediction.errors, by_twists.reshape(len(of_rows), -1)])))
-    return _log_mean(log_likelihoods)
+    roots = smooth, axes * np.sqrt(np.maximum(values, 0.0)), np.eye(len(problem.poses))
+    return _log_mean([
+        _log_likelihood(prediction.residuals, prediction.errors,
+                        wrt_smooth(wrt_pose, root[station], np.diag(_move_sigmas(scale))))
+        for root, scale in product(roots, MOVE_SCALES)])
 
 
 def _smallest_shifts(prediction: _Prediction, name: str) -> tuple[list[float], list[list[float]]]:
