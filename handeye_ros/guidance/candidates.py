@@ -117,13 +117,13 @@ def _random_poses(T: Array, first: Array, anchor: Array, view: View, config: Con
     where it is seen in the template. Tilt and turn are within guidance.*; half of the tilts are
     the largest.
     """
-    keys, zero = config.guidance, np.zeros(CANDIDATES_EACH)
+    keys = config.guidance
     turn = keys.turn * rng.uniform(-1, 1, CANDIDATES_EACH)
     direction = rng.uniform(0, 2 * np.pi, CANDIDATES_EACH)
     tilt = keys.tilt * np.minimum(np.sqrt(rng.uniform(0, 2, CANDIDATES_EACH)), 0.99)
-    R = (first[:3, :3] @ se3.exp_rotation(np.column_stack([zero, zero, turn]))
-         @ se3.exp_rotation(np.column_stack([
-             tilt * np.cos(direction), tilt * np.sin(direction), zero])))
+    tilt_axes = np.column_stack([np.cos(direction), np.sin(direction), np.zeros_like(direction)])
+    R = (first[:3, :3] @ se3.exp_rotation(np.outer(turn, [0, 0, 1]))
+         @ se3.exp_rotation(tilt[:, None] * tilt_axes))
     places = view.middle + rng.uniform(-1, 1, (CANDIDATES_EACH, 2)) * view.size / 2
     across = LARGEST_SHIFT * view.size[0] * rng.uniform(-1, 1, (CANDIDATES_EACH, 1)) * T[:3, 1]
     aim = T[:3, [0, 2]] @ anchor + T[:3, 3] + across  # what is seen at the place
@@ -157,9 +157,7 @@ def stations_like(template: Problem, solution: Solution, poses: Array, places: A
     which the target is not seen so are left out.
     """
     obs = template.observations
-    anchored = _anchored(template, obs)
-    # (m, m): 1 where two observations are of one point
-    same_point = (obs.points[:, None] == obs.points).all(axis=2).astype(float)
+    anchored, same_point = _anchored(template, obs), obs.station_groups[0].shared[0]
 
     # move the template's points, and cut what is then outside the view
     points = obs.points - obs.points[anchored].mean(axis=0) + places[:, None]

@@ -39,7 +39,14 @@ from handeye_ros.data import (
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.blocks import LINE_BEND, line_bend, sensor_distortion, wrt_smooth
 from handeye_ros.estimation.noise import Noise, Whitening, whitening
-from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem, UNUSED
+from handeye_ros.estimation.problem import (
+    Estimate,
+    Linear,
+    linearise,
+    Problem,
+    UNUSED,
+    without_edges,
+)
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import direction_in_words, mount_frame, target_frame
 from handeye_ros.sampling.stops import evenly
@@ -299,7 +306,7 @@ def _observed(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence
     # alone, the edge of a station is near whatever its distance: the target may have slid along
     # its face
     alone = labelled(observations.station)
-    lost = alone.shows_edge & ~together.shows_edge
+    lost = without_edges(alone, together)
     return alone if lost.mean() > LARGEST_LOST_SHARE else together
 
 

@@ -82,15 +82,14 @@ class StationSet:
     problem: the n poses of the sensor's mount in the frame of the artefact, and the m points
     stamps (n,): ns
     counts: the number of poses of each recording, in order
-    are_passes: whether the poses of a recording share the error of the robot; by default each has
-        its own
+    group_of_pose: (n,) the number of the group of poses that share one error of the robot
     surface_note: the choice between several surfaces in sight, in words
     """
 
     problem: Problem
     stamps: NDArray[np.int64]
     counts: tuple[int, ...]
-    are_passes: bool = False
+    group_of_pose: Indices
     surface_note: str = ''
 
     @property
@@ -102,11 +101,6 @@ class StationSet:
     def recording_of_pose(self) -> Indices:
         """Return the recording (n,) of each pose."""
         return np.repeat(np.arange(len(self.counts)), self.counts)
-
-    @property
-    def group_of_pose(self) -> Indices:
-        """Return for each pose (n,) the number of the group that shares its error."""
-        return self.recording_of_pose if self.are_passes else np.arange(len(self.problem.poses))
 
     @property
     def group_of_point(self) -> Indices:

@@ -68,7 +68,7 @@ def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibr
                        is_face=target.kinds == ('face',))
     return StationSet(
         problem, np.array([sample.stamp for sample in samples], dtype=np.int64),
-        tuple(map(len, shown)), surface_note='; '.join(
+        tuple(map(len, shown)), np.arange(len(poses)), '; '.join(
             f'recording {k}: {choice}' for k, choice in enumerate(choices, 1) if choice))
 
 
@@ -122,7 +122,8 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
         counts.append(len(usable))
     problem = _problem(TARGETS['plane'], mount_poses(np.concatenate(poses), config),
                        rows.observations(), config, is_face=False)
-    return StationSet(problem, np.array(stamps, dtype=np.int64), tuple(counts), are_passes=True)
+    return StationSet(problem, np.array(stamps, dtype=np.int64), tuple(counts),
+                      np.repeat(np.arange(len(counts)), counts))
 
 
 def _conditions(routine: Routine, samples: Sequence[Sample], T: Array) -> Observations:
