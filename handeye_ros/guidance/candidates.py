@@ -13,7 +13,7 @@ too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import astuple, dataclass, replace
 import math
 
 from handeye_ros import se3
@@ -289,13 +289,12 @@ def std_with_one_more(solution: Solution, levers: Array, added: Problem) -> floa
     """
     reported = solution.for_report
     problem = reported.problem
-    observations = [problem.observations, replace(
-        added.observations, station=added.observations.station + len(problem.poses))]
-    with_added = replace(
-        problem, poses=np.concatenate([problem.poses, added.poses]),
-        observations=Observations(*(np.concatenate([getattr(obs, item.name)
-                                                    for obs in observations])
-                                    for item in fields(Observations))))
+    further = replace(added.observations,
+                      station=added.observations.station + len(problem.poses))
+    observations = map(np.concatenate, zip(
+        astuple(problem.observations), astuple(further), strict=True))
+    with_added = replace(problem, poses=np.concatenate([problem.poses, added.poses]),
+                         observations=Observations(*observations))
     posterior = posterior_at(with_added, reported.estimate, reported.noise)
     now, before, after = (float(se3.mapped_std(levers, covariance[:6, :6])) for covariance in (
         solution.transform_covariance, reported.covariance, posterior.covariance))

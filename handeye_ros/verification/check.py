@@ -253,32 +253,30 @@ class CalibratedCell(NamedTuple):
     @classmethod
     def read(cls, calibration: Calibration, config: Config) -> CalibratedCell:
         """Return what a stored calibration says; raises InputError where it cannot be compared."""
-        if calibration.method != config.target.type and calibration.method in TARGETS:
+        method, found, configured = calibration.method, calibration.target, config.noise
+        if method != config.target.type and method in TARGETS:
             raise InputError(
-                f'the calibration was made with a target of type {calibration.method}, but '
+                f'the calibration was made with a target of type {method}, but '
                 f'target.type is {config.target.type}: without --config and --set target.type, '
                 'its own settings apply')
         try:
-            target, joint = TARGETS[calibration.method], calibration.target['joint']
-            parameter_count = len(target.parameter_names)
-            state = np.array(joint['state'], dtype=float)
-            state = state.reshape(16 + parameter_count - len(target.pose_axes))
-            covariance = np.array(joint['covariance'], dtype=float).reshape(
-                2 * [6 + parameter_count])
+            target, joint = TARGETS[method], found['joint']
+            k = len(target.parameter_names)
+            state = np.array(joint['state'], dtype=float).reshape(16 + k - len(target.pose_axes))
+            covariance = np.array(joint['covariance'], dtype=float).reshape(6 + k, 6 + k)
             factors = np.maximum(np.ones(5), joint.get(
                 'variance_factors', joint.get('variance_factor')))  # one, in earlier files
-            found, configured = calibration.target, config.noise
-            noise = replace(
-                configured, robot_smooth=float(found.get('robot_position_error', 0.0)),
-                distortion=float(found.get('distortion_error', configured.distortion)),
-                flatness=float(found.get('flatness_error', configured.flatness)),
-                line_bend=float(found.get(LINE_BEND, configured.line_bend)))
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
-                f'the calibration (method {calibration.method}) does not hold what a check '
+                f'the calibration (method {method}) does not hold what a check '
                 'compares with: the target with its covariance. Solve its recording again with '
                 f'this version, as one of {", ".join(TARGETS)}, or measure a known object with '
                 '"handeye verify"') from error
+        noise = replace(
+            configured, robot_smooth=found.get('robot_position_error', 0.0),
+            distortion=found.get('distortion_error', configured.distortion),
+            flatness=found.get('flatness_error', configured.flatness),
+            line_bend=found.get(LINE_BEND, configured.line_bend))
         X = calibration.T_flange_sensor @ frames.T_sensor_plane(config)
         return cls(target, Estimate(X, state), root_of(covariance), factors, noise, config)
 

@@ -135,8 +135,7 @@ def _conditions(routine: Routine, samples: Sequence[Sample], T: Array) -> Observ
     """
     if not routine.edge_distances:
         return TARGETS[routine.target].observe(samples)
-    stop, edges = _features_with_stops(samples, EdgePoint)
-    ends = np.array([_ends_in_base(edge, T[k]) for k, edge in zip(stop, edges, strict=True)])
+    stop, edges, ends = _features_with_stops(samples, T, EdgePoint)
     distances, _ = _distances_from_common(ends, stop, 3 - routine.edge_distances)
     rows = ObservationRows()
     for number in np.unique(stop).tolist():
@@ -146,13 +145,18 @@ def _conditions(routine: Routine, samples: Sequence[Sample], T: Array) -> Observ
     return rows.observations()
 
 
-def _features_with_stops(samples: Sequence[Sample], kind: type[Kind]
-                         ) -> tuple[Indices, list[Kind]]:
-    """Return the stop (k,) of each feature of a kind in all samples, and these features."""
+def _features_with_stops(samples: Sequence[Sample], T: Array, kind: type[Kind]
+                         ) -> tuple[Indices, list[Kind], Array]:
+    """
+    Return the stop (k,) of each feature of a kind, these features, and their ends (k, 2, 3).
+
+    The ends are in the base; T: (n, 4, 4) sensor planes of the n samples.
+    """
     pairs = [(stop, feature) for stop, sample in enumerate(samples)
              for feature in sample.features if isinstance(feature, kind)]
     return (np.array([stop for stop, _ in pairs], dtype=np.intp),
-            [feature for _, feature in pairs])
+            [feature for _, feature in pairs],
+            np.array([_ends_in_base(feature, T[stop]) for stop, feature in pairs]))
 
 
 def _distances_from_common(points: Array, stop: Indices, dimension: int) -> tuple[Array, Array]:
@@ -214,10 +218,9 @@ def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
     It is the plane nearest to the sensor of those that at least half of the stops see; without
     one all pieces take part. T: (n, 4, 4) sensor planes in the base.
     """
-    stop, pieces = _features_with_stops(samples, FaceLine)
+    stop, pieces, ends = _features_with_stops(samples, T, FaceLine)
     if len(pieces) == len(np.unique(stop)):
         return samples, ''
-    ends = np.array([_ends_in_base(piece, T[k]) for k, piece in zip(stop, pieces, strict=True)])
     depth = range_sign * np.array([piece.centre[1] for piece in pieces])
     # one plane after the other, each of the pieces that are on none of those before
     left, surfaces = np.arange(len(pieces)), list[Indices]()

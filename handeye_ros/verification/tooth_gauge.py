@@ -82,8 +82,8 @@ def _without_outliers(distances: Array, by_range: Array, face: Indices, min_scat
     smallest scatter assumed (m). A sensor measures steep faces worse than it states, so the noise
     is the scatter of the points of a pass about their own mean.
     """
-    group = np.unique(face, axis=0, return_inverse=True)[1]
-    group = group.reshape(-1)  # numpy 2.0 alone returns it as a column
+    # numpy 2.0 alone returns a column
+    group = np.unique(face, axis=0, return_inverse=True)[1].ravel()
     good, noise = np.zeros(len(face), dtype=bool), np.zeros(len(face))
     for k in range(group.max() + 1):
         members = np.flatnonzero(group == k)
