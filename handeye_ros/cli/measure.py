@@ -222,19 +222,18 @@ def scan(
     require_suffix(out)
     calibration, settings = open_calibration(calibration_file, config, assignments, kinematics)
     scanner = Scanner(calibration, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
-    count = scanner.count
     with stream_recording(bag, settings, 'reading the poses', calibration) as (
             recording, trajectory, update):
         def pieces() -> 'Iterator[Points]':
             for points in scanner.scan(recording.returns(), trajectory):
                 yield points
-                update(f'{count.profiles} profiles, {count.points} points')
+                update(f'{scanner.profiles} profiles, {scanner.kept} points')
         write_cloud(out, pieces(), f'frame {scanner.frame}, metres')
-    typer.echo(f'{count.profiles} profiles, {count.returns} returns')
-    typer.echo(f'left out: {count_of(count.without_pose, "profile")} without a pose, '
-               f'{count_of(count.out_of_limits, "point")} outside the limits, {count.thinned} '
+    typer.echo(f'{scanner.profiles} profiles, {scanner.returns} returns')
+    typer.echo(f'left out: {count_of(scanner.without_pose, "profile")} without a pose, '
+               f'{count_of(scanner.out_of_limits, "point")} outside the limits, {scanner.thinned} '
                'thinned out')
-    typer.echo(f'wrote {out.absolute()}: {count.points} points in {scanner.frame}')
+    typer.echo(f'wrote {out.absolute()}: {scanner.kept} points in {scanner.frame}')
 
 
 @app.command()
