@@ -40,7 +40,6 @@ ROUGH_EDGE_WINDOW = 5e-3  # m along the seam: pairs within it give the rough edg
 COURSE_OVERHANG = 8e-3  # m beyond the ends of the rough course where the seam may continue
 ROOT_GAP = 0.5  # spacings: a larger mean distance of the lower edges of a V is a root gap
 
-
 SHEET_END = np.dtype([  # one sheet in a section across the seam
     ('end', float, 3),  # where it ends at the seam (m)
     ('outwards', float, 3),  # direction out of the sheet there
