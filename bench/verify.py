@@ -57,11 +57,11 @@ from handeye_ros.simulate.scenario import (
 from handeye_ros.simulate.scenes import Placements, tilts
 from handeye_ros.simulate.scenes import SCENES as TARGET_SCENES
 from handeye_ros.simulate.sensor import lift
-from handeye_ros.verification.check import Check, check
+from handeye_ros.verification.check import CalibratedCell, Check, check
 from handeye_ros.verification.fit import StationSet
 from handeye_ros.verification.routines import Routine, ROUTINES, settings_for
 from handeye_ros.verification.stations import stations_of, stations_of_passes
-from handeye_ros.verification.verify import Verification, verify
+from handeye_ros.verification.verify import Verification, verify_stations
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -298,9 +298,10 @@ def runs(routine: Routine, made: Artefact, found: tuple[Calibration, ...], aim: 
         lengths=made.lengths, radius=radius, reference=made.reference, aim=aim))
     if routine.in_passes:
         stations = scanned(made, config)
-        return [verify(routine, stations, one) for one in found]
+        return [verify_stations(routine, stations, one) for one in found]
     bags = stops_of(routine, made, config)
-    return [verify(routine, stations_of(routine, bags, one, config), one) for one in found]
+    return [verify_stations(routine, stations_of(routine, bags, one, config), one)
+            for one in found]
 
 
 def within(found: Verification) -> bool:
@@ -374,7 +375,8 @@ def one_check(change: str, scenario: Scenario, config: Config, calibration: Cali
     T = T @ se3.perturb(np.eye(4), way) if change == 'target' else T
     X = se3.perturb(X, off) if change == 'sensor' else X
     joint = np.deg2rad(float(change.split()[1])) if 'joint' in change else 0.0
-    return check(samples(scenario, STOPS, X, T, rng, joint), calibration, config)
+    return check(samples(scenario, STOPS, X, T, rng, joint),
+                 CalibratedCell.read(calibration, config))
 
 
 def _direction(rng: np.random.Generator) -> Array:
@@ -414,7 +416,7 @@ def verdict_of_halves(scenario: Scenario, seed: int) -> str:
     samples = pipeline.gather(recording.profiles, recording.poses, config).samples
     try:
         calibration = pipeline.solve(samples[::2], [], config, 'laser')
-        return check(samples[1::2], calibration, config).verdict
+        return check(samples[1::2], CalibratedCell.read(calibration, config)).verdict
     except DataError:
         return 'refused'
 

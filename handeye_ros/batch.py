@@ -22,8 +22,8 @@ from handeye_ros.bags.reader import SUFFIXES
 from handeye_ros.config import read_yaml
 from handeye_ros.errors import count_of, InputError, without_numbers
 from handeye_ros.output import csv_text, rendered, write_atomically
+from handeye_ros.se3 import AXES
 from handeye_ros.tables import Table
-from handeye_ros.trend import AXES
 
 JobRow: TypeAlias = dict[str, Any]
 RunWords: TypeAlias = Callable[[list[str]], int]
@@ -139,9 +139,9 @@ def words_of(args: str, config: Path | str | None, settings: Iterable[str],
     try:
         words = [part for word in shlex.split(args)
                  for part in (word.split('=', 1) if word[:2] == '--' else [word])]
-        words += [word for text in settings for word in ('--set', text)]
     except ValueError as error:
         raise InputError(f'args: {args!r} has a quotation mark that is not closed') from error
+    words += [word for text in settings for word in ('--set', text)]
     for k, word in enumerate(words):
         key, equals, value = word.rpartition('=')
         path, is_value = folder / value, k > 0 and words[k - 1][:2] == '--' and not equals
@@ -250,7 +250,8 @@ def run(job: Job, out: Path, run_words: RunWords) -> JobRow:
         errors.write(f'error: {type(error).__name__}: {error}')
     write_atomically(unfinished / 'output.txt', printed.getvalue() + errors.getvalue())
     lines = errors.getvalue().splitlines()
-    cause = next((line[7:] for line in lines if line.lower().startswith('error: ')), '')
+    cause = next((line.partition(': ')[2] for line in lines if line.lower().startswith('error: ')),
+                 '')
     row = {'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': code,
            'cause': cause, 'warnings': sum(line.startswith('warning:') for line in lines),
            'seconds': round(time.perf_counter() - start, 3), **_figures_in(unfinished)}

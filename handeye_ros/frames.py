@@ -31,7 +31,11 @@ def mount_poses_of(samples: Sequence[Sample], config: Config) -> Array:
 
 
 def mount_poses(T_base_flange: Array, config: Config) -> Array:
-    """Return the poses (..., 4, 4) as in mount_poses_of, from T_base_flange (..., 4, 4)."""
+    """
+    Return the poses (..., 4, 4) as in mount_poses_of, from T_base_flange (..., 4, 4).
+
+    It is its own inverse: of poses of the mount it returns T_base_flange.
+    """
     return T_base_flange if config.in_hand else se3.inverse(T_base_flange)
 
 

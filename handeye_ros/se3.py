@@ -16,6 +16,7 @@ from handeye_ros.data import Array, TimedPose
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')  # of a perturbation
 TINY_ANGLE = 1e-30  # rad: keeps sin(a) / a defined
 
 

@@ -13,11 +13,11 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.least_squares import chi2_sf
 from handeye_ros.results.calibration_file import NAME, read_calibration
 from handeye_ros.results.table import figures_table
+from handeye_ros.se3 import AXES
 import numpy as np
 from rich.table import Table
 
 CHANGED_P, WATCH_P = 0.01, 0.05  # p-values of a difference: act, watch
-AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 
 
 @dataclass(frozen=True, eq=False)

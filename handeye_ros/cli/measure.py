@@ -76,8 +76,7 @@ def verify(
     from handeye_ros.verification import result_file
     from handeye_ros.verification.routines import routine_of, settings_for
     from handeye_ros.verification.stations import stations_of_passes
-    from handeye_ros.verification.verify import verify as verify_stations
-    from handeye_ros.verification.verify import verify_stops
+    from handeye_ros.verification.verify import verify_stations, verify_stops
     if protocol:
         require_html_name(protocol)
     routine = routine_of(name)
@@ -216,19 +215,18 @@ def scan(
     require_suffix(out)
     calibration, settings = open_calibration(calibration_file, config, assignments, kinematics)
     scanner = Scanner(calibration, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
-    count = scanner.count
     with stream_recording(bag, settings, 'reading the poses', calibration) as (
             recording, trajectory, update):
         def pieces() -> 'Iterator[Points]':
             for points in scanner.scan(recording.profiles_of_returns(), trajectory):
                 yield points
-                update(f'{count.profiles} profiles, {count.points} points')
+                update(f'{scanner.profiles} profiles, {scanner.kept} points')
         write_cloud(out, pieces(), f'frame {scanner.frame}, metres')
-    typer.echo(f'{count.profiles} profiles, {count.returns} returns')
-    typer.echo(f'left out: {count_of(count.without_pose, "profile")} without a pose, '
-               f'{count_of(count.out_of_limits, "point")} outside the limits, {count.thinned} '
+    typer.echo(f'{scanner.profiles} profiles, {scanner.returns} returns')
+    typer.echo(f'left out: {count_of(scanner.without_pose, "profile")} without a pose, '
+               f'{count_of(scanner.out_of_limits, "point")} outside the limits, {scanner.thinned} '
                'thinned out')
-    typer.echo(f'wrote {out.absolute()}: {count.points} points in {scanner.frame}')
+    typer.echo(f'wrote {out.absolute()}: {scanner.kept} points in {scanner.frame}')
 
 
 @app.command()
@@ -266,8 +264,8 @@ def seam(
 ) -> None:
     """Find the seam in a cloud, and tool frames along it."""
     require_choice('--line', line, PATH_LINES)
-    if not math.isfinite(travel + work):
-        raise typer.BadParameter('--travel and --work must be finite angles')
+    if not (abs(travel) < 90.0 and abs(work) < 90.0):
+        raise typer.BadParameter('--travel and --work: a tool leans by less than 90 degrees')
     from handeye_ros.config import parse_length
     from handeye_ros.errors import BadValueError
     from handeye_ros.scanning.seam import find_seam, sentences, tool_frames, write

@@ -166,7 +166,11 @@ def sigma_table(covariance: Array, levers: Array, config: Config) -> tuple[Uncer
 
 
 def largest_cause(solution: Solution) -> tuple[Cause, float] | None:
-    """Return the largest cause of the sigma and its share; None below SMALLEST_CAUSE."""
+    """
+    Return the largest systematic cause, and its sigma over that of mapped points.
+
+    None below SMALLEST_CAUSE. White noise is none of the causes: more samples reduce it.
+    """
     *terms, total = budget(solution)
     squares = dict[Cause, float]()
     for term in terms:
@@ -174,8 +178,8 @@ def largest_cause(solution: Solution) -> tuple[Cause, float] | None:
             if term.name == name or term.name.startswith(f'{name}_'):
                 squares[cause] = squares.get(cause, 0.0) + term.mapped ** 2
     cause, square = max(squares.items(), key=lambda item: item[1], default=(SETBACK, 0.0))
-    share = square ** 0.5 / total.mapped
-    return (cause, share) if share >= SMALLEST_CAUSE else None
+    ratio = square ** 0.5 / total.mapped
+    return (cause, ratio) if ratio >= SMALLEST_CAUSE else None
 
 
 def enough_and_why(std: float, accuracy: float, expected: float | None,
@@ -183,14 +187,15 @@ def enough_and_why(std: float, accuracy: float, expected: float | None,
     """
     Return whether the samples are sufficient, and the reason.
 
-    std: 1 sigma of mapped points (m), now; expected: after one more sample; accuracy: as wanted.
+    std: 1 sigma of mapped points (m), now; expected: after one more sample; accuracy: as wanted;
+    largest: see largest_cause.
     """
     content = (f'points in view are known to {1e3 * std:.3f} mm (1 sigma, {1e3 * accuracy:.3f} '
                'wanted)')
     remedy = ''
     if largest:
-        cause, share = largest
-        content += f', of which {1e3 * share * std:.3f} mm is {cause.text} ({cause.key})'
+        cause, ratio = largest
+        content += f', of which {1e3 * ratio * std:.3f} mm is {cause.text} ({cause.key})'
         remedy = f', a better {cause.remedy} would'
     if std > accuracy and count >= GOOD_COUNT and expected and (
             expected > (1 - SMALLEST_GAIN) * std):

@@ -13,7 +13,7 @@ too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import astuple, dataclass, replace
 import math
 
 from handeye_ros import se3
@@ -24,6 +24,7 @@ from handeye_ros.estimation.problem import Linearisation, linearise, Observation
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.view import BORDER_NORMALS, View
+from handeye_ros.profiles.faces import SMALLEST_CORNER_ANGLE
 from handeye_ros.sampling.stops import evenly_spaced
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ REFUSED_DISTANCE = (1.5e-2, 0.12)  # m and rad around a pose at which a stop gav
 ON_TARGET = 1e-4  # m: largest residual of a point on the target
 SMALLEST_SHARE = 0.5  # smallest share of a feature's length in the view
 SMALLEST_COSINE = 0.5  # smallest cosine of the incidence on a face, if the template has it
-SMALLEST_CORNER = 0.6  # rad between two faces in a profile; the finder needs 0.26
+CORNER_MARGIN = 0.34  # rad: a corner is this much sharper than it must be to be found
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,13 +117,13 @@ def _random_poses(T: Array, first: Array, anchor: Array, view: View, config: Con
     where it is seen in the template. Tilt and turn are within guidance.*; half of the tilts are
     the largest.
     """
-    keys, zero = config.guidance, np.zeros(CANDIDATES_EACH)
+    keys = config.guidance
     turn = keys.turn * rng.uniform(-1, 1, CANDIDATES_EACH)
     direction = rng.uniform(0, 2 * np.pi, CANDIDATES_EACH)
     tilt = keys.tilt * np.minimum(np.sqrt(rng.uniform(0, 2, CANDIDATES_EACH)), 0.99)
-    R = (first[:3, :3] @ se3.exp_rotation(np.column_stack([zero, zero, turn]))
-         @ se3.exp_rotation(np.column_stack([
-             tilt * np.cos(direction), tilt * np.sin(direction), zero])))
+    tilt_axes = np.column_stack([np.cos(direction), np.sin(direction), np.zeros_like(direction)])
+    R = (first[:3, :3] @ se3.exp_rotation(np.outer(turn, [0, 0, 1]))
+         @ se3.exp_rotation(tilt[:, None] * tilt_axes))
     places = view.middle + rng.uniform(-1, 1, (CANDIDATES_EACH, 2)) * view.size / 2
     across = LARGEST_SHIFT * view.size[0] * rng.uniform(-1, 1, (CANDIDATES_EACH, 1)) * T[:3, 1]
     aim = T[:3, [0, 2]] @ anchor + T[:3, 3] + across  # what is seen at the place
@@ -156,9 +157,7 @@ def stations_like(template: Problem, solution: Solution, poses: Array, places: A
     which the target is not seen so are left out.
     """
     obs = template.observations
-    anchored = _anchored(template, obs)
-    # (m, m): 1 where two observations are of one point
-    same_point = (obs.points[:, None] == obs.points).all(axis=2).astype(float)
+    anchored, same_point = _anchored(template, obs), obs.station_groups[0].same_point[0]
 
     # move the template's points, and cut what is then outside the view
     points = obs.points - obs.points[anchored].mean(axis=0) + places[:, None]
@@ -261,7 +260,8 @@ def _corner_seen(A: Array, points: Array, template: Linearisation, view: View
     offsets = (normals * (mean_of_face @ points)).sum(axis=2, keepdims=True)
     corners = np.linalg.solve(normals + 1e-9 * np.eye(2), offsets)[..., 0]
     return np.asarray((facing > SMALLEST_COSINE).all(axis=1) & (view.room(corners) > 0)
-                      & (np.abs(np.linalg.det(normals)) > np.sin(SMALLEST_CORNER)))
+                      & (np.abs(np.linalg.det(normals))
+                         > np.sin(SMALLEST_CORNER_ANGLE + CORNER_MARGIN)))
 
 
 def covariances_with_one_more(solution: Solution, candidates: Problem) -> Array:
@@ -290,16 +290,13 @@ def std_with_one_more(solution: Solution, levers: Array, added: Problem) -> floa
     """
     reported = solution.report_posterior
     problem = reported.problem
-    observations = [problem.observations, replace(
-        added.observations, station=added.observations.station + len(problem.poses))]
-    with_added = replace(
-        problem, poses=np.concatenate([problem.poses, added.poses]),
-        observations=Observations(*(np.concatenate([getattr(obs, item.name)
-                                                    for obs in observations])
-                                    for item in fields(Observations))))
-    before, after = (
-        se3.mapped_std(levers, posterior_at(
-            each, solution.estimate, reported.noise).covariance[:6, :6])
-        for each in (problem, with_added))
-    now = se3.mapped_std(levers, solution.transform_covariance)
-    return float(now) * min(float(after / before), 1.0)
+    further = replace(added.observations,
+                      station=added.observations.station + len(problem.poses))
+    observations = map(np.concatenate, zip(
+        astuple(problem.observations), astuple(further), strict=True))
+    with_added = replace(problem, poses=np.concatenate([problem.poses, added.poses]),
+                         observations=Observations(*observations))
+    posterior = posterior_at(with_added, reported.estimate, reported.noise)
+    now, before, after = (float(se3.mapped_std(levers, covariance[:6, :6])) for covariance in (
+        solution.transform_covariance, reported.covariance, posterior.covariance))
+    return now * min(after / before, 1.0)

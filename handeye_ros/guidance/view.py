@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Sample
+from handeye_ros.estimation.basis import grid_over
 from handeye_ros.targets.profile_target import ProfileTarget
 import numpy as np
 
@@ -118,8 +119,8 @@ def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:
 
 def view_levers(X: Array, view: View) -> Array:
     """Return the levers (k, 3) of a grid over the field of view, in the axes of the mount of X."""
-    x, z = (np.linspace(low, high, LEVERS_ALONG) for low, high in view.box.T)
-    return np.asarray(np.stack(np.meshgrid(x, 0.0, z), axis=-1).reshape(-1, 3) @ X[:3, :3].T)
+    points = grid_over(view.box, np.linspace(-1, 1, LEVERS_ALONG))
+    return np.asarray(points @ X[:3, [0, 2]].T)
 
 
 @dataclass(frozen=True, eq=False)

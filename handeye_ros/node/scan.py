@@ -116,9 +116,9 @@ class ScanNode(Node):
             span = latest - ready[0].stamp - self._pose_delay + POSES_AROUND
             poses = [pose for pose in self._poses if abs(latest - pose.stamp) <= span]
         trajectory = trajectory_of(poses, self.config.sampling.max_pose_gap)
-        dropped_before = self._scanner.count.without_pose
+        dropped_before = self._scanner.without_pose
         points = self._scanner.points(ready, trajectory)
-        dropped = self._scanner.count.without_pose
+        dropped = self._scanner.without_pose
         if dropped > dropped_before:
             self.get_logger().warning(
                 f'{dropped} profiles without a pose before and after them were dropped so far',

@@ -8,6 +8,7 @@ from itertools import takewhile
 import math
 from pathlib import Path
 from typing import Any, TypeAlias
+import warnings
 
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError
@@ -77,7 +78,8 @@ def read_cloud(path: Path) -> Array:
     require_suffix(path)
     layout = _ply_layout if path.suffix.lower() == '.ply' else _pcd_layout
     try:
-        with path.open('rb') as stream:
+        # loadtxt warns of a file without points, which is told below or by who needs them
+        with path.open('rb') as stream, warnings.catch_warnings(action='ignore'):
             length, lines = _header_lines(stream.read(LONGEST_HEADER))
             form, dtype, count = layout(lines)
             stream.seek(length)

@@ -18,6 +18,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import compress, islice
 
+from handeye_ros import se3
 from handeye_ros.config import Config, NoiseConfig, parse_length
 from handeye_ros.data import Array, Calibration, Profile, ROTATION_LAG
 from handeye_ros.errors import BadValueError, DataError
@@ -62,53 +63,42 @@ class ScanOptions:
         return cls(nearest, farthest, float(np.deg2rad(degrees)), edge, std)
 
 
-@dataclass
-class ScanCount:
-    """
-    Numbers of profiles and of their returns so far.
-
-    without_pose: profiles without points; out_of_limits, thinned: returns that are left out.
-    """
-
-    profiles: int = 0
-    without_pose: int = 0
-    returns: int = 0
-    out_of_limits: int = 0
-    thinned: int = 0
-
-    @property
-    def points(self) -> int:
-        """Return the number of points kept."""
-        return self.returns - self.out_of_limits - self.thinned
-
-
 class Scanner:
     """
     Maps profiles to points in the base (with eye_on_base in the flange), live and offline.
 
-    frame: the id of the frame of the points; count: the numbers so far
+    frame: the id of the frame of the points
+    profiles, without_pose: the number of profiles so far, and of those without points
+    returns, out_of_limits, thinned: the number of returns, and of those that are left out
     """
 
     def __init__(self, calibration: Calibration, config: Config, options: ScanOptions) -> None:
         """Start without profiles."""
         self.calibration, self.config, self.frame = calibration, config, target_frame(config)
-        self.options, self.count = options, ScanCount()
+        self.options = options
+        self.profiles = self.without_pose = 0
+        self.returns = self.out_of_limits = self.thinned = 0
         self.lag = float(calibration.target.get(ROTATION_LAG, 0.0))  # s
         self._fields: np.dtype[np.void] | None = None  # of a point, as the first profile has them
         self._filled = set[int]()  # cubes that have their point
 
+    @property
+    def kept(self) -> int:
+        """Return the number of points so far."""
+        return self.returns - self.out_of_limits - self.thinned
+
     def scan(self, profiles: Iterable[Profile], trajectory: Trajectory) -> Iterator[Points]:
         """Yield the points of profiles in pieces; raises DataError where there are none."""
-        source, count = iter(profiles), self.count
+        source = iter(profiles)
         while batch := list(islice(source, BATCH_PROFILES)):
             yield self.points(batch, trajectory)
-        if count.profiles == count.without_pose > 0:
+        if self.profiles == self.without_pose > 0:
             raise DataError(
-                f'none of the {count.profiles} profiles has a pose before and after it within '
+                f'none of the {self.profiles} profiles has a pose before and after it within '
                 f'{self.config.sampling.max_pose_gap:g} s: the clocks of sensor and robot differ '
                 '(set time_offset), or the poses are too sparse (sampling.max_pose_gap)')
-        if not count.points:
-            raise DataError(f'no point is left of {count.profiles} profiles with {count.returns} '
+        if not self.kept:
+            raise DataError(f'no point is left of {self.profiles} profiles with {self.returns} '
                             'returns: widen the limits (--range, --incidence), or, without '
                             'returns, check range and exposure of the sensor')
 
@@ -120,8 +110,8 @@ class Scanner:
                 *'xyz', *compress(optional, optional.values()))])
         stamps = np.array([p.stamp for p in profiles], dtype=np.int64) + self.config.offset_ns
         flange = trajectory.at(stamps, self.lag)
-        self.count.profiles += len(profiles)
-        self.count.without_pose += len(profiles) - int(flange.inside.sum())
+        self.profiles += len(profiles)
+        self.without_pose += len(profiles) - int(flange.inside.sum())
         T = mount_poses(flange.T_base_flange, self.config) @ self.calibration.T_flange_sensor
         stds = trajectory.std(stamps) if self.options.std else np.zeros((len(profiles), 2))
         used = compress(zip(profiles, T, stds, strict=True), flange.inside)
@@ -137,7 +127,7 @@ class Scanner:
                                  return_index=True)
         is_new = np.array([cube not in self._filled for cube in cubes.tolist()], dtype=bool)
         self._filled.update(cubes.tolist())
-        self.count.thinned += len(cloud) - int(is_new.sum())
+        self.thinned += len(cloud) - int(is_new.sum())
         return np.take(cloud, np.sort(first[is_new]))
 
     def _of_profile(self, fields: np.dtype[np.void], profile: Profile, T_base_sensor: Array,
@@ -164,8 +154,8 @@ class Scanner:
         keep = is_return & (z >= self.options.nearest) & (z <= self.options.farthest)
         if self.options.incidence < np.pi / 2:  # only then: they take half of the time
             keep[keep] = _incidence(points[keep]) <= self.options.incidence
-        self.count.returns += int(is_return.sum())
-        self.count.out_of_limits += int(is_return.sum()) - int(keep.sum())
+        self.returns += int(is_return.sum())
+        self.out_of_limits += int(is_return.sum()) - int(keep.sum())
         return np.asarray(keep)
 
 
@@ -187,12 +177,9 @@ def point_std(calibration: Calibration, noise: NoiseConfig, lever: Array, pose_s
     of the calibration (6x6), of the range, of single poses (noise), and of the trajectory
     (pose_std (2,), per axis, m and rad).
     """
-    X, C = calibration.T_flange_sensor, calibration.covariance
-    # E|dt + dr x l|^2 = tr(C_tt) + 2 l . E[dt x dr] + l' (tr(C_rr) I - C_rr) l
-    twist = np.array([C[1, 5] - C[2, 4], C[2, 3] - C[0, 5], C[0, 4] - C[1, 3]])
-    square = np.trace(C[:3, :3]) + 2 * lever @ twist + noise.sensor ** 2
-    square += ((lever @ (np.trace(C[3:, 3:]) * np.eye(3) - C[3:, 3:])) * lever).sum(axis=1)
-    from_flange = ((lever + X[:3, 3]) ** 2).sum(axis=1)
+    wrt_X = se3.perturbation_jacobian(lever)
+    square = ((wrt_X @ calibration.covariance) * wrt_X).sum(axis=(1, 2)) + noise.sensor ** 2
+    from_flange = ((lever + calibration.T_flange_sensor[:3, 3]) ** 2).sum(axis=1)
     for translation, rotation in ((noise.robot_translation, noise.robot_rotation), pose_std):
         square += 3 * translation ** 2 + 2 * rotation ** 2 * from_flange
     return np.asarray(np.sqrt(np.maximum(square, 0.0)))

@@ -10,7 +10,6 @@ a fillet is the intersection of the sheets; that of a V is midway between its lo
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 from handeye_ros.data import Array, Indices, robust_std
 from handeye_ros.errors import DataError, mm
@@ -41,6 +40,15 @@ ROUGH_EDGE_WINDOW = 5e-3  # m along the seam: pairs within it give the rough edg
 COURSE_OVERHANG = 8e-3  # m beyond the ends of the rough course where the seam may continue
 ROOT_GAP = 0.5  # spacings: a larger mean distance of the lower edges of a V is a root gap
 
+SHEET_END = np.dtype([  # one sheet in a section across the seam
+    ('end', float, 3),  # where it ends at the seam (m)
+    ('outwards', float, 3),  # direction out of the sheet there
+    ('normal', float, 3),  # mean over the section
+    ('noise', float),  # 1 sigma of the points about it (m)
+    ('extent', float, 2),  # where its points begin and stop along the seam, from the section (m)
+    # 1 sigma of the end from the distance between columns that follow the seam (m)
+    ('resolution', float)])
+
 
 @dataclass(frozen=True, eq=False)
 class Edges:
@@ -61,26 +69,6 @@ class Edges:
     normals: Array
     noise: float
     ends: tuple[float, float]
-
-
-class _SheetEnd(NamedTuple):
-    """
-    One sheet in a section across the seam.
-
-    end: (3,) where it ends at the seam
-    outwards: (3,) direction out of the sheet there
-    normal: (3,) mean over the section
-    noise: 1 sigma of the points about it (m)
-    extent: (2,) where its points begin and stop along the seam, from the section (m)
-    resolution: 1 sigma of the end from the distance between columns that follow the seam (m)
-    """
-
-    end: Array
-    outwards: Array
-    normal: Array
-    noise: float
-    extent: Array
-    resolution: float
 
 
 def edges_of_seam(sheets: Sheets, rough: Course) -> Edges:
@@ -124,7 +112,7 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
     places = 0.5 * (first + last) + step * (np.arange(count) - 0.5 * (count - 1))
     both_ends = {t: [_sheet_end(sheets, rough, curve, side, t, step) for side in (0, 1)]
                  for t in places.tolist()}
-    sections = {t: ends for t, ends in both_ends.items() if all(ends)}
+    sections = {t: ends for t, ends in both_ends.items() if None not in ends}
     lengths = np.array([*sections] or [first, last])
     missing = np.append(np.diff(lengths) - step, 0.0)
     worst = int(np.argmax(missing))
@@ -133,21 +121,18 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
         raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
                         'there again, or cut one part out with --box')
 
-    def of_sheets(name: str) -> Array:
-        """Return a value of both sheets in all sections (k, 2, ...)."""
-        return np.array([[getattr(sheet, name) for sheet in ends] for ends in sections.values()])
-
-    extent = of_sheets('extent')
+    ends = np.array([*sections.values()], SHEET_END)  # (k, 2)
+    extent = ends['extent']
     seam_ends = (lengths[0] + extent[0, :, 0].max(), lengths[-1] + extent[-1, :, 1].min())
     # the ends of the sheets in a section of few points are not known well
     filled = np.ptp(extent, axis=2).min(axis=1) > 0.5 * step - sheets.spacing
-    end, outwards, normals, noise, resolution_of_ends = (
-        of_sheets(name)[filled] for name in ('end', 'outwards', 'normal', 'noise', 'resolution'))
+    ends = ends[filled]
+    end, outwards, normals = ends['end'], ends['outwards'], ends['normal']
     gap = np.median(_dot(np.diff(end, axis=1), unit(np.diff(-outwards, axis=1))))
     meeting_of_v = NARROWEST_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)
     meeting = {'lap': np.inf, 'fillet': np.inf, 'v': meeting_of_v, 'butt': 0.0}[rough.kind]
     # by how much the lines move with the ends of one side, and then of the other, 1 sigma further
-    shift = outwards * resolution_of_ends[..., None]
+    shift = outwards * ends['resolution'][..., None]
     lines, *moved_lines = (
         _lines(rough.kind, meeting, end + shift * by_side, outwards, normals)
         for by_side in (0.0, [[1.0], [0.0]], [[0.0], [1.0]]))
@@ -155,13 +140,13 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
         [moved[name] - line for moved in moved_lines], axis=(0, 2))))
         for name, line in lines.items()}
     return Edges(lengths[filled], lines, resolution, unit(normals.sum(axis=1)),
-                 float(np.median(noise)), seam_ends)
+                 float(np.median(ends['noise'])), seam_ends)
 
 
 def _sheet_end(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step: float
-               ) -> _SheetEnd | None:
+               ) -> tuple[Array | float, ...] | None:
     """
-    Return one sheet in the section at t along a curve, None where it does not end there.
+    Return a SHEET_END of the section at t along a curve, None where the sheet does not end there.
 
     side: 0 or 1, of the pairs of the rough course; step: width of the section along the seam (m).
     """
@@ -191,11 +176,10 @@ def _sheet_end(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float,
         return None
     slope = np.polyval(np.polyder(sheet), end)
     mean_slope = np.polyfit(inward[inner], height[inner], 1)[0]
-    return _SheetEnd(origin + end * into_sheet + np.polyval(sheet, end) * upright,
-                     -(into_sheet + slope * upright) / np.hypot(1, slope),
-                     (upright - mean_slope * into_sheet) / np.hypot(1, mean_slope), noise,
-                     np.quantile(along[on_sheet], [0, 1]),
-                     _column_resolution(points[:, 1], sheets.spacing))
+    return (origin + end * into_sheet + np.polyval(sheet, end) * upright,
+            -(into_sheet + slope * upright) / np.hypot(1, slope),
+            (upright - mean_slope * into_sheet) / np.hypot(1, mean_slope), noise,
+            np.quantile(along[on_sheet], [0, 1]), _column_resolution(points[:, 1], sheets.spacing))
 
 
 def _points_of_sheet(sheets: Sheets, this_edge: Indices, other_edge: Indices,
@@ -273,7 +257,7 @@ def _lines(kind: str, meeting: float, end: Array, outwards: Array, normals: Arra
     """
     Return the lines of k sections by name: points (k, 3) of first and second edge, root, centre.
 
-    end, outwards, normals: (k, 2, 3) of both sheets, see _SheetEnd; meeting: sheets whose edges
+    end, outwards, normals: (k, 2, 3) of both sheets, see SHEET_END; meeting: sheets whose edges
     are nearer to each other than this (m) meet in the root.
     """
     edges, root, lower, along = end.copy(), end.mean(axis=1), 0, outwards[:, 1]

@@ -6,12 +6,13 @@ Whether a calibration still holds, by a short recording of its target; if not, w
 With nothing changed, the residuals r of the recording at the answer of the calibration are
 r = E e + n: e are the errors of the calibration's transform and target, by their joint covariance,
 and the systematic ones of robot, sensor and target, as large as the calibration found them; n is
-the noise, as it found it. A move m of target or sensor adds D m; a changed robot adds an error of
-each pose, smooth over the poses or white. Each has a normal prior, averaged over MOVE_SCALES, so
-each cause has a marginal likelihood. A change is reported if the causes together are
-LEAST_EVIDENCE times as likely as none: by Markov's inequality the probability of a false alarm is
-at most 1 / LEAST_EVIDENCE (Wald 1945). If the stops do not distinguish several causes, the
-sentence names these and their odds; if nothing changed, the smallest change that would have shown.
+the noise that the calibration found, at least that which is configured. A move m of target or
+sensor adds D m; a changed robot adds an error of each pose, smooth over the poses or white. Each
+has a normal prior, averaged over MOVE_SCALES, so each cause has a marginal likelihood. A change is
+reported if the causes together are LEAST_EVIDENCE times as likely as none: by Markov's inequality
+the probability of a false alarm is at most 1 / LEAST_EVIDENCE (Wald 1945). If the stops do not
+distinguish several causes, the sentence names these and their odds; if nothing changed, the
+smallest change that would have shown.
 """
 from __future__ import annotations
 
@@ -38,7 +39,14 @@ from handeye_ros.data import (
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.blocks import LINE_BEND, line_bend, sensor_distortion, wrt_smooth
 from handeye_ros.estimation.noise import NoiseScales, Whitening, whitening
-from handeye_ros.estimation.problem import Estimate, Linearisation, linearise, Problem, UNUSED
+from handeye_ros.estimation.problem import (
+    Estimate,
+    has_unused_edges,
+    Linearisation,
+    linearise,
+    Problem,
+    UNUSED,
+)
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import direction_in_words, mount_frame, target_frame
 from handeye_ros.sampling.stops import evenly_spaced
@@ -132,7 +140,7 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
 
     Raises DataError, and InputError for a calibration without a target to compare with.
     """
-    _Calibrated.read(calibration, config)  # before samples are looked for on another target
+    cell = CalibratedCell.read(calibration, config)  # before samples of another target are sought
     profiles = list(profiles)
     try:
         session = pipeline.gather(profiles, poses, config)
@@ -142,31 +150,28 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
         config = replace(config, sampling=replace(config.sampling, mode='moving'))
         session = pipeline.gather(profiles, poses, config)
     if not config.sampling.moving:
-        return check(session.samples, calibration, config, session.rejects)
+        return check(session.samples, cell, session.rejects)
     answer = pipeline.answer_session(session, config)
     offset, solution = answer.require_calibration().time_offset, answer.require_solution()
     used = [answer.samples[i] for i in solution.used_stations]
     still = [replace(sample, trajectory=None) for sample in evenly_spaced(used, MOST_OF_SWEEP)]
-    result = check(still, calibration, config, session.rejects,
-                   [stop.stamp for stop in session.stops])
+    result = check(still, cell, session.rejects, [stop.stamp for stop in session.stops])
     before = calibration.time_offset
     return _with_offset(result, offset, before) if offset and before else result
 
 
-def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
-          rejects: Sequence[Reject] = (), passes: Sequence[int] = ()) -> Check:
+def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Reject] = (),
+          passes: Sequence[int] = ()) -> Check:
     """
-    Return the check of a calibration by samples of the same target.
+    Return the check of a calibration by samples of the same target; raises DataError.
 
     rejects: the stops that gave no sample; passes: stamps (ns) of those of a sweep, of which the
-    samples are single profiles. Raises DataError, and InputError for a calibration without a
-    target to compare with.
+    samples are single profiles.
     """
-    calibrated = _Calibrated.read(calibration, config)
-    problem = _observed(samples, calibrated, config, rejects)
+    problem, config = _observed(samples, cell, rejects), cell.config
 
     def compared_at(stops: Indices) -> GroupFit[_Prediction]:
-        prediction = _predicted(problem.subset(stops), calibrated)
+        prediction = _predicted(problem.subset(stops), cell)
         station = prediction.linear.problem.observations.station
         require_stations([len(np.unique(station))])
         # whatever moved, and however the calibration errs
@@ -176,6 +181,7 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
 
     prediction, _, contradicting = fit_without_outliers(
         np.unique(problem.observations.station), compared_at)
+
     target, sensor = (_cause_of(prediction, name) for name in MOVABLE)
     sentences = {'target': target.sentence, 'sensor': sensor.sentence, 'robot': ROBOT_CHANGED}
     log_likelihoods = [target.log_likelihood, sensor.log_likelihood,
@@ -183,6 +189,7 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     log_evidence = _log_mean(log_likelihoods) - _log_likelihood(
         prediction.residuals, prediction.errors)
     odds = dict(zip(sentences, softmax(log_likelihoods).tolist(), strict=True))
+
     if log_evidence < math.log(LEAST_EVIDENCE):
         verdict, sentence = 'unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
@@ -196,12 +203,14 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
                 'neither a small move nor an error of the robot explains: check that the '
                 'calibration is of this sensor, robot and target, and that the target still '
                 'stands there; if it does not, calibrate again', reason='other_cell')
+
     stamps = passes or sorted([*(sample.stamp for sample in samples),
                                *(reject.stamp for reject in rejects)])
     left_out = sorted({bisect_right(stamps, samples[k].stamp) for k in contradicting})
     if left_out:
         what = 'profiles of the passes' if passes else 'stops'
         sentence += f'. Left out, as they contradict the others: {what} {left_out}'
+
     return Check(
         samples[0].stamp, verdict, sentence, len(prediction.linear.problem.poses),
         rms(prediction.linear.residuals), math.exp(min(log_evidence, 700.0)), odds, target.move,
@@ -225,9 +234,9 @@ def _verdict_and_sentence(sentences: Mapping[str, str], odds: Mapping[str, float
     return ' or '.join(named), sentence
 
 
-class _Calibrated(NamedTuple):
+class CalibratedCell(NamedTuple):
     """
-    What a calibration says of sensor and target.
+    What a calibration says of sensor and target, and the settings of the check.
 
     root: R with R R' the joint covariance (6 + k, 6 + k) of transform and target
     variance_factors: (5,) of its noise, see NoiseScales, at least 1
@@ -239,44 +248,43 @@ class _Calibrated(NamedTuple):
     root: Array
     variance_factors: Array
     noise: NoiseConfig
+    config: Config
 
     @classmethod
-    def read(cls, calibration: Calibration, config: Config) -> _Calibrated:
+    def read(cls, calibration: Calibration, config: Config) -> CalibratedCell:
         """Return what a stored calibration says; raises InputError where it cannot be compared."""
-        if calibration.method != config.target.type and calibration.method in TARGETS:
+        method, found, configured = calibration.method, calibration.target, config.noise
+        if method != config.target.type and method in TARGETS:
             raise InputError(
-                f'the calibration was made with a target of type {calibration.method}, but '
+                f'the calibration was made with a target of type {method}, but '
                 f'target.type is {config.target.type}: without --config and --set target.type, '
                 'its own settings apply')
         try:
-            target, joint = TARGETS[calibration.method], calibration.target['joint']
-            parameter_count = len(target.parameter_names)
-            state = np.array(joint['state'], dtype=float)
-            state = state.reshape(16 + parameter_count - len(target.pose_axes))
-            covariance = np.array(joint['covariance'], dtype=float).reshape(
-                2 * [6 + parameter_count])
+            target, joint = TARGETS[method], found['joint']
+            k = len(target.parameter_names)
+            state = np.array(joint['state'], dtype=float).reshape(16 + k - len(target.pose_axes))
+            covariance = np.array(joint['covariance'], dtype=float).reshape(6 + k, 6 + k)
             factors = np.maximum(np.ones(5), joint.get(
                 'variance_factors', joint.get('variance_factor')))  # one, in earlier files
-            found, configured = calibration.target, config.noise
-            noise = replace(
-                configured, robot_smooth=float(found.get('robot_position_error', 0.0)),
-                distortion=float(found.get('distortion_error', configured.distortion)),
-                flatness=float(found.get('flatness_error', configured.flatness)),
-                line_bend=float(found.get(LINE_BEND, configured.line_bend)))
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
-                f'the calibration (method {calibration.method}) does not hold what a check '
+                f'the calibration (method {method}) does not hold what a check '
                 'compares with: the target with its covariance. Solve its recording again with '
                 f'this version, as one of {", ".join(TARGETS)}, or measure a known object with '
                 '"handeye verify"') from error
+        noise = replace(
+            configured, robot_smooth=found.get('robot_position_error', 0.0),
+            distortion=found.get('distortion_error', configured.distortion),
+            flatness=found.get('flatness_error', configured.flatness),
+            line_bend=found.get(LINE_BEND, configured.line_bend))
         X = calibration.T_flange_sensor @ frames.T_sensor_plane(config)
-        return cls(target, Estimate(X, state), root_of(covariance), factors, noise)
+        return cls(target, Estimate(X, state), root_of(covariance), factors, noise, config)
 
 
-def _observed(samples: Sequence[Sample], calibrated: _Calibrated, config: Config,
-              rejects: Sequence[Reject]) -> Problem:
+def _observed(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Reject]
+              ) -> Problem:
     """Return the samples as a problem, with only what they show of the calibrated target."""
-    target, estimate = calibrated.target, calibrated.estimate
+    target, estimate, config = cell.target, cell.estimate, cell.config
     observations = target.observe(samples)
     problem = Problem(target, frames.mount_poses_of(samples, config), observations, config,
                       long_errors=True)
@@ -296,7 +304,7 @@ def _observed(samples: Sequence[Sample], calibrated: _Calibrated, config: Config
     # alone, the edge of a station is near whatever its distance: the target may have slid along
     # its face
     alone = labelled(observations.station)
-    lost = alone.shows_edge & ~together.shows_edge
+    lost = has_unused_edges(alone, together)
     return alone if lost.mean() > LARGEST_LOST_SHARE else together
 
 
@@ -337,34 +345,34 @@ class _Prediction:
         return self.whiten(linear.residuals), self.whiten(wrt_move), lever
 
 
-def _predicted(problem: Problem, calibrated: _Calibrated) -> _Prediction:
+def _predicted(problem: Problem, cell: CalibratedCell) -> _Prediction:
     """Return what a recording shows at the calibrated estimate."""
-    config, estimate = problem.config, calibrated.estimate
-    at_found_sizes = linearise(replace(problem, config=replace(
-        config, noise=calibrated.noise)), estimate)
-    systematic = [block.columns * (
-        # the range of a face in grazing light may be off by as much as a calibration allows
-        block.largest_variance ** 0.5 if block.name == GRAZING else 1.0)
-        for source in (problem.target.blocks, sensor_distortion, line_bend)
-        for block in source(at_found_sizes)]
-    linear = linearise(problem, estimate)
-    whiten = whitening(linear, NoiseScales(calibrated.variance_factors))
+    found_sizes = replace(problem, config=replace(cell.config, noise=cell.noise))
+    at_found_sizes = linearise(found_sizes, cell.estimate)
+    blocks = [block for source in (cell.target.blocks, sensor_distortion, line_bend)
+              for block in source(at_found_sizes)]
+    # the range of a face in grazing light may be off by as much as a calibration allows
+    factors = [block.largest_variance ** 0.5 if block.name == GRAZING else 1.0 for block in blocks]
+
+    linear = linearise(problem, cell.estimate)
+    whiten = whitening(linear, NoiseScales(cell.variance_factors))
     # what all stops share was part of the calibration too
     basis = problem.smooth_error_basis
     differences = (basis - basis.mean(axis=0))[problem.observations.station]
     errors = np.column_stack([
-        linear.jacobian @ calibrated.root,
-        wrt_smooth(linear.wrt_pose, differences * calibrated.noise.robot_smooth), *systematic])
+        linear.jacobian @ cell.root,
+        wrt_smooth(linear.wrt_pose, differences * cell.noise.robot_smooth),
+        *(block.columns * factor for block, factor in zip(blocks, factors, strict=True))])
     return _Prediction(linear, whiten, whiten(linear.residuals), whiten(errors))
 
 
-def _log_likelihood(residuals: Array, errors: Array) -> float:
+def _log_likelihood(residuals: Array, *errors: Array) -> float:
     """
     Return the log likelihood of white residuals (m,) whose errors have a normal prior.
 
-    errors: (m, k) derivatives by values of unit variance.
+    errors: (m, k) each, derivatives by values of unit variance.
     """
-    _, covariance, square = likeliest(errors, residuals)
+    _, covariance, square = likeliest(np.hstack(errors), residuals)
     return float(np.linalg.slogdet(covariance)[1] - square) / 2
 
 
@@ -404,8 +412,8 @@ def _cause_of(prediction: _Prediction, name: str) -> _Cause:
         r = r + D @ move  # of no move, in this linearisation
         x, C, _ = likeliest(np.hstack([prediction.errors, D * sigmas]), r)
         move, C = sigmas * x[-6:], C[-6:, -6:] * np.outer(sigmas, sigmas)
-        log_likelihoods = [_log_likelihood(r, np.hstack([
-            prediction.errors, D * _move_sigmas(scale)])) for scale in MOVE_SCALES]
+        log_likelihoods = [_log_likelihood(r, prediction.errors, D * _move_sigmas(scale))
+                           for scale in MOVE_SCALES]
         sigmas = _move_sigmas(MOVE_SCALES[int(np.argmax(log_likelihoods))])
     shift, turn = np.linalg.norm(move.reshape(2, 3), axis=1).tolist()
     displacement, std = largest_displacement(lever, move, C)
@@ -424,17 +432,14 @@ def _cause_of(prediction: _Prediction, name: str) -> _Cause:
 def _robot_log_likelihood(prediction: _Prediction) -> float:
     """Return the log likelihood of a robot whose poses err otherwise, smoothly or each alone."""
     problem, wrt_pose = prediction.linear.problem, prediction.whiten(prediction.linear.wrt_pose)
-    smooth = problem.smooth_error_basis
+    smooth, station = problem.smooth_error_basis, problem.observations.station
     # the root of four is alike over twice the distance, as one joint's error reaches further
     values, axes = np.linalg.eigh(np.abs(smooth @ smooth.T) ** 0.25)
-    log_likelihoods = []
-    for root in smooth, axes * np.sqrt(np.maximum(values, 0.0)), np.eye(len(problem.poses)):
-        of_rows = root[problem.observations.station]
-        for scale in MOVE_SCALES:
-            by_twists = (wrt_pose * _move_sigmas(scale))[:, :, None] * of_rows[:, None]
-            log_likelihoods.append(_log_likelihood(prediction.residuals, np.hstack([
-                prediction.errors, by_twists.reshape(len(of_rows), -1)])))
-    return _log_mean(log_likelihoods)
+    roots = smooth, axes * np.sqrt(np.maximum(values, 0.0)), np.eye(len(problem.poses))
+    return _log_mean([
+        _log_likelihood(prediction.residuals, prediction.errors,
+                        wrt_smooth(wrt_pose, root[station], np.diag(_move_sigmas(scale))))
+        for root, scale in product(roots, MOVE_SCALES)])
 
 
 def _smallest_shifts(prediction: _Prediction, name: str) -> tuple[list[float], list[list[float]]]:

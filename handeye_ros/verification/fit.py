@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 import math
 from typing import Generic, NamedTuple, TypeVar
 
@@ -82,15 +82,14 @@ class StationSet:
     problem: the n poses of the sensor's mount in the frame of the artefact, and the m points
     stamps (n,): ns
     counts: the number of poses of each recording, in order
-    are_passes: whether the poses of a recording share the error of the robot; by default each has
-        its own
+    group_of_pose: (n,) the number of the group of poses that share one error of the robot
     surface_note: the choice between several surfaces in sight, in words
     """
 
     problem: Problem
     stamps: NDArray[np.int64]
     counts: tuple[int, ...]
-    are_passes: bool = False
+    group_of_pose: Indices
     surface_note: str = ''
 
     @property
@@ -102,11 +101,6 @@ class StationSet:
     def recording_of_pose(self) -> Indices:
         """Return the recording (n,) of each pose."""
         return np.repeat(np.arange(len(self.counts)), self.counts)
-
-    @property
-    def group_of_pose(self) -> Indices:
-        """Return for each pose (n,) the number of the group that shares its error."""
-        return self.recording_of_pose if self.are_passes else np.arange(len(self.problem.poses))
 
     @property
     def group_of_point(self) -> Indices:
@@ -292,25 +286,6 @@ class ShapeFit:
     error: CalibrationError
 
 
-@dataclass(frozen=True, eq=False)
-class _WhiteDistances:
-    """
-    The white distances r (m,) of a fitted shape, r = J dq + E e + n as above.
-
-    J: (m, k); E: (m, 6 + s); claim: (6 + s, 6 + s)
-    """
-
-    r: Array
-    J: Array
-    E: Array
-    claim: Array
-
-    @cached_property
-    def gain(self) -> Array:
-        """Return pinv(J) (k, m): by how much the fitted q follows each distance."""
-        return np.asarray(np.linalg.pinv(self.J), dtype=float)
-
-
 class GroupFit(NamedTuple, Generic[Result]):
     """
     A fit to some groups of points.
@@ -345,32 +320,37 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float
     linear = shape.linear(X, q)
     basis = problem.smooth_error_basis[problem.observations.station]
     by_robot = wrt_smooth(linear.wrt_pose, basis * smooth_std)
-    white_of = whitening(linear)
-    white = _WhiteDistances(
-        white_of(linear.residuals), white_of(linear.jacobian[:, 6:]),
-        np.hstack([white_of(linear.jacobian[:, :6]), white_of(by_robot)]),
-        scipy.linalg.block_diag(root_of(C), np.eye(by_robot.shape[1])))
-    quantities, deviation, deviation_wrt_errors, square_of_values = _measured(shape, q, white)
+    white = whitening(linear)
+    r, J = white(linear.residuals), white(linear.jacobian[:, 6:])
+    E = white(np.hstack([linear.jacobian[:, :6], by_robot]))
+    claim = scipy.linalg.block_diag(root_of(C), np.eye(by_robot.shape[1]))
+    # by how much the fitted q follows each distance
+    gain = np.asarray(np.linalg.pinv(J), dtype=float)
+
+    quantities, deviation, deviation_wrt_errors, squared_deviation = _measured(
+        shape, q, J, gain, E, claim)
+    known = len(deviation)
+    claim_p = float(chi2_sf(squared_deviation, known)) if known else 1.0
+
     # what the shape does not take up
-    r_left, E_left = (values - white.J @ (white.gain @ values) for values in (white.r, white.E))
-    freedom, known = max(len(r_left) - len(q), 1), len(deviation)
+    r_left, E_left = (values - J @ (gain @ values) for values in (r, E))
+    freedom = max(len(r_left) - len(q), 1)
     sizes = np.abs(linear.residuals)
-    square = likeliest(E_left @ white.claim, r_left)[2]
+    square = likeliest(E_left @ claim, r_left)[2]
     scatter = Scatter(len(sizes), float(sizes.mean()), float(sizes.std()), rms(sizes),
                       float(sizes.max()), float(chi2_sf(square, freedom)))
     variances = np.square(by_robot).sum(axis=1)  # of the distances, due to robot and sensor
     for group in groups:
         variances[group.rows] += np.einsum('nii->ni', _covariance(linear, group))
-    fit = ShapeFit(
-        quantities, scatter, linear.residuals, np.sqrt(variances), square_of_values, known,
-        float(chi2_sf(square_of_values, known)) if known else 1.0, _calibration_error(
-            np.vstack([E_left, -deviation_wrt_errors]), np.append(r_left, deviation),
-            freedom + known, linear))
+    error = _calibration_error(np.vstack([E_left, -deviation_wrt_errors]),
+                               np.append(r_left, deviation), freedom + known, linear)
+    fit = ShapeFit(quantities, scatter, linear.residuals, np.sqrt(variances), squared_deviation,
+                   known, claim_p, error)
+
     # the test for outliers leaves shape and calibration free
-    unknowns = np.hstack([white.J, white.E[:, :6]])
+    unknowns = np.hstack([J, E[:, :6]])
     unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
-    return GroupFit((shape, fit), white.r, np.hstack([unknowns, white.E[:, 6:]]),
-                    stations.group_of_point)
+    return GroupFit((shape, fit), r, np.hstack([unknowns, E[:, 6:]]), stations.group_of_point)
 
 
 def _calibration_error(A: Array, b: Array, conditions: int, linear: Linearisation
@@ -418,21 +398,22 @@ def likeliest(A: Array, b: Array, information: Array | float = 1.0
     return x, covariance, float(b @ b - explained @ x)
 
 
-def _measured(shape: Shape, q: Array, white: _WhiteDistances
+def _measured(shape: Shape, q: Array, J: Array, gain: Array, E: Array, claim: Array
               ) -> tuple[tuple[Quantity, ...], Array, Array, float]:
     """
     Return the measured quantities of a shape q (k,), and how the v with a nominal value deviate.
 
     That is the white deviations (v,), their derivatives (v, 6 + s) by e, and the
-    squared_deviation of a ShapeFit.
+    squared_deviation of a ShapeFit. J (m, k), E (m, 6 + s): white derivatives of the distances;
+    gain: pinv(J); claim: (6 + s, 6 + s).
     """
     certificate = shape.stations.problem.config.verify.certificate  # U of nominal lengths
     values, wrt_shape = shape.values(q), derivatives(shape.values, q)
-    wrt_distances = wrt_shape @ white.gain
-    wrt_errors = wrt_distances @ white.E
-    by_claim, by_smooth = np.split(wrt_errors @ white.claim, [6], axis=1)
+    wrt_distances = wrt_shape @ gain
+    wrt_errors = wrt_distances @ E
+    by_claim, by_smooth = np.split(wrt_errors @ claim, [6], axis=1)
     covariance, claimed = wrt_distances @ wrt_distances.T, by_claim @ by_claim.T
-    unseen = np.abs(wrt_shape - wrt_distances @ white.J).max(axis=1, initial=0.0) > UNSEEN_CHANGE
+    unseen = np.abs(wrt_shape - wrt_distances @ J).max(axis=1, initial=0.0) > UNSEEN_CHANGE
     nominal = np.array([quantity.nominal for quantity in shape.quantities], dtype=float)
     known = np.flatnonzero(np.isfinite(nominal) & ~unseen)
     is_length = np.array([quantity.unit == 'm' for quantity in shape.quantities])
@@ -510,8 +491,8 @@ def fit_without_outliers(groups: Indices, fit_groups: Callable[[Indices], GroupF
                   ) -> tuple[Result, Array, Indices, list[int]]:
         fit = fit_groups(used)
         squares, freedom = _left_out_squares(fit, used)
-        of_used = chi2_sf(squares * freedom, freedom)
-        p_values.update(zip(used.tolist(), of_used.tolist(), strict=True))
+        p_values.update(zip(used.tolist(), chi2_sf(squares * freedom, freedom).tolist(),
+                            strict=True))
         return fit.result, squares, freedom, [*dropped]
 
     with suppress(DataError):

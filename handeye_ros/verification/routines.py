@@ -22,15 +22,14 @@ def line(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
 
     Its q (4,) are two offsets (m) and two slopes, across the first direction of the points.
     """
-    p, kind = stations.problem.points_in_base(X), stations.observations.kind
+    p, kind = stations.problem.points_in_base(X), stations.observations.kind[:, None]
     middle = p.mean(axis=0)
     frame = np.linalg.svd(p - middle)[2].T
 
     def distance(p: Array, q: Array) -> Array:
-        offsets, slopes = q[:2], q[2:]
-        local = (p - middle) @ frame
+        local, offsets, slopes = (p - middle) @ frame, q[:2], q[2:]
         away = local[:, 1:] - offsets - local[:, :1] * slopes
-        return np.asarray(np.where(kind == 0, away[:, 0], away[:, 1]))
+        return np.asarray(np.take_along_axis(away, kind, 1)[:, 0])
 
     return Shape(stations, np.zeros(4), distance)
 
@@ -67,12 +66,12 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     block, face = np.divmod(np.arange(count), count // blocks)  # of each recording
     middles = np.array([p[recording == k].mean(axis=0) for k in range(count)])
     centred = p - middles[recording]
-    frames = np.array([np.linalg.svd(centred[block[recording] == k], full_matrices=False)[2].T
-                       for k in range(blocks)])
-    sensors = (stations.problem.poses @ X)[:, :3, 3]
-    for k in range(blocks):  # upwards is towards the sensor
+    sensors, frames = (stations.problem.poses @ X)[:, :3, 3], np.empty((blocks, 3, 3))
+    for k in range(blocks):
+        frames[k] = np.linalg.svd(centred[block[recording] == k], full_matrices=False)[2].T
+        # upwards is towards the sensor
         sensor = sensors[block[stations.recording_of_pose] == k].mean(axis=0)
-        frames[k][:, 2] *= np.sign((sensor - middles[block == k][0]) @ frames[k][:, 2])
+        frames[k, :, 2] *= np.sign((sensor - middles[block == k][0]) @ frames[k, :, 2])
 
     def normals_and_heights(q: Array) -> tuple[Array, Array]:
         """Return the normal (count, 3) of each plane, and its height (count,) over its middle."""

@@ -68,7 +68,7 @@ def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibr
                        is_face=target.kinds == ('face',))
     return StationSet(
         problem, np.array([sample.stamp for sample in samples], dtype=np.int64),
-        tuple(map(len, shown)), surface_note='; '.join(
+        tuple(map(len, shown)), np.arange(len(poses)), '; '.join(
             f'recording {k}: {choice}' for k, choice in enumerate(choices, 1) if choice))
 
 
@@ -122,7 +122,8 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
         counts.append(len(usable))
     problem = _problem(TARGETS['plane'], mount_poses(np.concatenate(poses), config),
                        rows.observations(), config, is_face=False)
-    return StationSet(problem, np.array(stamps, dtype=np.int64), tuple(counts), are_passes=True)
+    return StationSet(problem, np.array(stamps, dtype=np.int64), tuple(counts),
+                      np.repeat(np.arange(len(counts)), counts))
 
 
 def _conditions(routine: Routine, samples: Sequence[Sample], T: Array) -> Observations:
@@ -134,26 +135,28 @@ def _conditions(routine: Routine, samples: Sequence[Sample], T: Array) -> Observ
     """
     if not routine.edge_distances:
         return TARGETS[routine.target].observe(samples)
-    stop, edges = _features_with_stops(samples, EdgePoint)
+    stop, edges, ends = _features_with_stops(samples, T, EdgePoint)
+    distances, _ = _distances_from_common(ends, stop, 3 - routine.edge_distances)
     rows = ObservationRows()
-    if edges:
-        ends = np.array([_ends_in_base(edge, T[k]) for k, edge in zip(stop, edges, strict=True)])
-        distances, _ = _distances_from_common(ends, stop, 3 - routine.edge_distances)
-        for number in np.unique(stop).tolist():
-            nearest = min(np.flatnonzero(stop == number), key=distances.__getitem__)
-            edge = edges[nearest]
-            for direction in range(routine.edge_distances):
-                rows.add(number, edge.point[None], direction, edge_error_factor(edge)[None])
+    for number in np.unique(stop).tolist():
+        edge = edges[min(np.flatnonzero(stop == number), key=distances.__getitem__)]
+        for direction in range(routine.edge_distances):
+            rows.add(number, edge.point[None], direction, edge_error_factor(edge)[None])
     return rows.observations()
 
 
-def _features_with_stops(samples: Sequence[Sample], kind: type[Kind]
-                         ) -> tuple[Indices, list[Kind]]:
-    """Return the stop (k,) of each feature of a kind in all samples, and these features."""
+def _features_with_stops(samples: Sequence[Sample], T: Array, kind: type[Kind]
+                         ) -> tuple[Indices, list[Kind], Array]:
+    """
+    Return the stop (k,) of each feature of a kind, these features, and their ends (k, 2, 3).
+
+    The ends are in the base; T: (n, 4, 4) sensor planes of the n samples.
+    """
     pairs = [(stop, feature) for stop, sample in enumerate(samples)
              for feature in sample.features if isinstance(feature, kind)]
     return (np.array([stop for stop, _ in pairs], dtype=np.intp),
-            [feature for _, feature in pairs])
+            [feature for _, feature in pairs],
+            np.array([_ends_in_base(feature, T[stop]) for stop, feature in pairs]))
 
 
 def _distances_from_common(points: Array, stop: Indices, dimension: int) -> tuple[Array, Array]:
@@ -215,10 +218,9 @@ def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
     It is the plane nearest to the sensor of those that at least half of the stops see; without
     one all pieces take part. T: (n, 4, 4) sensor planes in the base.
     """
-    stop, pieces = _features_with_stops(samples, FaceLine)
+    stop, pieces, ends = _features_with_stops(samples, T, FaceLine)
     if len(pieces) == len(np.unique(stop)):
         return samples, ''
-    ends = np.array([_ends_in_base(piece, T[k]) for k, piece in zip(stop, pieces, strict=True)])
     depth = range_sign * np.array([piece.centre[1] for piece in pieces])
     # one plane after the other, each of the pieces that are on none of those before
     left, surfaces = np.arange(len(pieces)), list[Indices]()
@@ -232,13 +234,12 @@ def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
     if not surfaces:
         return samples, ''
     chosen = min(surfaces, key=lambda surface: np.median(depth[surface]))
-    used = {id(pieces[k]) for k in chosen.tolist()}
     sentence = '' if len(surfaces) < 2 else (
         f'of {len(surfaces)} surfaces in sight it is the nearest, '
         f'{1e3 * abs(np.median(depth[chosen])):.0f} mm from the sensor, at '
         f'{len(np.unique(stop[chosen]))} of {len(samples)} stops')
-    return [replace(sample, features=tuple(f for f in sample.features if id(f) in used))
-            for sample in samples], sentence
+    return [replace(sample, features=tuple(pieces[k] for k in chosen[stop[chosen] == number]))
+            for number, sample in enumerate(samples)], sentence
 
 
 def _at_calibrated_time(samples: Sequence[Sample], calibration: Calibration, config: Config

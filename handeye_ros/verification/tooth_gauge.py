@@ -46,31 +46,32 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     frame = _frame(p, pitch, height, flank)
     q = np.append(np.zeros(8), flank / height)
     for _ in range(ROUND_COUNT):
-        face, tooth, on_gauge = _faces(_local(p, frame, q), pitch, height, q)
-        if on_gauge.mean() < LEAST_ON_GAUGE:
+        rows, face, tooth = _faces(_local(p, frame, q), pitch, height, q)
+        share = len(rows) / len(p)
+        if share < LEAST_ON_GAUGE:
             break
-        obs = replace(stations.observations, kind=face).select(on_gauge)
-        shape = _shape(stations.with_observations(obs), frame, pitch, height, tooth[on_gauge], q)
-        q = shape.fit_unknowns(p[on_gauge], iterations=1)
-    top, valley, *flanks = np.bincount(face[on_gauge], minlength=4) / len(p)
+        obs = replace(stations.observations.select(rows), kind=face)
+        shape = _shape(stations.with_observations(obs), frame, pitch, height, tooth, q)
+        q = shape.fit_unknowns(p[rows], iterations=1)
+    top, valley, *flanks = np.bincount(face, minlength=4) / len(p)
     least = float(min(top + valley, sum(flanks)))
-    if on_gauge.mean() < LEAST_ON_GAUGE or least < LEAST_FACE:
+    if share < LEAST_ON_GAUGE or least < LEAST_FACE:
         raise DataError(
-            f'this is not the gauge: {on_gauge.mean():.0%} of the points lie on teeth of pitch '
+            f'this is not the gauge: {share:.0%} of the points lie on teeth of pitch '
             f'{mm(pitch)} and height {mm(height)}, and {least:.1%} on their flats or on their '
             'flanks. Give both lengths (verify.lengths=[PITCH, HEIGHT]), and scan the gauge alone')
-    stations = shape.stations
+    stations, p = shape.stations, p[rows]
     rays = stations.problem.mounts_of_rows[0] @ X[:3, 2]
-    by_range = np.abs((shape.wrt_point(p[on_gauge], q) * rays).sum(axis=1))
+    by_range = np.abs((shape.wrt_point(p, q) * rays).sum(axis=1))
     good, noise = _without_outliers(
-        shape.distance(p[on_gauge], q), np.maximum(by_range, SMALLEST_COSINE),
-        np.stack([stations.recording_of_point, face[on_gauge], tooth[on_gauge]], axis=1),
+        shape.distance(p, q), np.maximum(by_range, SMALLEST_COSINE),
+        np.stack([stations.recording_of_point, face, tooth], axis=1),
         SMALLEST_SCATTER * float(np.median(stations.observations.error_factor[:, 1, 0])))
     obs = stations.observations.select(good)
     factor = np.zeros_like(obs.error_factor)
     factor[:, 1, 0] = np.maximum(obs.error_factor[:, 1, 0], noise[good])
     stations = stations.with_observations(replace(obs, error_factor=factor))
-    return _shape(stations, frame, pitch, height, tooth[on_gauge][good], q)
+    return _shape(stations, frame, pitch, height, tooth[good], q)
 
 
 def _without_outliers(distances: Array, by_range: Array, face: Indices, min_scatter: float
@@ -82,8 +83,8 @@ def _without_outliers(distances: Array, by_range: Array, face: Indices, min_scat
     smallest scatter assumed (m). A sensor measures steep faces worse than it states, so the noise
     is the scatter of the points of a pass about their own mean.
     """
-    group = np.unique(face, axis=0, return_inverse=True)[1]
-    group = group.reshape(-1)  # numpy 2.0 alone returns it as a column
+    # numpy 2.0 alone returns a column
+    group = np.unique(face, axis=0, return_inverse=True)[1].ravel()
     good, noise = np.zeros(len(face), dtype=bool), np.zeros(len(face))
     for k in range(group.max() + 1):
         members = np.flatnonzero(group == k)
@@ -128,8 +129,8 @@ def _shape(stations: StationSet, frame: Array, pitch: float, height: float, toot
 
 
 def _faces(local: Array, pitch: float, height: float, q: Array
-           ) -> tuple[Indices, Indices, NDArray[np.bool_]]:
-    """Return the face and the tooth of each point, and which points are clearly on a face."""
+           ) -> tuple[Indices, Indices, Indices]:
+    """Return which points (k,) are clearly on a face, and the face and the tooth of each."""
     x, z = local[:, 0], local[:, 2]
     pitch_off, _, outwards, slope = q[TEETH]
     tooth = np.round(x / (pitch + pitch_off)).astype(np.intp)
@@ -142,9 +143,9 @@ def _faces(local: Array, pitch: float, height: float, q: Array
     flank = np.where(from_middle < 0, RISING, FALLING)
     face = np.where(on_top, TOP, np.where(in_valley, VALLEY, flank))
     distance = np.where(on_top, z - height, np.where(in_valley, z, out + slope * (z - height / 2)))
-    on_face = (on_top | in_valley | on_flank & (np.abs(out) < reach + margin)) & (
-        np.abs(distance) < OFF_ALL_FACES * height)
-    return face.astype(np.intp), tooth, on_face
+    rows = np.flatnonzero((np.abs(distance) < OFF_ALL_FACES * height) & (
+        on_top | in_valley | on_flank & (np.abs(out) < reach + margin)))
+    return rows, face[rows].astype(np.intp), tooth[rows]
 
 
 def _frame(p: Array, pitch: float, height: float, flank: float) -> Array:

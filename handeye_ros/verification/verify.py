@@ -106,8 +106,8 @@ class Verification:
     record: dict[str, str] = field(default_factory=dict)
 
 
-def verify(routine: Routine, stations: StationSet, calibration: Calibration,
-           rejects: Sequence[Reject] = ()) -> Verification:
+def verify_stations(routine: Routine, stations: StationSet, calibration: Calibration,
+                    rejects: Sequence[Reject] = ()) -> Verification:
     """
     Return the result of a routine: its fit, and the verdict on the calibration.
 
@@ -152,12 +152,12 @@ def verify_stops(routine: Routine, recordings: Sequence[Sequence[Sample | Reject
     """
     Return the result of a routine by what the stops of each recording, a face or ball, gave.
 
-    config: the settings_for the routine. Raises as verify does.
+    config: the settings_for the routine. Raises as verify_stations does.
     """
     samples = [[stop for stop in stops if isinstance(stop, Sample)] for stops in recordings]
     rejects = [stop for stops in recordings for stop in stops if isinstance(stop, Reject)]
-    return verify(routine, stations_of(routine, samples, calibration, config), calibration,
-                  rejects)
+    return verify_stations(routine, stations_of(routine, samples, calibration, config),
+                           calibration, rejects)
 
 
 def _station_results(stations: StationSet, used: StationSet, fit: ShapeFit,

@@ -41,7 +41,7 @@ def test_profiles_without_a_pose_on_both_sides_are_dropped_and_counted():
     profiles = plane_profiles(240)
     cloud = np.concatenate(list(scanner.scan(profiles, trajectory_of(poses, 0.02))))
     lost = [p for p in profiles if 50 < (p.stamp - T0) / STEP < 100 or p.stamp > poses[-1].stamp]
-    assert scanner.count.without_pose == len(lost)
+    assert scanner.without_pose == len(lost)
     assert len(cloud) == (240 - len(lost)) * 50
     scanner = Scanner(calibration(), Config(), ScanOptions())
     with pytest.raises(DataError, match='none of the 3 profiles'):
@@ -63,7 +63,7 @@ def test_points_of_a_moving_sensor_lie_where_they_were_seen(case):
     config = Config(time_offset=0.020 if case == 'time offset' else 0.0)
     scanner = Scanner(known, config, ScanOptions())
     cloud = xyz(scanned(scanner, profiles, poses))
-    assert len(cloud) == scanner.count.points == len(profiles) * 50
+    assert len(cloud) == scanner.kept == len(profiles) * 50
     np.testing.assert_allclose(cloud[:, 2], 0.1, atol=2e-7)  # single precision
 
 
@@ -111,7 +111,7 @@ def test_thinning_keeps_one_point_of_each_cube():
     cubes = {tuple(c) for c in np.floor(full / np.float32(2e-3)).astype(int)}
     assert len({tuple(c) for c in np.floor(thin / np.float32(2e-3)).astype(int)}) == len(thin)
     assert abs(len(thin) - len(cubes)) < 0.02 * len(cubes)  # of the two roundings
-    assert scanner.count.thinned == len(full) - len(thin)
+    assert scanner.thinned == len(full) - len(thin)
 
 
 def test_the_std_of_a_point_is_that_of_many_trials():
@@ -203,6 +203,17 @@ def test_damaged_clouds_are_refused_and_one_that_breaks_off_is_not_there(tmp_pat
         path.write_bytes(text)
         with pytest.raises(InputError):
             read_cloud(path)
+
+
+@pytest.mark.filterwarnings('error')
+def test_of_an_ascii_cloud_without_points_numpy_does_not_warn(tmp_path):
+    path = tmp_path / 'c.ply'
+    head = ''.join(f'property float {axis}\n' for axis in 'xyz') + 'end_header\n'
+    path.write_text(f'ply\nformat ascii 1.0\nelement vertex 0\n{head}')
+    assert read_cloud(path).shape == (0, 3)
+    path.write_text(f'ply\nformat ascii 1.0\nelement vertex 4\n{head}')
+    with pytest.raises(InputError, match='is cut off: 0 of 4 points'):
+        read_cloud(path)
 
 
 def test_the_verb_writes_a_cloud_with_intensity(tmp_path):

@@ -15,7 +15,7 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.simulate import simulate
 from handeye_ros.simulate.scenario import FAULTS, RobotModel, Scenario, SCENARIOS
-from handeye_ros.verification.check import check, check_recording
+from handeye_ros.verification.check import CalibratedCell, check, check_recording
 import numpy as np
 import pytest
 from verifications import bench
@@ -53,7 +53,7 @@ def check_cell(calibrated, kind, count=8, moved=(0.0, 0.0, 0.0), **scenario):
     cell, config, calibration, X, T = calibrated[kind]
     T = T @ se3.transform(np.eye(3), np.array(moved))
     return check(bench.samples(replace(cell, **scenario), count, X, T, np.random.default_rng(3)),
-                 calibration, config)
+                 CalibratedCell.read(calibration, config))
 
 
 @pytest.mark.parametrize('change', bench.TRUTH)
@@ -75,9 +75,10 @@ def test_a_stop_that_is_left_out_has_its_number_among_all_stops(calibrated):
     wrong[:3, 3] += [4e-3, 3e-3, 4e-3]
     samples[8] = replace(samples[8], T_base_flange=wrong)
     others = [Reject(sample.stamp, 'no edge') for sample in samples[:2]]
-    assert check(samples[2:], calibration, config, others).left_out == [9]
+    known = CalibratedCell.read(calibration, config)
+    assert check(samples[2:], known, others).left_out == [9]
     passes = [sample.stamp for sample in samples[::4]]  # of a sweep, with four profiles in each
-    check_result = check(samples[2:], calibration, config, others, passes)
+    check_result = check(samples[2:], known, others, passes)
     assert check_result.left_out == [3]
     assert check_result.sentence.endswith('profiles of the passes [3]')
 
@@ -101,11 +102,12 @@ def test_beside_the_robot_the_base_moves_with_the_sensor(calibrated):
         return [replace(s, T_base_flange=se3.inverse(s.T_base_flange))
                 for s in bench.samples(cell, count, X, T, rng)]
 
-    calibration = pipeline.solve(samples_of(18, X, T), [], config, 'laser')
+    known = CalibratedCell.read(
+        pipeline.solve(samples_of(18, X, T), [], config, 'laser'), config)
     shift = se3.transform(np.eye(3), np.array([0, 0, 1e-3]))
     for changed, words in ((X @ shift, T), 'the sensor, or the base'), (
             (X, T @ shift), 'the target moved on the flange'):
-        assert check(samples_of(8, *changed), calibration, config).sentence.startswith(words)
+        assert check(samples_of(8, *changed), known).sentence.startswith(words)
 
 
 def test_where_the_target_may_have_moved_unseen_is_said(calibrated):
@@ -147,7 +149,7 @@ def test_a_stop_that_contradicts_the_others_is_left_out(calibrated):
     samples = bench.samples(scenario, 8, X, T, np.random.default_rng(3))
     T_off = se3.perturb(samples[2].T_base_flange, np.array([0, 0, 1e-3, 0, 0, 0]))
     samples[2] = replace(samples[2], T_base_flange=T_off)
-    check_result = check(samples, calibration, config)
+    check_result = check(samples, CalibratedCell.read(calibration, config))
     assert (check_result.verdict, check_result.left_out) == ('unchanged', [3])
     assert check_result.stations == 7
     assert check_result.sentence.endswith('stops [3]')
@@ -161,7 +163,7 @@ def test_faces_seen_at_grazing_incidence_are_no_change(calibrated):
         samples = pipeline.gather(recording.profiles, recording.poses, config).samples
         calibration = pipeline.solve(samples[:18], [], config, 'laser')
         for checked_samples in (samples[:18], samples[18:]):  # its own stops, and others
-            check_result = check(checked_samples, calibration, config)
+            check_result = check(checked_samples, CalibratedCell.read(calibration, config))
             assert check_result.verdict == 'unchanged', check_result.sentence
             assert check_result.left_out == [], check_result.sentence
 
@@ -191,7 +193,7 @@ def test_what_cannot_be_checked_is_refused(calibrated):
             (eight, replace(sphere, target={'centre': {}}), InputError, 'does not hold'),
             (eight, with_state(sphere, [1.0, 2.0]), InputError, 'does not hold')):
         with pytest.raises(error, match=words):
-            check(samples, calibration, config)
+            check(samples, CalibratedCell.read(calibration, config))
     with pytest.raises(InputError, match='target of type plate'):  # before the recording is read
         check_recording([], [], calibrated['plate'].calibration, config)
 

@@ -19,7 +19,7 @@ from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.verification.result_file import plain_values, protocol, sentence
 from handeye_ros.verification.routines import routine_of, ROUTINES, settings_for
 from handeye_ros.verification.stations import stations_of
-from handeye_ros.verification.verify import verify
+from handeye_ros.verification.verify import verify_stations
 import numpy as np
 import pytest
 from verifications import assess, bench, measure
@@ -320,7 +320,7 @@ def test_what_cannot_be_verified_is_refused():
 
 def teeth(artefact, calibration, lengths=()):
     config = of_lengths(*(lengths or artefact.lengths))
-    return verify(ROUTINES['tooth'], bench.scanned(artefact, config), calibration)
+    return verify_stations(ROUTINES['tooth'], bench.scanned(artefact, config), calibration)
 
 
 @pytest.mark.parametrize('lengths', [(0.004, 0.02), (0.0155, 0.005), (0.015, 0.0055)])
@@ -339,7 +339,7 @@ def test_passes_that_contradict_the_others_are_told():
     contradicting = replace(stations, problem=replace(
         stations.problem, poses=se3.perturb(stations.problem.poses, move)))
     for measured_stations, named in (stations, False), (contradicting, True):
-        verification = verify(ROUTINES['tooth'], measured_stations, calibration)
+        verification = verify_stations(ROUTINES['tooth'], measured_stations, calibration)
         assert named == (verification.verdict != 'pass')
         assert named == any(reason.startswith('stop 1 of recording 2 contradict the others')
                             for reason in verification.reasons)

@@ -17,7 +17,7 @@ from handeye_ros.simulate.scenario import Sweep
 from handeye_ros.verification import result_file
 from handeye_ros.verification.routines import ROUTINES, settings_for
 from handeye_ros.verification.stations import stations_of
-from handeye_ros.verification.verify import verify
+from handeye_ros.verification.verify import verify_stations
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -124,7 +124,7 @@ def swept(target, *given, **values):
     """Return the verification of such a sweep."""
     samples, calibration, config = sweep(target, *given, **values)
     stations = stations_of(ROUTINES[target], [samples], calibration, config)
-    return verify(ROUTINES[target], stations, calibration)
+    return verify_stations(ROUTINES[target], stations, calibration)
 
 
 @pytest.mark.parametrize('target', ['sphere', 'line'])
