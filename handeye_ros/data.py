@@ -7,7 +7,7 @@ And what all stages compute with: RMS, robust spread, the order of columns.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from numbers import Integral
 from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar
@@ -39,6 +39,16 @@ def rms(values: Array) -> float:
 def robust_std(deviations: Array) -> float:
     """Return 1 sigma of normal deviations (n,), by their median size: outliers do not widen it."""
     return float(SIGMA_OF_MEDIAN * np.median(np.abs(deviations)))
+
+
+def even_indices(n: int, most: int) -> Indices:
+    """Return the indices of at most a number of n items, evenly spaced."""
+    return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.intp)
+
+
+def evenly_spaced(items: Sequence[T], most: int) -> list[T]:
+    """Return at most a number of items, evenly spaced."""
+    return [items[i] for i in even_indices(len(items), most)]
 
 
 def column_order(x: Array, is_return: NDArray[np.bool_]) -> Indices | slice:

@@ -19,11 +19,10 @@ from handeye_ros.checks.hypotheses import (
     Explanation,
     Hypothesis,
 )
-from handeye_ros.data import Array, Sample
+from handeye_ros.data import Array, evenly_spaced, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mount_poses
-from handeye_ros.sampling.stops import evenly_spaced
 from handeye_ros.sampling.sweep import SEARCH_SAMPLES
 import numpy as np
 from scipy.spatial.transform import Rotation

@@ -22,11 +22,11 @@ from handeye_ros.checks.hypotheses import (
 )
 from handeye_ros.checks.refusals import UnexplainedError
 from handeye_ros.config import Config, TargetConfig, with_assignments, with_flipped_range
-from handeye_ros.data import EdgePoint, Sample
+from handeye_ros.data import EdgePoint, evenly_spaced, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import evenly_spaced, Stop
+from handeye_ros.sampling.stops import Stop
 
 MOST_STOPS, MOST_PROFILES = 40, 4  # read again: stops, profiles of each
 RANGE_SIGN, TARGET_TYPE = 'profile.range_sign', 'target.type'

@@ -18,14 +18,13 @@ import math
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Sample, SEED
+from handeye_ros.data import Array, evenly_spaced, Sample, SEED
 from handeye_ros.estimation.posterior import posterior_at
 from handeye_ros.estimation.problem import Linearisation, linearise, Observations, Problem
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.view import BORDER_NORMALS, View
 from handeye_ros.profiles.faces import SMALLEST_CORNER_ANGLE
-from handeye_ros.sampling.stops import evenly_spaced
 import numpy as np
 from numpy.typing import NDArray
 

@@ -18,10 +18,10 @@ from handeye_ros.calibration import edges_used
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration
 from handeye_ros.errors import InputError
-from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.guidance.view import AdvisedMove, extremes
+from handeye_ros.pipeline import Answer
 from handeye_ros.results import exports, table
 from handeye_ros.results.scene import outline_of, profile_picture, rounded, StopSnapshot
 from handeye_ros.review import stop_snapshot
@@ -208,7 +208,8 @@ def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
     the advice while the sensor's pose is unknown.
     """
     config, advice = live.config, live.solver.review.advice
-    solution = live.solver.review.answer.solution if advice.sigmas else None
+    answer = live.solver.review.answer
+    solution = answer.solution if advice.sigmas else None
     T_flange_sensor = solution.estimate.X if solution else np.eye(4)
     pose, next_pose = live.last_pose, advice.next.T_base_flange if advice.next else None
     view = [live.solver.view, *([snapshot.points] if snapshot else [])]
@@ -226,7 +227,7 @@ def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
         'next': as_rows(next_pose),
         'aim': None if pose is None or next_pose is None else _motion_to(pose, next_pose),
         'move': advice.move and _advised_move(advice.move),
-        **(_target(solution, config) if solution else {'edges': [], 'outline': []})}
+        **(_target(answer, config) if solution else {'edges': [], 'outline': []})}
 
 
 def _motion_to(T_base_flange: Array, T_base_next: Array) -> dict[str, Any]:
@@ -245,8 +246,10 @@ def _advised_move(move: AdvisedMove) -> dict[str, Any]:
             'R': rounded(R)}
 
 
-def _target(solution: Solution, config: Config) -> Mapping[str, Any]:
+def _target(answer: Answer, config: Config) -> Mapping[str, Any]:
     """Return edges, outline and ball of the target, and a point (3,) for each station."""
+    solution = answer.solution
+    assert solution is not None
     problem, estimate = solution.problem, solution.estimate
     anchors = np.array([anchor_of(problem, i) for i in range(len(problem.poses))])
     in_sensor = np.insert(anchors, 1, 0.0, axis=1)  # (x, range) as (x, 0, range)

@@ -20,13 +20,12 @@ from handeye_ros.arm import (
     POSITION,
     REVOLUTE,
 )
-from handeye_ros.data import Calibration
+from handeye_ros.data import Calibration, even_indices
 from handeye_ros.output import write_atomically, yaml_text
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import dated
 from handeye_ros.results.table import figures_table
 from handeye_ros.robot.selection import ArmOutcome, UNCHANGED_ARM
-from handeye_ros.sampling.stops import even_indices
 import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text

@@ -21,6 +21,8 @@ from handeye_ros.data import (
     Arc,
     Array,
     EdgePoint,
+    even_indices,
+    evenly_spaced,
     FaceLine,
     Feature,
     NS,
@@ -33,7 +35,7 @@ from handeye_ros.data import (
 from handeye_ros.errors import FeatureError, mm, UnusableMessageError
 from handeye_ros.profiles.arcs import distances_from_circle, fitted_arc
 from handeye_ros.profiles.lines import line_of_bins, with_line_errors
-from handeye_ros.sampling.stops import decoded, even_indices, evenly_spaced, Stop
+from handeye_ros.sampling.stops import decoded, Stop
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.sampling.trajectory import trajectory_of
 import numpy as np

@@ -14,11 +14,20 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 import math
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 from handeye_ros import se3
 from handeye_ros.config import Config, SamplingConfig
-from handeye_ros.data import AnyProfile, Array, Indices, NS, Profile, Reject, Sample, TimedPose
+from handeye_ros.data import (
+    AnyProfile,
+    Array,
+    evenly_spaced,
+    NS,
+    Profile,
+    Reject,
+    Sample,
+    TimedPose,
+)
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.sampling.stream import by_stamp, Copyable, LAST_STAMP, poses_around
 import numpy as np
@@ -36,7 +45,6 @@ PROFILES_OF_SAMPLE = 32
 KEPT_PER_SECOND, MOST_KEPT = 40, 150
 LEAST_SETTLED, LEAST_SETTLING = 64, 8  # kept of short times without and with vibration
 
-Item = TypeVar('Item')
 NOT_EVALUATED = Reject(0, 'not evaluated yet')
 
 
@@ -137,16 +145,6 @@ def _thinned(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
     seconds = (profiles[-1].stamp - profiles[0].stamp) / NS if profiles else 0.0
     most = min(MOST_KEPT, max(least, 1 + round(KEPT_PER_SECOND * seconds)))
     return evenly_spaced(profiles, most)
-
-
-def even_indices(n: int, most: int) -> Indices:
-    """Return the indices of at most a number of n items, evenly spaced."""
-    return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.intp)
-
-
-def evenly_spaced(items: Sequence[Item], most: int) -> list[Item]:
-    """Return at most a number of items, evenly spaced."""
-    return [items[i] for i in even_indices(len(items), most)]
 
 
 def decoded(profiles: Iterable[AnyProfile], config: Config) -> list[Profile]:

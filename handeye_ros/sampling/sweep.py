@@ -51,6 +51,8 @@ from handeye_ros.data import (
     Array,
     CLOCK_DRIFT,
     ClockValues,
+    even_indices,
+    evenly_spaced,
     Reject,
     ROTATION_LAG,
     Sample,
@@ -70,7 +72,6 @@ from handeye_ros.estimation.search import (
     refined_robustly,
     station_squares,
 )
-from handeye_ros.sampling.stops import even_indices, evenly_spaced
 from handeye_ros.sampling.trajectory import FlangeStates, joined, Trajectory
 from handeye_ros.targets import problem_of_known_poses
 from handeye_ros.targets.profile_target import out_of_face

@@ -30,6 +30,7 @@ from handeye_ros.data import (
     Array,
     Calibration,
     ClockEstimate,
+    evenly_spaced,
     Indices,
     Reject,
     rms,
@@ -49,7 +50,6 @@ from handeye_ros.estimation.problem import (
 )
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import direction_in_words, mount_frame, target_frame
-from handeye_ros.sampling.stops import evenly_spaced
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.profile_target import GRAZING
 from handeye_ros.verification.fit import (

@@ -20,6 +20,8 @@ from handeye_ros.data import (
     Array,
     Calibration,
     EdgePoint,
+    even_indices,
+    evenly_spaced,
     FaceLine,
     Feature,
     Indices,
@@ -31,7 +33,6 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.problem import Observations, Problem
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import mount_poses, mount_poses_of, T_sensor_plane
-from handeye_ros.sampling.stops import even_indices, evenly_spaced
 from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS

@@ -226,7 +226,7 @@ def seen_at(sample: Sample, X: Array, place: Array) -> Sample:
     by = np.nan_to_num((edges[0] if edges else others[0].centre) - place, nan=0.0)
     shift = se3.transform(np.eye(3), np.array([by[0], 0.0, by[1]]))
     moved = [replace(f, **{key: getattr(f, key) - by for key in (
-        ('points', 'centre', 'raw') if isinstance(f, Arc) else ('points', 'centre'))})
+        ('points', 'centre', 'measured') if isinstance(f, Arc) else ('points', 'centre'))})
         for f in others]
     T = sample.T_base_flange @ X @ shift @ se3.inverse(X)
     return replace(sample, T_base_flange=T, features=(*moved, *(

@@ -125,6 +125,7 @@ def test_version_and_help_do_not_wait_for_numpy(tmp_path):
 @pytest.mark.parametrize('arguments', [
     ['solv', 'x'], ['solve'], ['solve', 'x', '--rate', '2'],
     ['simulate', 'plate', 'x', '--seed', '-1'], ['seam', 'x.ply', '--travel', 'nan'],
+    ['seam', 'x.ply', '--work', '90'],
     ['seam', 'x.ply', '--work', '-90'],
     ['batch', 'x', '--out', 'y', '--verb', 'seam'],
     ['kinematics', 'x', './x', '--urdf', 'y']])

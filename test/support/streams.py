@@ -95,6 +95,6 @@ def taken(session: Session, config: Config = CONFIG) -> Sample:
 def key(session: Session) -> list[tuple[object, ...]]:
     """Return all that the results of stops say, in the order of their numbers."""
     return [(o.stamp, o.reason) if isinstance(o, Reject) else (
-        o.stamp, o.T_base_flange.tobytes(), o.profiles,
+        o.stamp, o.T_base_flange.tobytes(), o.profile_count,
         tuple((f.point.tobytes(), f.std) if isinstance(f, EdgePoint) else f.centre.tobytes()
               for f in o.features)) for o in (stop.result for stop in session.stops)]
