@@ -256,9 +256,9 @@ def advised(cell: World, solution: Solution | None) -> Callable[[], np.ndarray |
         if count > PATIENCE:
             return anywhere(cell)
         away = min(1.0 + 0.2 * count, 2.5)  # who sees nothing jogs about
-        if result.next:
-            return missed(cell, result.next.T_base_flange, result.next.place, away)
-        return moved(cell, result.move, away)
+        if result.next_pose:
+            return missed(cell, result.next_pose.T_base_flange, result.next_pose.place, away)
+        return moved(cell, result.first_move, away)
 
     return near
 
@@ -316,10 +316,10 @@ def followed(cell: World, away: float, stations: int) -> Followed:
         if advice.enough:
             enough = len(cell.samples)
             break
-        if advice.next is None:
-            insist(cell, lambda move=advice.move: moved(cell, move, 1.0))
+        if advice.next_pose is None:
+            insist(cell, lambda move=advice.first_move: moved(cell, move, 1.0))
             continue
-        T = missed(cell, advice.next.T_base_flange, advice.next.place, away)
+        T = missed(cell, advice.next_pose.T_base_flange, advice.next_pose.place, away)
         try:
             cell.stop(T)
         except FeatureError as error:

@@ -20,14 +20,14 @@ from dataclasses import dataclass, replace
 import time
 
 from handeye_ros import se3
-from handeye_ros.arm import Arm, arm_of, ERROR_KINDS, GEOMETRY
+from handeye_ros.arm import ALL_KINDS, Arm, arm_of, ERROR_KINDS
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mount_poses
 from handeye_ros.robot.estimate import ArmFit, ArmPoints, with_estimated_weights
-from handeye_ros.robot.selection import ArmOutcome, corrected_arm
-from handeye_ros.robot.sources import fit_of_sources, solve_points, Source
+from handeye_ros.robot.selection import ArmSelection, corrected_arm
+from handeye_ros.robot.sources import ArmSamples, fit_of_sources, solve_points
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import recording as cells
 from handeye_ros.simulate import robot, SCENARIOS, settings
@@ -99,12 +99,12 @@ def draw(case: Case, stops: int, seed: int) -> Cell:
     rng, n = np.random.default_rng(seed), len(case.joints)
     stated = arm_of(urdf(case.joints))
     errors = stated.priors * np.hstack([
-        rng.normal(size=(n, (ERROR_KINDS == kind).sum())) for kind in GEOMETRY])
-    arm = replace(stated, kinds=GEOMETRY, values=errors.ravel())
+        rng.normal(size=(n, (ERROR_KINDS == kind).sum())) for kind in ALL_KINDS])
+    arm = replace(stated, error_kinds=ALL_KINDS, error_values=errors.ravel())
     near = rng.uniform(-1, 1, (200, n)) * SPREADS[n] + STARTS[n]
     off = arm.forward(near)[:, :3, 3] - stated.forward(near)[:, :3, 3]
     rms = np.sqrt(((off - off.mean(axis=0)) ** 2).sum(axis=1).mean())
-    arm = replace(arm, values=arm.values * case.error / rms)
+    arm = replace(arm, error_values=arm.error_values * case.error / rms)
     X = se3.perturb(np.eye(4), rng.uniform([-.1, -.1, .1, -.4, -.4, -3], [.1, .1, .2, .4, .4, 3]))
     ball = np.array(BALLS[n])
     if not case.on_flange:
@@ -173,12 +173,12 @@ def bound(cell: Cell, rows: ArmPoints, held: ArmPoints) -> float:
         cell.arm, [each], cell.X, [cell.ball], np.full(3, NOISE)),
         variances=np.full(3, scale ** 2)) for each in (rows, held))
     best = seen.solved()
-    J = replace(others, X=best.X, arm=best.arm, targets=best.targets).linear[1]
+    J = replace(others, X=best.X, arm=best.arm, targets=best.targets).whitened_rows[1]
     variances = np.einsum('mi,ij,mj->m', J, best.covariance, J).reshape(-1, 3)
     return float(np.sqrt(variances.sum(axis=1).mean())) * 1e3 * NOISE
 
 
-def judged(cell: Cell, case: Case, outcome: ArmOutcome, held: ArmPoints) -> tuple[float, ...]:
+def judged(cell: Cell, case: Case, outcome: ArmSelection, held: ArmPoints) -> tuple[float, ...]:
     """Return before and after (mm), NEES over 6, and the share of parameters within 2 sigma."""
     before, after = (rms(predicted(m.fit, held) - held.points)
                      for m in (outcome.models[0], outcome.chosen))
@@ -190,7 +190,7 @@ def judged(cell: Cell, case: Case, outcome: ArmOutcome, held: ArmPoints) -> tupl
 
 
 def shown(name: str, rng: np.random.Generator, share: int, other: cells.Cell | None
-          ) -> tuple[cells.Cell, Source]:
+          ) -> tuple[cells.Cell, ArmSamples]:
     """
     Return a cell, and what stops at its target show, by the poses of the arm as stated.
 
@@ -217,7 +217,7 @@ def shown(name: str, rng: np.random.Generator, share: int, other: cells.Cell | N
     method, q = target_for(config), robot.inverse(T)
     poses = mount_poses(arm_of(robot.URDF).forward(q), config)
     problem = Problem(method, poses, method.observe(samples), config)
-    return cell, Source(Session(config), samples, problem, q)
+    return cell, ArmSamples(Session(config), samples, problem, q)
 
 
 def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:

@@ -376,7 +376,7 @@ def one_check(change: str, scenario: Scenario, config: Config, calibration: Cali
     X = se3.perturb(X, off) if change == 'sensor' else X
     joint = np.deg2rad(float(change.split()[1])) if 'joint' in change else 0.0
     return check(samples(scenario, STOPS, X, T, rng, joint),
-                 CalibratedCell.read(calibration, config))
+                 CalibratedCell.of_calibration(calibration, config))
 
 
 def _direction(rng: np.random.Generator) -> Array:
@@ -416,7 +416,7 @@ def verdict_of_halves(scenario: Scenario, seed: int) -> str:
     samples = pipeline.gather(recording.profiles, recording.poses, config).samples
     try:
         calibration = pipeline.solve(samples[::2], [], config, 'laser')
-        return check(samples[1::2], CalibratedCell.read(calibration, config)).verdict
+        return check(samples[1::2], CalibratedCell.of_calibration(calibration, config)).verdict
     except DataError:
         return 'refused'
 
@@ -443,7 +443,7 @@ def main() -> None:
         trials = [trial(name, seed, RENDERED if given.rendered else SCENES) for seed in seeds]
         inside = np.mean([within(right) for right, _ in trials])
         failed = np.mean([wrong.verdict == 'fail' for _, wrong in trials])
-        smallest_error = np.median([right.fit.error.detectable for right, _ in trials])
+        smallest_error = np.median([right.fit.error.smallest_detectable for right, _ in trials])
         verdicts = Counter(right.verdict for right, _ in trials)
         result = ', '.join(f'{count} {verdict}' for verdict, count in verdicts.most_common())
         print(f'{name:9} {inside:6.1%} {failed:11.1%} {1e3 * smallest_error:13.3f}  {result}',

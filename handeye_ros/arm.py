@@ -32,7 +32,7 @@ from scipy.spatial.transform import Rotation
 
 REVOLUTE, PRISMATIC = 'revolute', 'prismatic'
 URDF_TYPES = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMATIC}
-OFFSET, DIRECTION, POSITION = GEOMETRY = ('offset', 'direction', 'position')
+OFFSET, DIRECTION, POSITION = ALL_KINDS = ('offset', 'direction', 'position')
 ERROR_KINDS = np.array([OFFSET, DIRECTION, DIRECTION, POSITION, POSITION])  # the errors of a joint
 # prior 1 sigma of them (rad or m), 0: it has no such error
 PRIOR_STDS = {REVOLUTE: (1e-3, 5e-4, 5e-4, 5e-4, 5e-4), PRISMATIC: (5e-4, 5e-4, 5e-4, 0.0, 0.0)}
@@ -81,9 +81,9 @@ class Arm:
     base, flange: the names of these frames
     joints: from the base to the flange
     end: (4, 4) the flange in the frame of the last joint
-    kinds: the kinds of errors that are estimated, of GEOMETRY
-    values: (k,) of them, joint by joint, each in the order of ERROR_KINDS
-    covariance: (k, k) of the values
+    error_kinds: the kinds of errors that are estimated, of ALL_KINDS
+    error_values: (k,) of them, joint by joint, each in the order of ERROR_KINDS
+    covariance: (k, k) of the error values
     configurations: (n, joints) at which they were found; both empty before they are
     """
 
@@ -91,15 +91,15 @@ class Arm:
     flange: str
     joints: tuple[Joint, ...]
     end: Array
-    kinds: tuple[str, ...] = ()
-    values: Array = field(default_factory=lambda: np.zeros(0))
+    error_kinds: tuple[str, ...] = ()
+    error_values: Array = field(default_factory=lambda: np.zeros(0))
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     configurations: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def freed(self, kinds: Sequence[str]) -> Arm:
         """Return the arm with some kinds of errors, all 0."""
-        freed = replace(self, kinds=tuple(kinds), values=np.zeros(0))
-        return replace(freed, values=np.zeros(freed.free.sum()))
+        freed = replace(self, error_kinds=tuple(kinds), error_values=np.zeros(0))
+        return replace(freed, error_values=np.zeros(freed.free.sum()))
 
     @cached_property
     def priors(self) -> Array:
@@ -109,16 +109,16 @@ class Arm:
     @cached_property
     def free(self) -> NDArray[np.bool_]:
         """Return which errors (joints, 5) are estimated: values and priors[free] are of them."""
-        return (self.priors > 0) & np.isin(ERROR_KINDS, self.kinds)
+        return (self.priors > 0) & np.isin(ERROR_KINDS, self.error_kinds)
 
     @cached_property
     def errors(self) -> Array:
         """Return all errors (joints, 5), 0 where they are not estimated."""
         errors = np.zeros(self.free.shape)
-        errors[self.free] = self.values
+        errors[self.free] = self.error_values
         return errors
 
-    def positions(self, readings: Mapping[str, Any], source: object) -> Array:
+    def joint_values(self, readings: Mapping[str, Any], source: object) -> Array:
         """
         Return the values (..., joints) of all joints, from those by name (rad or m).
 
@@ -169,17 +169,17 @@ class Arm:
         They are the translation of the flange's origin, and the rotation.
         """
         pinocchio, model = _pinocchio(), self.model
-        data, by_placements = model.createData(), np.empty((len(q), 6, 6 * len(self.joints)))
+        data, wrt_placements = model.createData(), np.empty((len(q), 6, 6 * len(self.joints)))
         for k, positions in enumerate(q + self.errors[:, 0]):
             pinocchio.forwardKinematics(model, data, positions)
-            by_placements[k] = pinocchio.computeFrameKinematicRegressor(
+            wrt_placements[k] = pinocchio.computeFrameKinematicRegressor(
                 model, data, model.nframes - 1, pinocchio.LOCAL_WORLD_ALIGNED)
         wrt_errors = np.zeros((len(self.joints), 6, 5))  # of the placements, in their own axes
         for wrt_joint, joint, D in zip(wrt_errors, self.joints, self.displacements, strict=True):
             wrt_joint[:, 0] = joint.twist
             wrt_joint[3:, 1:3] = wrt_joint[:3, 3:] = D[:3, :3].T @ joint.across
-        by_joints = by_placements.reshape(len(q), 6, -1, 6)
-        return np.asarray(np.einsum('ntjs,jse->ntje', by_joints, wrt_errors))
+        wrt_joints = wrt_placements.reshape(len(q), 6, -1, 6)
+        return np.asarray(np.einsum('ntjs,jse->ntje', wrt_joints, wrt_errors))
 
     def joints_near(self, T_base_flange: Array) -> Array:
         """
@@ -228,7 +228,7 @@ def read_arm(path: Path) -> Arm:
             transform_from(path, 'origin', joint['origin']),
             np.array(joint['axis'], dtype=float), float(joint['lower']), float(joint['upper']))
             for joint in stored)
-        kinds = tuple(kind for kind in GEOMETRY if any(kind in joint for joint in stored))
+        kinds = tuple(kind for kind in ALL_KINDS if any(kind in joint for joint in stored))
         values = [float(value) for joint in stored for kind in kinds if kind in joint
                   for value in joint[kind]['value']]
         covariance = np.array(content['covariance'], dtype=float).reshape(2 * [len(values)])

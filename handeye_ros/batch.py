@@ -154,10 +154,10 @@ def words_of(args: str, config: Path | str | None, settings: Iterable[str],
 def _jobs_of_list(path: Path, base: Job) -> Iterator[Job]:
     """Yield the jobs of a list, whose paths are relative to it."""
     table, folder = Table(path), path.absolute().parent
-    if not LIST_COLUMNS.issuperset(table.columns) or '' in table.text('bag'):
+    if not LIST_COLUMNS.issuperset(table.columns) or '' in table.texts('bag'):
         raise InputError(f'{path}: it has the columns {", ".join(table.columns)}; expected bag, '
                          'with a value in each row, and, if wanted, label, config, settings, args')
-    for values in zip(*map(table.text, table.columns), strict=True):
+    for values in zip(*map(table.texts, table.columns), strict=True):
         row = dict(zip(table.columns, values, strict=True))
         further = words_of(row.get('args', ''), row.get('config'), row.get('settings', '').split(),
                            folder)
@@ -189,8 +189,8 @@ def client_of(scheduler: str) -> Iterator[Any]:
             yield client
 
 
-def results_of(jobs: Sequence[Job], out: Path, run_words: RunWords, scheduler: str = 'local'
-               ) -> Iterator[JobRow]:
+def job_rows(jobs: Sequence[Job], out: Path, run_words: RunWords, scheduler: str = 'local'
+             ) -> Iterator[JobRow]:
     """
     Yield the row of each job: of the unchanged at once, of the others when they are done.
 

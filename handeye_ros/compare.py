@@ -30,7 +30,7 @@ from handeye_ros.results.table import figures_table
 from handeye_ros.results.truth import errors_against, field_points, FIELD_TEXT
 from handeye_ros.sampling.session import Session
 from handeye_ros.tabulated.pairs import PairedRows, PosePairs
-from handeye_ros.tabulated.values import answer_table, TableProblem
+from handeye_ros.tabulated.problem import answer_table, TableProblem
 from handeye_ros.targets import line, plate, TARGETS
 import numpy as np
 from rich.console import Group, RenderableType
@@ -89,14 +89,15 @@ class ComparedStations:
     def residuals(self, X: Array, fitted: Indices, measured: Indices) -> Array:
         """Return distances (m) of `measured` stations for X, the target fitted to `fitted`."""
         part = self.problem.subset(fitted)
-        target_alone = _TargetProblem(part.target, part.poses, part.observations, part.config)
+        target_alone = _FixedTransformProblem(
+            part.target, part.poses, part.observations, part.config)
         estimate = least_squares_fit(
             target_alone, Estimate(X, self.estimate.state), self.noise).estimate
         points = measured_points(self.samples, self.problem)
         return points.residuals(self.problem, estimate)[np.isin(points.station, measured)]
 
 
-class _TargetProblem(Problem):
+class _FixedTransformProblem(Problem):
     """A problem with only the target unknown, and the transform given."""
 
     @property
@@ -185,7 +186,7 @@ def _park(pairs: PosePairs) -> Array:
     return pairs.closed_form()
 
 
-OTHERS: dict[str, tuple[Estimator, ...]] = {
+OTHER_ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
     'plate': (
         Estimator('plane, the face lines alone', _by_method('plane')),
         Estimator('Chen 2023, nine parameters', lambda given: chen2023.solve_nine(*_edges(given))),
@@ -205,12 +206,12 @@ OTHERS: dict[str, tuple[Estimator, ...]] = {
 }
 ESTIMATORS = {
     name: (Estimator(name, _by_method(name) if name in TARGETS else _from_files),
-           *OTHERS.get(name, ())) for name in {**TARGETS, **OTHERS}}
+           *OTHER_ESTIMATORS.get(name, ())) for name in {**TARGETS, **OTHER_ESTIMATORS}}
 """By target, its own method first."""
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class EstimatorResult:
     """
     Result of one estimator.
 
@@ -238,7 +239,7 @@ class Comparison:
     field_text: region of the errors, in words
     """
 
-    rows: tuple[Row, ...]
+    rows: tuple[EstimatorResult, ...]
     used: int
     rejected: int
     refusal: DataError | None
@@ -298,7 +299,7 @@ def _comparison(target: str, solve_own: Callable[[], OwnAnswer], count: int,
     start = time.perf_counter()
     data, X_own, refusal = solve_own()
 
-    def row(estimator: Estimator, X: Array, seconds: float) -> Row:
+    def row(estimator: Estimator, X: Array, seconds: float) -> EstimatorResult:
         every = np.arange(len(data))
         figures = {'residual_rms': rms(data.residuals(X, every, every))}
         if folds and estimator.refit:
@@ -306,20 +307,20 @@ def _comparison(target: str, solve_own: Callable[[], OwnAnswer], count: int,
         if T_true is not None:
             errors = errors_against(X, T_true @ data.T_sensor_plane, data.field())
             figures |= {f'error_{name}': value for name, value in asdict(errors).items()}
-        return Row(estimator.name, {**figures, 'seconds': seconds},
-                   X @ se3.inverse(data.T_sensor_plane))
+        return EstimatorResult(estimator.name, {**figures, 'seconds': seconds},
+                               X @ se3.inverse(data.T_sensor_plane))
 
     seconds = time.perf_counter() - start
-    rows = [Row(own_method.name, {'seconds': seconds}, failure=str(refusal)) if refusal else
-            row(own_method, X_own, seconds)]
+    rows = [EstimatorResult(own_method.name, {'seconds': seconds}, failure=str(refusal))
+            if refusal else row(own_method, X_own, seconds)]
     for estimator in others:
         progress(estimator.name)
         start = time.perf_counter()
         try:
             X = estimator.fit(data)
         except ESTIMATOR_FAILURES as error:
-            rows.append(Row(estimator.name, {'seconds': time.perf_counter() - start},
-                            failure=str(error)))
+            rows.append(EstimatorResult(estimator.name, {'seconds': time.perf_counter() - start},
+                                        failure=str(error)))
         else:
             rows.append(row(estimator, X, time.perf_counter() - start))
     return Comparison(tuple(rows), len(data), count - len(data), refusal, data.field_text)
@@ -363,7 +364,7 @@ def tables(comparison: Comparison) -> RenderableType:
     return Group(Text(title), transforms, figures, Text(legend))
 
 
-def _transform_text(row: Row) -> str:
+def _transform_text(row: EstimatorResult) -> str:
     """Return the transform in two lines of three numbers (mm, degrees), or why it failed."""
     if row.T_flange_sensor is None:
         return f'failed: {row.failure}'

@@ -29,7 +29,7 @@ def folder_name(config: Config) -> str:
     return name
 
 
-def time_of(stamp: int) -> str:
+def iso_time(stamp: int) -> str:
     """Return the time of a stamp (ns) as ISO 8601, '' for one that is of no wall clock."""
     if stamp < EARLIEST_STAMP:
         return ''

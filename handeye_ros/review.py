@@ -24,7 +24,7 @@ from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.calibration_file import config_of
-from handeye_ros.results.file_values import input_values
+from handeye_ros.results.file_values import input_provenance
 from handeye_ros.results.report import SolvedRecording
 from handeye_ros.results.scene import Agreement, StopSnapshot
 from handeye_ros.results.table import figures_table, sample_summary
@@ -91,7 +91,7 @@ def recording_of(calibration: Calibration, folder: Path) -> Path:
             path = next(filter(Path.exists, places), None)
             if path is None:
                 raise InputError(f'{name} is not there')
-            if path.is_file() and input_values(path)['sha256'] != item.get('sha256'):
+            if path.is_file() and input_provenance(path)['sha256'] != item.get('sha256'):
                 raise InputError(f'{path} has changed since it was solved')
             return path
     raise InputError('the calibration names no recording')

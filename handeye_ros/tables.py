@@ -86,7 +86,7 @@ class Table:
         other.columns = {names.get(name, name): column for name, column in self.columns.items()}
         return other
 
-    def text(self, name: str) -> list[str]:
+    def texts(self, name: str) -> list[str]:
         """Return the words of a column; raises TableError."""
         self._require([name])
         return [value.strip() for value in self.columns[name][1]]
@@ -128,14 +128,14 @@ class Table:
             raise TableError(self.path, f'has no columns {", ".join(names)}; it has those that '
                              f'{how}')
         self._require([*axes, *names])
-        kind = ANGLE if notation.angle else NUMBER
-        length, unit = (notation.length, notation.angle) if angles else ('', '')
-        numbers = self.values(names, kind, unit) / UNITS[kind][notation.angle]
+        kind = ANGLE if notation.angle_unit else NUMBER
+        length, unit = (notation.length_unit, notation.angle_unit) if angles else ('', '')
+        numbers = self.values(names, kind, unit) / UNITS[kind][notation.angle_unit]
         length_errors = np.abs(np.linalg.norm(numbers, axis=1) - 1.0)
         if kind == NUMBER and length_errors.max() > QUATERNION_TOLERANCE:
             raise TableError(self.path, f'row {int(np.argmax(length_errors)) + 1}: {prefix}_q... '
                              'is no unit quaternion')
-        return se3.transform(notation.rotation(numbers).as_matrix(),
+        return se3.transform(notation.to_rotation(numbers).as_matrix(),
                              self.values(axes, LENGTH, length))
 
     def _require(self, names: Sequence[str]) -> None:
@@ -180,18 +180,18 @@ class Notation:
 
     title: in words
     labels: names of the k numbers of an orientation
-    angle: their unit, deg or rad, or '' for a quaternion
-    length: unit of positions
-    numbers: converts a Rotation to numbers (n, k)
-    rotation: converts such numbers to a Rotation
+    angle_unit: of them, deg or rad, or '' for a quaternion
+    length_unit: of positions
+    to_numbers: converts a Rotation to numbers (n, k)
+    to_rotation: converts such numbers to a Rotation
     """
 
     title: str
     labels: tuple[str, ...]
-    angle: str
-    length: str
-    numbers: Callable[[Rotation], Array]
-    rotation: Callable[[Array], Rotation]
+    angle_unit: str
+    length_unit: str
+    to_numbers: Callable[[Rotation], Array]
+    to_rotation: Callable[[Array], Rotation]
 
     def columns(self, prefix: str) -> list[str]:
         """Return the names of the columns of an orientation in a table."""

@@ -21,7 +21,7 @@ CHANGED_P, WATCH_P = 0.01, 0.05  # p-values of a difference: act, watch
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
+class TrendEntry:
     """
     One calibration of a trend.
 
@@ -41,7 +41,7 @@ class Entry:
     residual: float
 
 
-def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], list[str]]:
+def trend(folder: Path, first: Calibration | None = None) -> tuple[list[TrendEntry], list[str]]:
     """
     Return the calibrations below a folder by time, and a warning for each file left out.
 
@@ -62,7 +62,7 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], 
             continue
         stamp = min((report.stamp for report in calibration.samples), default=0)
         created = str(calibration.provenance.get('created', ''))
-        calibrations.append((output.time_of(stamp) or created, path, calibration))
+        calibrations.append((output.iso_time(stamp) or created, path, calibration))
     calibrations.sort(key=lambda item: item[:2])
     if not calibrations:
         raise InputError(f'{folder} holds 0 readable calibration.yaml: a trend needs two, or one '
@@ -76,8 +76,8 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], 
             continue
         difference, std, p_first = difference_of(calibration, reference)
         _, _, p_before = difference_of(calibration, before)
-        entries.append(Entry(path, recorded, difference, std, p_first, p_before,
-                             calibration.quality.residual_rms))
+        entries.append(TrendEntry(path, recorded, difference, std, p_first, p_before,
+                                  calibration.quality.residual_rms))
         before = calibration
     if len(entries) < 2 - (first is not None):
         raise DataError(f'{folder} holds {len(entries)} readable calibration.yaml of '
@@ -97,7 +97,7 @@ def difference_of(a: Calibration, b: Calibration) -> tuple[Array, Array, float]:
     return difference, np.sqrt(np.diag(covariance)), p_value
 
 
-def table(entries: Sequence[Entry]) -> Table:
+def table(entries: Sequence[TrendEntry]) -> Table:
     """Return the trend as a table."""
     rows = []
     for entry in entries:
@@ -115,7 +115,7 @@ def table(entries: Sequence[Entry]) -> Table:
         title='differences from the first')
 
 
-def since_when(entries: Sequence[Entry]) -> str:
+def since_when(entries: Sequence[TrendEntry]) -> str:
     """Return a sentence on the first change, else on the first difference from the first one."""
     for entry in entries:
         if entry.p_before < CHANGED_P:
@@ -128,7 +128,7 @@ def since_when(entries: Sequence[Entry]) -> str:
     return 'no calibration differs from the previous one by more than their uncertainties explain'
 
 
-def csv_text(entries: Sequence[Entry]) -> str:
+def csv_text(entries: Sequence[TrendEntry]) -> str:
     """Return the trend as CSV: metres and radians."""
     return output.csv_text(
         ('recorded', 'path', *AXES, *(f'{axis}_std' for axis in AXES), 'p_first', 'p_before',

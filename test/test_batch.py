@@ -18,8 +18,8 @@ from handeye_ros.batch import (
     CRASH_EXIT_CODE,
     earlier_row,
     Job,
+    job_rows,
     jobs_of,
-    results_of,
     run,
     write_table,
 )
@@ -65,7 +65,7 @@ def test_each_job_costs_itself_and_is_computed_once(tmp_path):
         (tmp_path / f'{name}.mcap').write_text(text)
     out, jobs = tmp_path / 'out', jobs_of([str(tmp_path)], SOLVE)
     assert [job.label for job in jobs] == sorted(texts)
-    rows = {row['label']: row for row in results_of(jobs, out, pretended)}
+    rows = {row['label']: row for row in job_rows(jobs, out, pretended)}
     assert {name: row['exit_code'] for name, row in rows.items() if row['exit_code']} == {
         'killing': CRASH_EXIT_CODE, 'crashing': CRASH_EXIT_CODE, 'refused': 3, 'misused': 2,
         'doubtful': 1}
@@ -137,12 +137,12 @@ def test_recordings_and_foreign_files_are_never_replaced_by_results(tmp_path, mo
     (tmp_path / 'nights/plate/notes.txt').write_text('kept')
     jobs = jobs_of([str(tmp_path / 'nights')], SOLVE)
     with pytest.raises(InputError, match='holds no result of batch'):
-        list(results_of(jobs, tmp_path / 'nights', pretended))
+        list(job_rows(jobs, tmp_path / 'nights', pretended))
     assert (tmp_path / 'nights/plate/notes.txt').read_text() == 'kept'
     out = tmp_path / 'out'
     run(replace(jobs[0], label='a'), out, pretended)
     with pytest.raises(InputError, match='out/a/b would be inside the result '):
-        list(results_of([replace(jobs[0], label='a/b')], out, pretended))
+        list(job_rows([replace(jobs[0], label='a/b')], out, pretended))
     monkeypatch.chdir(tmp_path / 'nights')
     assert [job.label for job in jobs_of(['.'], SOLVE)] == ['plate']
     (tmp_path / 'nights/metadata.yaml').touch()

@@ -9,7 +9,7 @@ import re
 from cells import Cell, cell, exact_cell, settings_of
 from command import assert_refused, handeye, ROOT
 from handeye_ros import pipeline, se3
-from handeye_ros.compare import compare, Comparison, ESTIMATORS, Row
+from handeye_ros.compare import compare, Comparison, EstimatorResult, ESTIMATORS
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.results.truth import errors_against
 from handeye_ros.simulate import SCENARIOS
@@ -36,11 +36,11 @@ def only(monkeypatch):
     return leave
 
 
-def by_name(comparison: Comparison) -> dict[str, Row]:
+def by_name(comparison: Comparison) -> dict[str, EstimatorResult]:
     return {row.name: row for row in comparison.rows}
 
 
-def mapped(row: Row) -> float:
+def mapped(row: EstimatorResult) -> float:
     assert not row.failure
     return row.figures['error_mapped_points']
 

@@ -85,7 +85,7 @@ def test_poses_that_need_no_notation_are_told_so(tmp_path):
 
 
 def matrix(name: str, *numbers: float) -> np.ndarray:
-    return notation_of(name).rotation(np.array([numbers]))[0].as_matrix()
+    return notation_of(name).to_rotation(np.array([numbers]))[0].as_matrix()
 
 
 def test_quaternions_of_abb_are_those_of_its_manual() -> None:
@@ -93,14 +93,14 @@ def test_quaternions_of_abb_are_those_of_its_manual() -> None:
     np.testing.assert_allclose(matrix('abb', 0.5 ** 0.5, 0, 0.5 ** 0.5, 0),
                                np.column_stack([[0, 0, -1], [0, 1, 0], [1, 0, 0]]), atol=1e-12)
     turned = Rotation.from_euler('y', [[30]], degrees=True)
-    numbers = notation_of('abb').numbers(turned)
+    numbers = notation_of('abb').to_numbers(turned)
     np.testing.assert_allclose(numbers[0], [0.965926, 0, 0.258819, 0], atol=5e-7)
 
 
 def test_rotation_vectors_of_universal_robots_are_those_of_their_manual() -> None:
     """rpy2rotvec([3.14, 1.57, 0]) and rotvec2rpy([3.14, 1.57, 0])."""
     R = Rotation.from_euler('xyz', [[3.14, 1.57, 0]])
-    np.testing.assert_allclose(notation_of('ur').numbers(R)[0],
+    np.testing.assert_allclose(notation_of('ur').to_numbers(R)[0],
                                [2.22153, 0.00177, -2.21976], atol=6e-6)
     rpy = Rotation.from_matrix(matrix('ur', 3.14, 1.57, 0)).as_euler('xyz')
     np.testing.assert_allclose(rpy, [-2.80856, -0.16202, 0.9], atol=6e-6)
@@ -121,6 +121,6 @@ def test_angles_are_composed_as_the_manuals_define_them(name, numbers, chain):
 @pytest.mark.parametrize('name', NOTATIONS)
 def test_orientations_of_every_notation_read_back(name: str) -> None:
     notation, R = NOTATIONS[name], Rotation.random(50, random_state=1)
-    numbers = notation.numbers(R)
+    numbers = notation.to_numbers(R)
     assert numbers.shape == (50, len(notation.labels))
-    np.testing.assert_allclose((notation.rotation(numbers).inv() * R).magnitude(), 0, atol=1e-9)
+    np.testing.assert_allclose((notation.to_rotation(numbers).inv() * R).magnitude(), 0, atol=1e-9)

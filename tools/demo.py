@@ -27,7 +27,7 @@ from handeye_ros.errors import DataError, InputError, UnwritableError
 from handeye_ros.node.main import ros, run_for_exit_code
 from handeye_ros.output import write_atomically
 from handeye_ros.results import calibration_file, exports, report, table
-from handeye_ros.results.file_values import input_values
+from handeye_ros.results.file_values import input_provenance
 from handeye_ros.results.truth import errors_against, true_transform
 from handeye_ros.review import solved_recording
 import rclpy
@@ -71,7 +71,7 @@ def _with_bag(calibration: Calibration, bag: Path, out: Path) -> Calibration:
     topics = [item for item in provenance['inputs'] if 'topic' in item]
     reader = Reader(bag)
     list(reader.messages())
-    provenance['inputs'] = [*topics, *map(input_values, reader.files)]
+    provenance['inputs'] = [*topics, *map(input_provenance, reader.files)]
     provenance['config'] = {**provenance['config'], 'output_dir': str(out)}
     return replace(calibration, provenance=provenance)
 

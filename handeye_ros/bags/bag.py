@@ -30,7 +30,7 @@ from handeye_ros.errors import (
     require_type,
     UnusableMessageError,
 )
-from handeye_ros.results.file_values import input_values
+from handeye_ros.results.file_values import input_provenance
 from handeye_ros.sampling.stream import (
     by_stamp,
     FEW_SHARE,
@@ -65,7 +65,7 @@ class Recording:
     @cached_property
     def inputs(self) -> tuple[dict[str, str], ...]:
         """Return path and sha256 of all files read, for the provenance of results."""
-        return tuple(input_values(file) for file in self.files)
+        return tuple(input_provenance(file) for file in self.files)
 
     def profiles_of_returns(self) -> Iterator[Profile]:
         """

@@ -86,8 +86,8 @@ def pose_from_joints(arm: Arm, data: bytes) -> ArmPose:
         raise UnusableMessageError(f'JointState message not used: it names {len(names)} '
                                    f'joints and holds {len(positions)} positions')
     try:
-        joints = arm.positions(dict(zip(names, positions, strict=True)),
-                               'JointState message not used')
+        joints = arm.joint_values(dict(zip(names, positions, strict=True)),
+                                  'JointState message not used')
     except InputError as cause:
         is_other = all(joint.name not in names for joint in arm.joints)
         raise (OtherJointsError if is_other else UnusableMessageError)(str(cause)) from cause

@@ -27,9 +27,10 @@ if TYPE_CHECKING:
     from handeye_ros.data import Calibration
     from handeye_ros.sampling.session import Session
     from handeye_ros.sampling.trajectory import Trajectory
-    from handeye_ros.tabulated.values import TableProblem
+    from handeye_ros.tabulated.problem import TableProblem
 
-File, Folder, Length = (partial(typer.Option, metavar=name) for name in ('FILE', 'DIR', 'L'))
+file_option, folder_option, length_option = (
+    partial(typer.Option, metavar=name) for name in ('FILE', 'DIR', 'L'))
 OptionalPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
 Bag = Annotated[Path, typer.Argument(help='A rosbag2 folder, or an .mcap or .db3 file.')]
 Input = Annotated[Path, typer.Argument(metavar='INPUT', help=(
@@ -40,17 +41,17 @@ ConfigFile = Annotated[OptionalPath, typer.Option(
 Assignments = Annotated[list[str], typer.Option(
     '--set', metavar='KEY=VALUE', help='Set a key of the configuration; may be repeated. Plain '
     'numbers are metres, radians and seconds; 20mm and 0.1deg are understood.')]
-KinematicsFile = Annotated[OptionalPath, File('--kinematics', help=(
+KinematicsFile = Annotated[OptionalPath, file_option('--kinematics', help=(
     'A kinematics.yaml, for a bag that holds joint values: the flange poses are those of its '
     'corrected arm.'))]
 Angles = Annotated[str, typer.Option(
     metavar='NOTATION', help='How a table of poses writes orientations: kuka-abc, fanuc-wpr, '
     'abb-quaternion, ur-rotation-vector, staubli-rxryrz or yaskawa-rxryrz.')]
-CalibrationFile = Annotated[Path, File(
+CalibrationFile = Annotated[Path, file_option(
     '--calibration', help='The calibration.yaml of this sensor, or its folder.')]
 MeasureConfig = Annotated[OptionalPath, typer.Option(
     help='A ROS parameter file; without it, the settings that the calibration was made with.')]
-OutFile = Annotated[OptionalPath, File(help='Write the result as YAML too.')]
+OutFile = Annotated[OptionalPath, file_option(help='Write the result as YAML too.')]
 INTERRUPTED_EXIT_CODE = 130
 
 

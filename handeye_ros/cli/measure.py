@@ -12,10 +12,10 @@ from handeye_ros.cli.common import (
     Bag,
     CalibrationFile,
     collect_samples,
-    File,
-    Folder,
+    file_option,
+    folder_option,
     KinematicsFile,
-    Length,
+    length_option,
     MeasureConfig,
     open_calibration,
     OptionalPath,
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from handeye_ros.verification.check import Check
 
 NOT_AS_WANTED = 1  # exit code: measured, and not passed, or changed
-SAME_STAMP = 100_000  # ns: profiles are further apart, and an offset estimated anew is nearer
+SAME_STAMP_NS = 100_000  # ns: profiles are further apart, and an offset estimated anew is nearer
 LARGEST_PLAIN = 10.0  # a position without a unit that is larger was meant in mm: refused
 THINNING_SIZE = 2e-4  # m: edge of the cubes of which each keeps one point
 PATH_LINES = ('auto', 'centre', 'root', 'first', 'second')  # that the path of a tool may follow
@@ -59,7 +59,7 @@ def verify(
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
     out: OutFile = None,
-    protocol: Annotated[OptionalPath, File(help=(
+    protocol: Annotated[OptionalPath, file_option(help=(
         'Write a protocol for the file of an inspector (HTML; print it to PDF).'))] = None,
 ) -> None:
     """
@@ -126,7 +126,7 @@ def _warn_of_calibration_samples(bag: Path, stamps: 'Sequence[int]', calibration
     import numpy as np
     later = config.time_offset - config_of(calibration).time_offset
     own = [report.stamp + round(later * 1e9) for report in calibration.samples if report.used]
-    if (np.abs(np.subtract.outer(stamps, own)) < SAME_STAMP).any():
+    if (np.abs(np.subtract.outer(stamps, own)) < SAME_STAMP_NS).any():
         warn(f'{bag} holds stations with the stamps of those that the calibration was made of: '
              'if they are the same, they agree with it too well; measure at others')
 
@@ -135,7 +135,8 @@ def _warn_of_calibration_samples(bag: Path, stamps: 'Sequence[int]', calibration
 def check(
     bags: Annotated[list[Path], typer.Argument(
         metavar='BAG...', help='Short recordings of the same target, the oldest first.')],
-    against: Annotated[Path, File(help='The calibration.yaml to be checked, or its folder.')],
+    against: Annotated[Path, file_option(
+        help='The calibration.yaml to be checked, or its folder.')],
     config: MeasureConfig = None,
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
@@ -171,10 +172,10 @@ def check(
 def trend(
     folder: Annotated[Path, typer.Argument(
         metavar='DIR', help='All calibration.yaml below this folder are compared.')],
-    against: Annotated[OptionalPath, File(
+    against: Annotated[OptionalPath, file_option(
         help='The calibration.yaml, or its folder, with which each of them is compared; default: '
         'the oldest of them.')] = None,
-    csv: Annotated[OptionalPath, File(help='Write the calibrations as CSV.')] = None,
+    csv: Annotated[OptionalPath, file_option(help='Write the calibrations as CSV.')] = None,
 ) -> None:
     """Show how the calibrations below a folder changed with time."""
     from handeye_ros import trend as trends
@@ -198,7 +199,7 @@ def scan(
     config: MeasureConfig = None,
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
-    voxel: Annotated[str, Length(
+    voxel: Annotated[str, length_option(
         help='Keep one point of each cube with this edge (0.2mm, or metres).')] = '0',
     limits: Annotated[tuple[str, str], typer.Option(
         '--range', metavar='NEAR FAR', help='Keep points in this range of the sensor.')
@@ -233,19 +234,19 @@ def scan(
 def seam(
     path: Annotated[Path, typer.Argument(
         metavar='CLOUD_OR_BAG', help='A .ply or .pcd file, or a bag with --calibration.')],
-    out: Annotated[Path, Folder(
+    out: Annotated[Path, folder_option(
         help='Where seam.csv and seam.yaml are written.')] = Path('out/seam'),
-    calibration_file: Annotated[OptionalPath, File(
+    calibration_file: Annotated[OptionalPath, file_option(
         '--calibration', help='The calibration.yaml that puts a bag into the base.')] = None,
     config: MeasureConfig = None,
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
-    pitch: Annotated[str, Length(
+    pitch: Annotated[str, length_option(
         help='Distance between tool frames along the seam (5mm, or metres).')] = '5mm',
     box: Annotated[tuple[str, str, str, str, str, str], typer.Option(
         metavar='X X Y Y Z Z', help='Use the points between these values; -inf, inf: no limit.')
     ] = ('-inf', 'inf', '-inf', 'inf', '-inf', 'inf'),
-    widest: Annotated[str, Length(
+    widest: Annotated[str, length_option(
         help='Largest distance between the edges of the seam.')] = '12mm',
     towards: Annotated[tuple[float, float, float], typer.Option(
         metavar='X Y Z', help='The tool approaches the part this way rather than the other.')

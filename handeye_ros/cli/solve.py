@@ -14,8 +14,8 @@ from handeye_ros.cli.common import (
     Assignments,
     ConfigFile,
     configuration,
-    File,
-    Folder,
+    file_option,
+    folder_option,
     Input,
     KinematicsFile,
     open_input,
@@ -38,7 +38,7 @@ def solve(
     assignments: Assignments = [],
     angles: Angles = '',
     kinematics: KinematicsFile = None,
-    out: Annotated[OptionalPath, Folder(
+    out: Annotated[OptionalPath, folder_option(
         help='Where calibration.yaml is written; if not given, the folder NAME in output_dir, or '
         'in out.')] = None,
     budget: Annotated[bool, typer.Option(
@@ -53,7 +53,7 @@ def solve(
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
     T_true, causes = true_transform(path, bool(settings.kinematics)), None
     if opened.table:
-        from handeye_ros.tabulated.values import calibrate_table
+        from handeye_ros.tabulated.problem import calibrate_table
         if budget:
             raise InputError('--budget is of the profiles of a recording; the answer from a table '
                              'states its covariance only')
@@ -139,7 +139,7 @@ def report(
     bag: Annotated[OptionalPath, typer.Option(
         metavar='BAG', help='The recording or session; if not given, the one that the calibration '
         'names.')] = None,
-    out: Annotated[OptionalPath, File(
+    out: Annotated[OptionalPath, file_option(
         help='If not given, report.html beside the calibration.')] = None,
 ) -> None:
     """Show a calibration or verification in one HTML file."""
@@ -174,7 +174,7 @@ def export(
     name: Annotated[str, typer.Option(
         '--format', autocompletion=lambda: list(SAVE_FORMATS),
         help=f'One of {", ".join(SAVE_FORMATS)}.')],
-    out: Annotated[OptionalPath, File(help=(
+    out: Annotated[OptionalPath, file_option(help=(
         'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
 ) -> None:
     """Write a saved calibration for other programs."""

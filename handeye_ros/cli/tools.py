@@ -15,8 +15,8 @@ from handeye_ros.cli.common import (
     collect_samples,
     ConfigFile,
     configuration,
-    File,
-    Folder,
+    file_option,
+    folder_option,
     INTERRUPTED_EXIT_CODE,
     is_table,
     progress_bar,
@@ -41,14 +41,14 @@ def kinematics(
         'A bag with profiles and joint values, a session, or a table of joint values and measured '
         'points (CSV). Several bags or sessions, each with a target at another place, are '
         'solved together. State their target, as in --set target.type=sphere.'))],
-    urdf: Annotated[Path, File(help='The URDF of the robot.')],
+    urdf: Annotated[Path, file_option(help='The URDF of the robot.')],
     base: Annotated[str, typer.Option(help='The link that the arm stands on; default: the root '
                                            'of the URDF.')] = '',
     flange: Annotated[str, typer.Option(help='The link that carries the sensor; default: tool0, '
                                              'flange, or the last link.')] = '',
     config: ConfigFile = None,
     assignments: Assignments = [],
-    out: Annotated[Path, Folder(
+    out: Annotated[Path, folder_option(
         help='Where corrected.urdf, kinematics.yaml and calibration.yaml are written.')
     ] = Path('out/kinematics'),
 ) -> None:
@@ -62,13 +62,14 @@ def kinematics(
     settings = configuration(config, assignments)
     from handeye_ros.arm import read_urdf
     from handeye_ros.bags.session_files import is_session, read_session
-    from handeye_ros.results.file_values import input_values
+    from handeye_ros.results.file_values import input_provenance
     from handeye_ros.robot.arm_answer import table
     from handeye_ros.robot.sources import solve_sources, solve_table, source_of
     text, arm = read_urdf(urdf, base, flange)
     if tables:
         with progress_bar('solving'):
-            answer = solve_table(tables[0], arm, settings, [*map(input_values, (*tables, urdf))])
+            answer = solve_table(tables[0], arm, settings,
+                                 [*map(input_provenance, (*tables, urdf))])
     else:
         measured = []
         for path in sources:
@@ -81,7 +82,7 @@ def kinematics(
                 recording, arm, read_with,
                 [{'path': str(path.absolute())}] if stored else recording.inputs))
         with progress_bar('solving'):
-            answer = solve_sources(measured, arm, [input_values(urdf)])
+            answer = solve_sources(measured, arm, [input_provenance(urdf)])
     warn(*answer.warnings)
     show(table(answer))
     typer.echo(answer.save(text, out, settings.save.formats))
@@ -129,7 +130,7 @@ def batch(
         out.mkdir(parents=True, exist_ok=True)
     try:
         with progress_bar(count_of(len(jobs), 'recording')) as progress:
-            for row in batches.results_of(jobs, out, run_verb, scheduler):
+            for row in batches.job_rows(jobs, out, run_verb, scheduler):
                 rows.append(row)
                 progress(len(rows) / len(jobs))
         batches.write_table(rows, out)

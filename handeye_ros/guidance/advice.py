@@ -16,7 +16,13 @@ from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import direction_in_words, mount_frame
 from handeye_ros.guidance.candidates import Proposal, propose
-from handeye_ros.guidance.view import AdvisedMove, learn_view, next_move, noun, view_levers
+from handeye_ros.guidance.view import (
+    AdvisedMove,
+    learn_view,
+    next_move,
+    seen_feature_noun,
+    view_levers,
+)
 from handeye_ros.pipeline import Answer
 from handeye_ros.se3 import mapped_std, worst_rotation, worst_translation
 import numpy as np
@@ -25,7 +31,7 @@ from scipy.spatial.transform import Rotation
 ROUGHLY_KNOWN = 3e-3  # m: points mapped worse than this cannot be aimed at
 GOOD_COUNT = 15  # samples, before which nothing but the wanted accuracy is enough
 SMALLEST_GAIN = 0.02  # of the mapped points' sigma: less is no reason for another sample
-SMALLEST_CAUSE = 0.5  # of the sigma: a smaller cause is not named
+SMALLEST_FACTOR = 0.5  # of the sigma: a smaller cause is not named
 
 
 @dataclass(frozen=True)
@@ -39,7 +45,7 @@ class Uncertainty:
 
 
 @dataclass(frozen=True)
-class Cause:
+class LimitingFactor:
     """What limits: the setting of its prior, in words, and what helps where samples do not."""
 
     key: str
@@ -47,21 +53,22 @@ class Cause:
     remedy: str
 
 
-SETBACK = Cause('target.setback_std', 'how far faces end before their edges', 'target')
-SCALE = Cause('noise.robot_scale', "the scale of the robot's lengths as configured",
-              'robot, or a better statement of its scale,')
-CAUSES_BY_BLOCK = {  # by the name of a block, without the number of its degree
-    'robot_smooth': Cause('noise.robot_smooth', "the robot's accuracy as configured",
-                          'robot, or a better statement of its accuracy,'),
+SETBACK = LimitingFactor('target.setback_std', 'how far faces end before their edges', 'target')
+SCALE = LimitingFactor('noise.robot_scale', "the scale of the robot's lengths as configured",
+                       'robot, or a better statement of its scale,')
+FACTORS_BY_BLOCK = {  # by the name of a block, without the number of its degree
+    'robot_smooth': LimitingFactor('noise.robot_smooth', "the robot's accuracy as configured",
+                                   'robot, or a better statement of its accuracy,'),
     'robot_scale': SCALE, 'sensor_scale': SCALE,
-    'distortion': Cause('noise.distortion', "the sensor's linearity as configured", 'sensor'),
-    'line_bend': Cause('noise.line_bend', 'how straight the laser line is as configured',
-                       'sensor'),
-    'flatness': Cause('noise.flatness', "the flatness of the target's faces as configured",
-                      'target'),
+    'distortion': LimitingFactor('noise.distortion', "the sensor's linearity as configured",
+                                 'sensor'),
+    'line_bend': LimitingFactor('noise.line_bend', 'how straight the laser line is as configured',
+                                'sensor'),
+    'flatness': LimitingFactor('noise.flatness',
+                               "the flatness of the target's faces as configured", 'target'),
     'setback': SETBACK, 'incidence': SETBACK, 'shape': SETBACK,
-    CORRECTED_ARM: Cause('kinematics', 'the uncertainty of the corrected arm',
-                         'correction of the arm'),
+    CORRECTED_ARM: LimitingFactor('kinematics', 'the uncertainty of the corrected arm',
+                                  'correction of the arm'),
 }
 
 
@@ -71,16 +78,16 @@ class Advice:
     Advice for the operator.
 
     sentences: in the order of their weight
-    next: the pose that helps most, None before the sensor is roughly known
-    move: what to do instead then
+    next_pose: the one that helps most, None before the sensor is roughly known
+    first_move: what to do instead then
     sigmas: empty before there is an answer
     enough: whether to stop
     why: the reason, one sentence
     """
 
     sentences: tuple[str, ...]
-    next: Proposal | None  # noqa: A003
-    move: AdvisedMove | None
+    next_pose: Proposal | None
+    first_move: AdvisedMove | None
     sigmas: tuple[Uncertainty, ...]
     enough: bool
     why: str
@@ -102,7 +109,7 @@ def advise(samples: Sequence[Sample], config: Config, answer: Answer | None = No
     gave no sample. The limits of guidance.* are relative to the first sample.
     """
     target = targets.target_for(config)
-    what, sweeping = noun(target), config.sampling.moving
+    what, sweeping = seen_feature_noun(target), config.sampling.moving
     sweep_on = (f'continue to sweep over the {what}: to and fro across it, with tilts about all '
                 'axes, near and far, with changes of speed')
     if answer is None or not samples:
@@ -124,15 +131,15 @@ def advise(samples: Sequence[Sample], config: Config, answer: Answer | None = No
         certain_view = view.inner(sigmas[-1].std)  # in view there, however the sensor is off
         proposal = propose(solution, samples, config, certain_view, levers, failed_poses)
     enough, why = enough_and_why(sigmas[-1].std, sigmas[-1].limit,
-                                 proposal.std if proposal else None, largest_cause(solution),
-                                 len(samples))
+                                 proposal.std if proposal else None,
+                                 largest_limiting_factor(solution), len(samples))
     if refused := outliers_at_one_end(solution) or str(answer.refusal or ''):
         enough, why = False, refused
     sentences = [why, *clock_notes(solution)]
     if not enough:
         sentences.append(
             sweep_on if sweeping else
-            _directions(samples[-1].T_base_flange, proposal, config, what) if proposal else
+            _motion_in_words(samples[-1].T_base_flange, proposal, config, what) if proposal else
             f'no pose within guidance.reach, guidance.tilt and guidance.turn keeps the {what} in '
             'view: widen them')
     return Advice(tuple(sentences), proposal, None, sigmas, enough, why)
@@ -165,30 +172,30 @@ def sigma_table(covariance: Array, levers: Array, config: Config) -> tuple[Uncer
             Uncertainty('points in view', float(mapped_std(levers, covariance)), accuracy))
 
 
-def largest_cause(solution: Solution) -> tuple[Cause, float] | None:
+def largest_limiting_factor(solution: Solution) -> tuple[LimitingFactor, float] | None:
     """
     Return the largest systematic cause, and its sigma over that of mapped points.
 
-    None below SMALLEST_CAUSE. White noise is none of the causes: more samples reduce it.
+    None below SMALLEST_FACTOR. White noise is none of the causes: more samples reduce it.
     """
     *terms, total = budget(solution)
-    squares = dict[Cause, float]()
+    squares = dict[LimitingFactor, float]()
     for term in terms:
-        for name, cause in CAUSES_BY_BLOCK.items():
+        for name, cause in FACTORS_BY_BLOCK.items():
             if term.name == name or term.name.startswith(f'{name}_'):
                 squares[cause] = squares.get(cause, 0.0) + term.mapped ** 2
     cause, square = max(squares.items(), key=lambda item: item[1], default=(SETBACK, 0.0))
     ratio = square ** 0.5 / total.mapped
-    return (cause, ratio) if ratio >= SMALLEST_CAUSE else None
+    return (cause, ratio) if ratio >= SMALLEST_FACTOR else None
 
 
 def enough_and_why(std: float, accuracy: float, expected: float | None,
-                   largest: tuple[Cause, float] | None, count: int) -> tuple[bool, str]:
+                   largest: tuple[LimitingFactor, float] | None, count: int) -> tuple[bool, str]:
     """
     Return whether the samples are sufficient, and the reason.
 
     std: 1 sigma of mapped points (m), now; expected: after one more sample; accuracy: as wanted;
-    largest: see largest_cause.
+    largest: see largest_limiting_factor.
     """
     content = (f'points in view are known to {1e3 * std:.3f} mm (1 sigma, {1e3 * accuracy:.3f} '
                'wanted)')
@@ -205,7 +212,7 @@ def enough_and_why(std: float, accuracy: float, expected: float | None,
     return (True, f'enough: {content}') if std <= accuracy else (False, content)
 
 
-def _directions(T_base_flange: Array, proposal: Proposal, config: Config, what: str) -> str:
+def _motion_in_words(T_base_flange: Array, proposal: Proposal, config: Config, what: str) -> str:
     """Return in words the motion from the last sample to the next pose."""
     T = se3.inverse(T_base_flange) @ proposal.T_base_flange
     shift = 1e3 * (proposal.T_base_flange[:3, 3] - T_base_flange[:3, 3])

@@ -32,7 +32,7 @@ TEMPLATE_COUNT, CANDIDATES_EACH = 6, 500  # stations; candidates around each
 STEPS_TO_TARGET = 3  # towards the target
 LARGEST_SHIFT = 0.2  # largest shift across the laser line of what is seen, in widths of the view
 STOP_POSE_ERROR = (5e-3, 0.053)  # m and rad (3 degrees) by which a stop may be off
-REFUSED_DISTANCE = (1.5e-2, 0.12)  # m and rad around a pose at which a stop gave no sample
+FAILED_POSE_DISTANCE = (1.5e-2, 0.12)  # m and rad around a pose at which a stop gave no sample
 ON_TARGET = 1e-4  # m: largest residual of a point on the target
 SMALLEST_SHARE = 0.5  # smallest share of a feature's length in the view
 SMALLEST_COSINE = 0.5  # smallest cosine of the incidence on a face, if the template has it
@@ -65,7 +65,7 @@ def propose(solution: Solution, samples: Sequence[Sample], config: Config, view:
     rng, problem, X = np.random.default_rng(SEED), solution.problem, solution.estimate.X
     taken = np.array([sample.T_base_flange for sample in samples])
     lowest, best = float(se3.mapped_std(levers, solution.transform_covariance)), None
-    for station in templates(problem):
+    for station in template_stations(problem):
         template = problem.subset(np.array([station]))
         T_sensor, places = _random_poses(template.poses[0] @ X, mount_poses(taken[0], config) @ X,
                                          anchor_of(template, 0), view, config, rng)
@@ -86,7 +86,7 @@ def propose(solution: Solution, samples: Sequence[Sample], config: Config, view:
                     std_with_one_more(solution, levers, added))
 
 
-def templates(problem: Problem) -> list[int]:
+def template_stations(problem: Problem) -> list[int]:
     """Return some stations, at least one of each combination of conditions."""
     obs, groups = problem.observations, dict[bytes, list[int]]()
     for i in range(len(problem.poses)):
@@ -135,7 +135,7 @@ def _allowed(flange: Array, taken: Array, failed_poses: Sequence[Array], config:
     sampling = config.sampling
     allowed = np.asarray(np.linalg.norm(
         flange[:, :3, 3] - taken[0, :3, 3], axis=1) <= config.guidance.reach)
-    visited = [(T, REFUSED_DISTANCE) for T in failed_poses]
+    visited = [(T, FAILED_POSE_DISTANCE) for T in failed_poses]
     if sampling.new_translation and sampling.new_rotation:  # if either is 0, every stop is used
         near = (sampling.new_translation + STOP_POSE_ERROR[0],
                 sampling.new_rotation + STOP_POSE_ERROR[1])
@@ -211,9 +211,9 @@ def _from_same_side(A: Array, same_point: Array, template: Linearisation) -> NDA
 
     Points at which the template does not tell a side are not asked; see _crossed_steeply.
     """
-    by_range = template.wrt_point[:, 1]  # of single conditions it depends on the choice of axes
-    size = np.sqrt(by_range ** 2 @ same_point)
-    same_side = (A[..., 1] * by_range) @ same_point > SMALLEST_COSINE * size
+    wrt_range = template.wrt_point[:, 1]  # of single conditions it depends on the choice of axes
+    size = np.sqrt(wrt_range ** 2 @ same_point)
+    same_side = (A[..., 1] * wrt_range) @ same_point > SMALLEST_COSINE * size
     return np.asarray((same_side | (size <= SMALLEST_COSINE)).all(axis=1))
 
 

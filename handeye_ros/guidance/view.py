@@ -59,7 +59,7 @@ TWO_EDGES_MOVES = np.array([
     [0.1, 0.95, 0.0, -0.7, 0.7, 0.0],
     [1.0, 0.0, -0.95, 0.0, 0.7, 0.0],
 ])
-PER_EDGE = 3  # stations before the next edge of a plate
+STATIONS_PER_EDGE = 3  # stations before the next edge of a plate
 SPARE_TURN = 0.26  # rad: margin to the largest, for the operator
 
 
@@ -143,7 +143,7 @@ class AdvisedMove:
     beside: float = 0.0
 
 
-def noun(target: ProfileTarget) -> str:
+def seen_feature_noun(target: ProfileTarget) -> str:
     """Return the feature that the laser line must show, in words."""
     return 'edge' if target.required_edges else target.name
 
@@ -156,7 +156,7 @@ def next_move(taken: int, target: ProfileTarget, config: Config, view: View) -> 
     tilt = np.round(np.array(shares[:2]) * config.guidance.tilt, 3)
     inner = view.inner()
     place = inner.middle + shares[2:] * inner.size / 2
-    edge = taken // PER_EDGE % 2 if two_edges else 0
+    edge = taken // STATIONS_PER_EDGE % 2 if two_edges else 0
 
     largest = config.guidance.turn
     if not is_round:  # the line has to cross where parts of the target meet
@@ -164,8 +164,8 @@ def next_move(taken: int, target: ProfileTarget, config: Config, view: View) -> 
     angle = abs(turn) * max(largest - SPARE_TURN, 0.0)
     if edge:  # obliquely across the other one
         angle = min(np.pi / 2 - angle, config.guidance.turn)
-    mirrored = -1.0 if taken // len(moves) % 2 else 1.0  # every other time through the table
-    turn = float(np.copysign(angle, turn * mirrored))
+    mirror_sign = -1.0 if taken // len(moves) % 2 else 1.0  # every other time through the table
+    turn = float(np.copysign(angle, turn * mirror_sign))
     return AdvisedMove(_in_words(target, turn, tilt, place, edge, beside), turn, tilt, place, edge,
                        float(beside))
 
@@ -182,5 +182,6 @@ def _in_words(target: ProfileTarget, turn: float, tilt: Array, place: Array, edg
     side = 'positive' if beside > 0 else 'negative'
     crossing = f'; let the line cross the ball {abs(beside):.1f} of its radius beside the top, ' \
                f'its middle on the {side} side of the light plane' if beside else ''
-    return (f'from the pose of the first sample, {where}{turned}; keep the {noun(target)} in '
+    return (f'from the pose of the first sample, {where}{turned}; keep the '
+            f'{seen_feature_noun(target)} in '
             f'view, at x = {x:.0f} mm, range {z:.0f} mm{crossing}')

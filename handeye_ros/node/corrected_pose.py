@@ -18,7 +18,7 @@ from geometry_msgs.msg import PoseStamped
 from handeye_ros.arm import read_arm, read_urdf
 from handeye_ros.bags.poses import OtherJointsError, pose_from_joints
 from handeye_ros.errors import INSTALL_TF2, UnusableMessageError
-from handeye_ros.node.main import own_arguments, run_for_exit_code, spin
+from handeye_ros.node.main import non_ros_arguments, run_for_exit_code, spin
 from handeye_ros.node.outputs import pose_stamped, transform_stamped
 from handeye_ros.node.streams import BEST_EFFORT_QOS, TFMessage, WARNING_PERIOD
 from rclpy.node import Node
@@ -75,7 +75,7 @@ def main() -> int:
             ('pose-topic', 'corrected_pose', 'for the poses (default: %(default)s)'),
             ('frame', 'corrected_flange', 'of the flange on /tf (default: %(default)s)')):
         parser.add_argument(f'--{name}', default=default, help=text)
-    options = parser.parse_args(own_arguments())
+    options = parser.parse_args(non_ros_arguments())
     return run_for_exit_code(spin, partial(CorrectedPose, options))
 
 

@@ -27,12 +27,12 @@ from typing import Any, NoReturn
 from handeye_ros.errors import HandeyeError, InputError
 
 EXECUTOR_THREADS = 6  # of the executor: three groups of services, two timers, the parameters
-LONGEST_END = 1.0  # s until what runs is left alone
-LONGEST_WAIT = 0.2  # s until a signal is seen
+SHUTDOWN_TIMEOUT = 1.0  # s until what runs is left alone
+SPIN_TIMEOUT = 0.2  # s until a signal is seen
 SWITCH_INTERVAL = 1e-3  # s until Python switches threads: one service call takes a dozen switches
 
 
-def own_arguments() -> list[str]:
+def non_ros_arguments() -> list[str]:
     """Return the arguments of the executable, which come before those for ROS."""
     return list(takewhile(lambda word: word != '--ros-args', sys.argv[1:]))
 
@@ -40,12 +40,12 @@ def own_arguments() -> list[str]:
 def main() -> NoReturn:
     """Run the executable `calibrate`, and end the process with its exit code."""
     # an exception in the import of an extension module would be lost
-    _on_signals(lambda *_: os._exit(0))
+    _set_signal_handler(lambda *_: os._exit(0))
     # small matrices: more threads would slow down the streams
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     argparse.ArgumentParser(
         'calibrate', 'calibrate [-h] [--ros-args -p KEY:=VALUE --params-file FILE ...]', __doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(own_arguments())
+        formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(non_ros_arguments())
     sys.setswitchinterval(SWITCH_INTERVAL)
     from handeye_ros.node.node import HandeyeNode
     # it publishes nothing more while it ends, and what computes ends with it
@@ -82,16 +82,16 @@ def spin(make: Callable[[], Any], threads: int = 1,
                 try:
                     with suppress(InvalidHandle):  # of an entity that another thread destroyed
                         # with a timeout: a signal does not wake the executor
-                        runner.spin_once(timeout_sec=LONGEST_WAIT)
+                        runner.spin_once(timeout_sec=SPIN_TIMEOUT)
                 except Exception:
                     if threads == 1 or not node.context.ok():
                         raise
                     # the node that calibrates, and what it holds, must go on
                     node.get_logger().error(traceback.format_exc())
         except KeyboardInterrupt:
-            _on_signals(lambda *_: os._exit(0))  # who asks again waits no longer
+            _set_signal_handler(lambda *_: os._exit(0))  # who asks again waits no longer
             stop(node)
-            runner.shutdown(LONGEST_END)
+            runner.shutdown(SHUTDOWN_TIMEOUT)
             node.destroy_node()
 
 
@@ -120,7 +120,7 @@ def ros() -> Iterator[None]:
     if not any(os.environ.get(name) for name in ('ROS_LOG_DIR', 'ROS_HOME', 'HOME')):
         raise InputError('ROS does not start: it has no place for its logs, as none of '
                          'ROS_LOG_DIR, ROS_HOME and HOME is set; set one of them')
-    _on_signals(signal.default_int_handler)
+    _set_signal_handler(signal.default_int_handler)
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except UnknownROSArgsError as error:
@@ -135,7 +135,7 @@ def ros() -> Iterator[None]:
         rclpy.try_shutdown()
 
 
-def _on_signals(handler: Callable[[int, Any], Any]) -> None:
+def _set_signal_handler(handler: Callable[[int, Any], Any]) -> None:
     """Set the handler of Ctrl-C and SIGTERM."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, handler)

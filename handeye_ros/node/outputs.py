@@ -274,10 +274,10 @@ def current_markers(current: StopSnapshot | None, calibration: Calibration | Non
     """Return the current profile and its features, placed by the answer."""
     if current is None or calibration is None:
         return _markers([], config)
-    T_target_sensor = current.T_mount @ calibration.T_flange_sensor
+    T_fixed_sensor = current.T_mount @ calibration.T_flange_sensor
     points = current.points[np.isfinite(current.points).all(axis=1)]
     return _markers([{'name': name, 'color': color, 'width': width,
-                      'points': se3.apply(T_target_sensor, in_sensor(plane, config))}
+                      'points': se3.apply(T_fixed_sensor, in_sensor(plane, config))}
                      for name, color, width, plane in (
                          ('profile', LASER_COLOUR, 1.5, points),
                          ('feature', SEEN_COLOUR, 6.0, feature_points(current.features)))

@@ -11,7 +11,7 @@ import sys
 
 from handeye_ros.data import Calibration
 from handeye_ros.errors import InputError, NoRosError
-from handeye_ros.node.main import own_arguments, run_for_exit_code, spin
+from handeye_ros.node.main import non_ros_arguments, run_for_exit_code, spin
 from handeye_ros.node.outputs import LATCHED_QOS, transform_of
 from handeye_ros.node.streams import TFMessage
 from handeye_ros.results.calibration_file import file_of, read_calibration
@@ -50,7 +50,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog='publish', description=__doc__)
     parser.add_argument('files', nargs='+', type=Path, metavar='FILE',
                         help='a calibration.yaml, or the folder that holds it')
-    options = parser.parse_args(own_arguments())
+    options = parser.parse_args(non_ros_arguments())
     return run_for_exit_code(spin, partial(publisher, options.files))
 
 

@@ -13,8 +13,8 @@ import time
 
 from handeye_ros.bags.reader import Reader, RecordedMessage
 from handeye_ros.errors import InputError
-from handeye_ros.node.main import own_arguments, ros, run_for_exit_code
-from handeye_ros.node.streams import LATCHED_TREE
+from handeye_ros.node.main import non_ros_arguments, ros, run_for_exit_code
+from handeye_ros.node.streams import STATIC_TF_QOS
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -26,7 +26,7 @@ CLOCK_PERIOD = 0.02  # s between two messages on /clock
 # s before the first message and after the last one: a publisher discovers a subscriber slightly
 # before the subscriber discovers it, and best-effort subscribers acknowledge nothing.
 DISCOVERY_TIME = 0.5
-LONGEST_END = Duration(seconds=10)
+ACKNOWLEDGE_TIMEOUT = Duration(seconds=10)
 
 
 def replay(bag: Path, rate: float = 1.0, timeout: float = 5.0) -> None:
@@ -61,7 +61,7 @@ def replay(bag: Path, rate: float = 1.0, timeout: float = 5.0) -> None:
         time.sleep(DISCOVERY_TIME)
         _publish_all(messages, publishers, clock, rate)
         for publisher in publishers.values():
-            publisher.wait_for_all_acked(LONGEST_END)
+            publisher.wait_for_all_acked(ACKNOWLEDGE_TIMEOUT)
         time.sleep(DISCOVERY_TIME)
 
 
@@ -75,7 +75,7 @@ def _publishers(node: Node, topics: Mapping[str, str]) -> dict[str, Publisher]:
         except (AttributeError, ImportError):
             print(f'{topic} is left out: {type_name} is not installed', file=sys.stderr)
             continue
-        qos = LATCHED_TREE if topic == '/tf_static' else QoSProfile(depth=1000)
+        qos = STATIC_TF_QOS if topic == '/tf_static' else QoSProfile(depth=1000)
         publishers[topic] = node.create_publisher(message_type, topic, qos)
     return publishers
 
@@ -103,7 +103,7 @@ def main() -> int:
     parser.add_argument('--rate', type=float, default=1.0, help='speed; 1: as recorded')
     parser.add_argument('--timeout', type=float, default=5.0,
                         help='start after so many seconds in any case (default: 5)')
-    options = parser.parse_args(own_arguments())
+    options = parser.parse_args(non_ros_arguments())
     return run_for_exit_code(replay, options.bag, options.rate, options.timeout)
 
 

@@ -25,7 +25,7 @@ from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Profile, RawProfile, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.frames import frame_mismatch_warning
-from handeye_ros.node.main import own_arguments, run_for_exit_code, spin
+from handeye_ros.node.main import non_ros_arguments, run_for_exit_code, spin
 from handeye_ros.node.outputs import cloud, log_new_warnings
 from handeye_ros.node.state import MessageCount
 from handeye_ros.node.streams import Streams, WARNING_PERIOD
@@ -142,7 +142,8 @@ def main() -> int:
                         help='keep one point in each cube of this edge')
     parser.add_argument('--std', action='store_true', help='add the 1 sigma of each point (m)')
     # else argparse takes a negative length, as of --range -200mm -100mm, for an option
-    words = [f' {word}' if re.match(r'-(\d|\.|inf)', word) else word for word in own_arguments()]
+    words = [f' {word}' if re.match(r'-(\d|\.|inf)', word) else word
+             for word in non_ros_arguments()]
     arguments = parser.parse_args(words)
     return run_for_exit_code(spin, partial(ScanNode, arguments))
 

@@ -42,7 +42,7 @@ ANSWER_KEYS = (*SAMPLE_KEYS, 'calibration_type', 'noise.', 'limits.', 'samples.'
 COMPUTING = 'the calibration is computed'
 
 
-class Inputs(NamedTuple):
+class ReviewKey(NamedTuple):
     """What a review is made from: equal where it would be the same again."""
 
     answer_settings: Mapping[str, Any]
@@ -109,9 +109,9 @@ class LiveSolver:
         self.review = review_of(Session(config), config, self.view, with_cause=False)
         self.calibration: Calibration | None = None
         self.why_missing, self.saved, self.is_wanted = why, '', False
-        self._review_inputs: Inputs | None = None  # of self.review, None where that has no samples
-        self._newest_inputs: Inputs | None = None  # of the last review that was begun
-        self._answer_inputs: Inputs | None = None  # of the last answer that was asked for
+        self._review_inputs: ReviewKey | None = None  # of self.review, None without samples
+        self._newest_inputs: ReviewKey | None = None  # of the last review that was begun
+        self._answer_inputs: ReviewKey | None = None  # of the last answer that was asked for
         self._answer_message = Future[str]()  # about that answer
 
     def changes_since(self, session: Session) -> str:
@@ -165,12 +165,12 @@ class LiveSolver:
             other_settings = not before or inputs.answer_settings != before.answer_settings
             self._begin_review(is_requested=self.is_wanted and other_settings)
 
-    def _inputs(self) -> Inputs:
+    def _inputs(self) -> ReviewKey:
         """Return what a review would be made from now."""
         config, session = self._live.config, self._live.session
-        return Inputs(settings_of(config, ANSWER_KEYS), session,
-                      settings_of(config, ('guidance.',)),
-                      [(stop.number, stop.sample) for stop in session.stops])
+        return ReviewKey(settings_of(config, ANSWER_KEYS), session,
+                         settings_of(config, ('guidance.',)),
+                         [(stop.number, stop.sample) for stop in session.stops])
 
     def _begin_review(self, is_requested: bool) -> Future[str]:
         """Begin the review, which answers too if requested; return the future of the message."""
@@ -188,7 +188,8 @@ class LiveSolver:
             self._answer_inputs, self._answer_message = inputs, message
         return message
 
-    def _accept(self, inputs: Inputs, session: Session, is_requested: bool, review: Review) -> str:
+    def _accept(self, inputs: ReviewKey, session: Session, is_requested: bool, review: Review
+                ) -> str:
         """
         Take over a review and, if requested, its answer; return the message about that.
 

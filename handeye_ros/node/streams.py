@@ -44,7 +44,7 @@ except ImportError:  # the wheels of rclpy come without it
 # The queue holds 20 s of poses at 100 Hz, for times when other work takes the processor.
 BEST_EFFORT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 RELIABLE_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
-LATCHED_TREE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+STATIC_TF_QOS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 MESSAGES = {CLOUD_TYPE: PointCloud2, POSE_TYPE: PoseStamped, JOINTS_TYPE: JointState,
             TF_TYPE: TFMessage}
 NO_CALLBACKS = SubscriptionEventCallbacks(use_default_callbacks=False)
@@ -58,7 +58,7 @@ MOST_LISTED = 5  # largest number of topics or nodes in a sentence
 Stamped = TypeVar('Stamped', RawProfile, TimedPose)
 
 
-class NoExecutor(MutuallyExclusiveCallbackGroup):
+class UnexecutedGroup(MutuallyExclusiveCallbackGroup):
     """Excludes subscriptions from executors, which are slower than reading in a thread."""
 
     def can_execute(self, entity: Any) -> bool:
@@ -110,7 +110,7 @@ class Streams:
         serialised JointState, of which no pose is made.
         """
         self._node, self._receiver, self._add_joints = node, receiver, add_joints
-        config, self._group = receiver.config, NoExecutor()
+        config, self._group = receiver.config, UnexecutedGroup()
         self._profile_reader = ProfileReader(config.profile)
         self._follower = FlangeFollower(config.base_frame, config.robot_effector_frame)
         self._last_stamp: int | None = None  # ns, of the last message of profiles
@@ -134,8 +134,8 @@ class Streams:
             if source.message_type == TF_TYPE and not TFMessage:
                 raise InputError('pose_source is tf, but tf2_msgs is not installed: '
                                  f'{INSTALL_TF2}; or publish the poses on pose_topic')
-            qos = {'/tf': BEST_EFFORT_QOS, '/tf_static': LATCHED_TREE}.get(source.name,
-                                                                           RELIABLE_QOS)
+            qos = {'/tf': BEST_EFFORT_QOS, '/tf_static': STATIC_TF_QOS}.get(source.name,
+                                                                            RELIABLE_QOS)
             topics.append(_Topic(poses, source.message_type, source.name,
                                  partial(self._on_poses, source.read), qos, source.key))
         if len({self._full_name(topic.name) for topic in topics}) < len(topics):

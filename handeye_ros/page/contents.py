@@ -211,7 +211,7 @@ def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
     answer = live.solver.review.answer
     solution = answer.solution if advice.sigmas else None
     T_flange_sensor = solution.estimate.X if solution else np.eye(4)
-    pose, next_pose = live.last_pose, advice.next.T_base_flange if advice.next else None
+    pose, next_pose = live.last_pose, advice.next_pose.T_base_flange if advice.next_pose else None
     view = [live.solver.view, *([snapshot.points] if snapshot else [])]
 
     def as_rows(T_base_flange: Array | None) -> Any:
@@ -226,7 +226,7 @@ def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
                      for stop in live.session_copy().stops if stop.sample],
         'next': as_rows(next_pose),
         'aim': None if pose is None or next_pose is None else _motion_to(pose, next_pose),
-        'move': advice.move and _advised_move(advice.move),
+        'move': advice.first_move and _advised_move(advice.first_move),
         **(_target(answer, config) if solution else {'edges': [], 'outline': []})}
 
 

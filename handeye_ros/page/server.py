@@ -85,7 +85,7 @@ class PageServer:
         except ValueError as error:
             raise BadValueError('page.address', address, 'an IP address such as 127.0.0.1 or '
                                 '0.0.0.0') from error
-        self.token = '' if local else token_of(token_file)
+        self.token = '' if local else read_or_write_token(token_file)
         self.port, self._address, self._source = port, address, source
         self.cookie = f'handeye_{port}'  # cookies know no ports
         self._pool = ThreadPoolExecutor(WORKER_COUNT, 'page')
@@ -226,7 +226,7 @@ async def _asset(name: str, status: int = 200, _: web.Request | None = None
     return web.FileResponse(Path(str(resources.files(room))) / 'assets' / name, status=status)
 
 
-def token_of(file: Path) -> str:
+def read_or_write_token(file: Path) -> str:
     """Return the token of a file; write a new one if it holds none. Raises UnwritableError."""
     with suppress(OSError, UnicodeDecodeError):
         token = file.read_text(encoding='ascii').strip()

@@ -16,11 +16,11 @@ from handeye_ros.data import Array, Calibration, ClockEstimate, Quality, SampleR
 from handeye_ros.errors import path_of, require_type, unusable_file
 from handeye_ros.output import write_atomically, yaml_text
 from handeye_ros.results.file_values import (
+    checked_numbers,
+    checked_value,
     Kind,
-    numbers_of,
     require_format,
     transform_from,
-    value_of,
 )
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -123,25 +123,25 @@ def file_of(path: Path) -> Path:
 def read_calibration(path: Path | str) -> Calibration:
     """Return the calibration in a file; raises InputError."""
     path = path_of('path', path)
-    content = value_of(path, 'its content', read_yaml(path), dict)
+    content = checked_value(path, 'its content', read_yaml(path), dict)
 
     def get(key: str, kind: type[Kind]) -> Kind:
-        return value_of(path, key, content.get(key), kind)
+        return checked_value(path, key, content.get(key), kind)
 
     require_format(path, get('format', str), FORMAT)
     T = transform_from(path, 'transform', content.get('transform'))
     if 'rpy' in content:
-        _require_same_rotation(path, numbers_of(path, 'rpy', content['rpy'], 3), T)
+        _require_same_rotation(path, checked_numbers(path, 'rpy', content['rpy'], 3), T)
     name, method, parent, child = (get(key, str) for key in (
         'name', 'method', 'parent_frame', 'child_frame'))
-    covariance = numbers_of(path, 'covariance', content.get('covariance'), 36).reshape(6, 6)
+    covariance = checked_numbers(path, 'covariance', content.get('covariance'), 36).reshape(6, 6)
     if covariance.diagonal().min() < 0:
         raise unusable_file(path, 'covariance has a negative variance')
     target = get('target', dict)
     _require_estimates(path, target)
     return Calibration(
         name, method, parent, child, T, covariance, target, get('quality', Quality),
-        tuple(value_of(path, f'samples[{i}]', item, SampleReport)
+        tuple(checked_value(path, f'samples[{i}]', item, SampleReport)
               for i, item in enumerate(get('samples', list))), get('provenance', dict),
         get('time_offset', ClockEstimate) if 'time_offset' in content else None)
 
@@ -153,13 +153,13 @@ def _require_estimates(path: Path, target: dict[str, Any]) -> None:
         if key == 'pose':
             transform_from(path, name, value)
         elif key == 'joint':
-            for part, values in value_of(path, name, value, dict).items():
-                numbers_of(path, f'{name}.{part}',
-                           values if isinstance(values, list) else [values])
+            for part, values in checked_value(path, name, value, dict).items():
+                checked_numbers(path, f'{name}.{part}',
+                                values if isinstance(values, list) else [values])
         elif re.fullmatch('centre|point|direction|normal.*', str(key)):
-            numbers_of(path, name, [*value.values()] if isinstance(value, dict) else value, 3)
+            checked_numbers(path, name, [*value.values()] if isinstance(value, dict) else value, 3)
         elif re.fullmatch(FLOATS, str(key)):
-            value_of(path, name, value, float)
+            checked_value(path, name, value, float)
 
 
 def _require_same_rotation(path: Path, rpy: Array, T: Array) -> None:

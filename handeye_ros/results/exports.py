@@ -36,7 +36,7 @@ from scipy.spatial.transform import Rotation
 YAML = 'yaml'
 REPORT_FILE = 'report.html'
 HISTORY_FOLDER = 'history'  # the folder of previous results, each in a folder named after the time
-TARGET_FRAME = 'handeye_target'  # our target has no frame in the robot's tree
+MARKER_FRAME = 'handeye_target'  # our target has no frame in the robot's tree
 DIGITS_OF_UNIT = {'mm': 4, 'm': 7, 'deg': 5, 'rad': 8, '': 9}
 # By vendor: file, start of a comment, and what is typed at the pendant or put into a program.
 PENDANTS = {
@@ -59,17 +59,17 @@ def as_json(calibration: Calibration) -> str:
     return json.dumps(values, indent=2, default=np.ndarray.tolist) + '\n'
 
 
-def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> str:
+def tool_frame(calibration: Calibration, vendor: str, comment_start: str, line: str) -> str:
     """
     Return the sensor's pose as named numbers, and as a line of a robot program.
 
-    mark: the start of a comment; line: with {xyz}, {angles}, and {x}, {a} and so on.
+    comment_start: the start of a comment; line: with {xyz}, {angles}, and {x}, {a} and so on.
     """
     notation, T = notation_of(vendor), calibration.T_flange_sensor
-    angles = np.ravel(notation.numbers(Rotation.from_matrix(T[:3, :3])))
+    angles = np.ravel(notation.to_numbers(Rotation.from_matrix(T[:3, :3])))
     names = ('x', 'y', 'z', *notation.labels)
-    units = [notation.length] * 3 + [notation.angle] * len(angles)
-    values = [*T[:3, 3] * (1e3 if notation.length == 'mm' else 1.0), *angles]
+    units = [notation.length_unit] * 3 + [notation.angle_unit] * len(angles)
+    values = [*T[:3, 3] * (1e3 if notation.length_unit == 'mm' else 1.0), *angles]
     texts = [f'{round(value, DIGITS_OF_UNIT[unit]) + 0.0:.{DIGITS_OF_UNIT[unit]}f}'  # no -0
              for value, unit in zip(values, units, strict=True)]
     rows = [*preamble(calibration, f'{notation.title}.'), *(
@@ -77,7 +77,7 @@ def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> s
         for name, text, unit in zip(names, texts, units, strict=True))]
     program = line.format(**dict(zip(names, texts, strict=True)), xyz=','.join(texts[:3]),
                           angles=','.join(texts[3:]))
-    return ''.join(f'{mark}{row}\n' for row in rows) + f'{program}\n'
+    return ''.join(f'{comment_start}{row}\n' for row in rows) + f'{program}\n'
 
 
 def by_template(calibration: Calibration, template: str) -> str:
@@ -105,7 +105,7 @@ def easy_handeye2(calibration: Calibration) -> str:
             'robot_effector_frame': config.robot_effector_frame,
             parent: calibration.parent_frame,
             'tracking_base_frame': calibration.child_frame,
-            'tracking_marker_frame': TARGET_FRAME,
+            'tracking_marker_frame': MARKER_FRAME,
             'freehand_robot_movement': True,
         },
         'transform': se3.transform_values(calibration.T_flange_sensor)}
@@ -123,12 +123,12 @@ class Format:
     content.
     """
 
-    file: str
+    name_pattern: str
     text: Callable[[Calibration], str]
 
     def file_name(self, calibration: Calibration) -> str:
         """Return the name of the file in the folder of the result."""
-        return self.file.format(name=one_line(calibration.name).replace('/', '_'))
+        return self.name_pattern.format(name=one_line(calibration.name).replace('/', '_'))
 
 
 FORMATS = {
@@ -138,8 +138,8 @@ FORMATS = {
         ('matrix', 'matrix.txt'))},
     'easy_handeye2': Format('{name}.calib', easy_handeye2),
     'json': Format('calibration.json', as_json),
-    **{vendor: Format(file, partial(tool_frame, vendor=vendor, mark=mark, line=line))
-       for vendor, (file, mark, line) in PENDANTS.items()},
+    **{vendor: Format(file, partial(tool_frame, vendor=vendor, comment_start=start, line=line))
+       for vendor, (file, start, line) in PENDANTS.items()},
 }
 
 

@@ -35,7 +35,7 @@ def require_format(path: Path, text: str, newest: str) -> None:
                             f'({__version__}) can read; update the package')
 
 
-def value_of(path: Path, key: str, value: Any, kind: type[Kind]) -> Kind:
+def checked_value(path: Path, key: str, value: Any, kind: type[Kind]) -> Kind:
     """
     Return the value that a file has under a dotted key; raises InputError, which names both.
 
@@ -43,11 +43,11 @@ def value_of(path: Path, key: str, value: Any, kind: type[Kind]) -> Kind:
     only its fields with a default may be missing.
     """
     if is_dataclass(kind):
-        values, types = value_of(path, key, value, dict), _types_of(kind)
+        values, types = checked_value(path, key, value, dict), _types_of(kind)
         names = [item.name for item in fields(kind)
                  if item.default is MISSING or values.get(item.name) is not None]
         return cast(Kind, kind(**{
-            name: value_of(path, f'{key}.{name}', values.get(name), types[name])
+            name: checked_value(path, f'{key}.{name}', values.get(name), types[name])
             for name in names}))
     problem = ''
     if value is None:
@@ -67,20 +67,20 @@ def _types_of(kind: Any) -> dict[str, Any]:
     return {name: (*get_args(hint), hint)[0] for name, hint in get_type_hints(kind).items()}
 
 
-def numbers_of(path: Path, key: str, value: Any, count: int | None = None) -> Array:
+def checked_numbers(path: Path, key: str, value: Any, count: int | None = None) -> Array:
     """Return the finite numbers (count,) that a file lists under a key; raises InputError."""
-    values = value_of(path, key, value, list)
+    values = checked_value(path, key, value, list)
     if count is not None and len(values) != count:
         raise unusable_file(path, f'{key} does not hold {count} numbers')
-    return np.array([value_of(path, f'{key}[{i}]', v, float) for i, v in enumerate(values)])
+    return np.array([checked_value(path, f'{key}[{i}]', v, float) for i, v in enumerate(values)])
 
 
 def transform_from(path: Path, key: str, value: Any) -> Array:
     """Return the transform (4, 4) of the values under a key of a file; raises InputError."""
-    given, checked = value_of(path, key, value, dict), dict[str, dict[str, float]]()
+    given, checked = checked_value(path, key, value, dict), dict[str, dict[str, float]]()
     for part, axes in (('translation', 'xyz'), ('rotation', 'xyzw')):
-        values = value_of(path, f'{key}.{part}', given.get(part), dict)
-        checked[part] = {axis: value_of(path, f'{key}.{part}.{axis}', values.get(axis), float)
+        values = checked_value(path, f'{key}.{part}', given.get(part), dict)
+        checked[part] = {axis: checked_value(path, f'{key}.{part}.{axis}', values.get(axis), float)
                          for axis in axes}
     length = math.hypot(*checked['rotation'].values())
     if abs(length - 1) > 1e-6:
@@ -89,7 +89,7 @@ def transform_from(path: Path, key: str, value: Any) -> Array:
     return se3.transform_from_values(checked)
 
 
-def input_values(file: Path) -> dict[str, str]:
+def input_provenance(file: Path) -> dict[str, str]:
     """Return the absolute path and the sha256 of an input file, as in the provenance."""
     with file.open('rb') as stream:
         digest = hashlib.file_digest(stream, 'sha256')

@@ -25,7 +25,7 @@ AXIS_LENGTH = 0.03  # m, of a frame at a stop
 MOST_POINTS = 60  # of a laser line in the scene
 MOST_OF_PROFILE = 400  # points: about the pixels of a tablet
 DRAWN_EDGE_LENGTH = 0.1  # m of an edge that is drawn when its length is unknown
-FULL_TURN = np.linspace(0, 2 * np.pi, 49)
+CIRCLE_ANGLES = np.linspace(0, 2 * np.pi, 49)
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def profile_picture(points: Array, features: Iterable[Feature]) -> dict[str, Any
 
 
 @dataclass(frozen=True, eq=False)
-class Outline:
+class TargetDrawing:
     """
     A target in its fixed frame (metres).
 
@@ -148,7 +148,7 @@ class Outline:
     ball: tuple[Array, float] | None = None
 
 
-def outline_of(target: Mapping[str, Any], size: tuple[float, ...], seen: Array) -> Outline:
+def outline_of(target: Mapping[str, Any], size: tuple[float, ...], seen: Array) -> TargetDrawing:
     """
     Return the shape of a target as stored in calibration.yaml.
 
@@ -157,23 +157,24 @@ def outline_of(target: Mapping[str, Any], size: tuple[float, ...], seen: Array) 
     """
     if 'centre' in target:
         centre, radius = _xyz(target['centre']), target['radius']
-        return Outline(outline=tuple(centre + ring for ring in circles(radius)),
-                       ball=(centre, radius))
+        return TargetDrawing(outline=tuple(centre + ring for ring in circles(radius)),
+                             ball=(centre, radius))
     if 'pose' in target:
         return _plate(target, size, seen)
     if 'direction' in target and 'point' in target:
         point, axes = _xyz(target['point']), np.array([target['direction']])
-        return Outline(edges=(point + _extent(seen - point, axes) @ axes,))
+        return TargetDrawing(edges=(point + _extent(seen - point, axes) @ axes,))
     if 'normal' in target:
-        return Outline(outline=(_square(np.array(target['normal']), target['distance'], seen),))
-    return Outline()
+        rectangle = _plane_rectangle(np.array(target['normal']), target['distance'], seen)
+        return TargetDrawing(outline=(rectangle,))
+    return TargetDrawing()
 
 
 def _xyz(values: Mapping[str, float]) -> Array:
     return np.array([values[axis] for axis in 'xyz'], dtype=float)
 
 
-def _plate(target: Mapping[str, Any], size: tuple[float, ...], seen: Array) -> Outline:
+def _plate(target: Mapping[str, Any], size: tuple[float, ...], seen: Array) -> TargetDrawing:
     T = se3.transform_from_values(target['pose'])
     angle = target.get('edge_angle', np.pi / 2)
     flat = se3.apply(se3.inverse(T), seen)
@@ -181,7 +182,7 @@ def _plate(target: Mapping[str, Any], size: tuple[float, ...], seen: Array) -> O
     p = np.array([length, 0.0, 0.0])
     q = width * np.array([np.cos(angle), np.sin(angle), 0.0])
     ends = se3.apply(T, np.array([np.zeros(3), p, q, p + q]))
-    return Outline(edges=(ends[[0, 1]], ends[[0, 2]]), outline=(ends[[1, 3, 2]],))
+    return TargetDrawing(edges=(ends[[0, 1]], ends[[0, 2]]), outline=(ends[[1, 3, 2]],))
 
 
 def _extent(seen: Array, axes: Array) -> Array:
@@ -191,7 +192,7 @@ def _extent(seen: Array, axes: Array) -> Array:
     return np.array([flat.min(axis=0), flat.max(axis=0)])
 
 
-def _square(normal: Array, distance: float, seen: Array) -> Array:
+def _plane_rectangle(normal: Array, distance: float, seen: Array) -> Array:
     """Return the outline (5, 3) of the visible part of a plane."""
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     axes = np.array([first, np.cross(normal, first)]) / np.linalg.norm(first)
@@ -201,5 +202,6 @@ def _square(normal: Array, distance: float, seen: Array) -> Array:
 
 def circles(radius: float) -> tuple[Array, ...]:
     """Return three circles (49, 3) about the origin, in the planes of the axes."""
-    circle = radius * np.column_stack([np.cos(FULL_TURN), np.sin(FULL_TURN), 0 * FULL_TURN])
+    circle = radius * np.column_stack([
+        np.cos(CIRCLE_ANGLES), np.sin(CIRCLE_ANGLES), 0 * CIRCLE_ANGLES])
     return tuple(np.roll(circle, k, axis=1) for k in range(3))

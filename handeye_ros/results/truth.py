@@ -9,7 +9,7 @@ from pathlib import Path
 from handeye_ros import se3
 from handeye_ros.config import read_yaml
 from handeye_ros.data import Array, rms
-from handeye_ros.results.file_values import transform_from, value_of
+from handeye_ros.results.file_values import checked_value, transform_from
 import numpy as np
 
 TRUTH_NAME = 'truth.yaml'
@@ -29,7 +29,7 @@ def true_transform(bag: Path, corrected: bool = False) -> Array | None:
     path = (bag if bag.is_dir() else bag.parent) / TRUTH_NAME
     if not path.is_file():
         return None
-    content = value_of(path, 'its content', read_yaml(path), dict)
+    content = checked_value(path, 'its content', read_yaml(path), dict)
     key = 'T_corrected_sensor' if corrected else 'T_flange_sensor'
     if corrected and key not in content:
         return None
@@ -37,7 +37,7 @@ def true_transform(bag: Path, corrected: bool = False) -> Array | None:
 
 
 @dataclass(frozen=True)
-class Errors:
+class TransformErrors:
     """
     The difference between two transforms.
 
@@ -51,7 +51,7 @@ class Errors:
     mapped_points: float
 
 
-def errors_against(T_est: Array, T_true: Array, field: Array | None = None) -> Errors:
+def errors_against(T_est: Array, T_true: Array, field: Array | None = None) -> TransformErrors:
     """
     Return the errors of a transform (4, 4) from the sensor plane against the true one.
 
@@ -61,8 +61,8 @@ def errors_against(T_est: Array, T_true: Array, field: Array | None = None) -> E
     """
     delta, points = se3.difference(T_est, T_true), field_points() if field is None else field
     distances = np.linalg.norm(se3.apply(T_est, points) - se3.apply(T_true, points), axis=1)
-    return Errors(float(np.linalg.norm(delta[:3])), float(np.linalg.norm(delta[3:])),
-                  rms(distances))
+    return TransformErrors(float(np.linalg.norm(delta[:3])), float(np.linalg.norm(delta[3:])),
+                           rms(distances))
 
 
 def field_points(x: tuple[float, float] = FIELD_X, z: tuple[float, float] = FIELD_RANGE) -> Array:

@@ -11,10 +11,10 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.arm import (
+    ALL_KINDS,
     corrected_urdf,
     ERROR_KINDS,
     FORMAT,
-    GEOMETRY,
     KINEMATICS_FILE,
     OFFSET,
     POSITION,
@@ -25,7 +25,7 @@ from handeye_ros.output import write_atomically, yaml_text
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import dated
 from handeye_ros.results.table import figures_table
-from handeye_ros.robot.selection import ArmOutcome, UNCHANGED_ARM
+from handeye_ros.robot.selection import ArmSelection, UNCHANGED_ARM
 import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
@@ -45,7 +45,7 @@ FILE_HEADER = """\
 class ArmAnswer:
     """The corrected arm, and the hand-eye transform that belongs to it; warnings: sentences."""
 
-    outcome: ArmOutcome
+    outcome: ArmSelection
     calibration: Calibration
     warnings: tuple[str, ...]
 
@@ -53,12 +53,12 @@ class ArmAnswer:
     def joints(self) -> list[dict[str, Any]]:
         """Return of each joint what the URDF states, and the columns by kind of error."""
         arm, entries = self.outcome.arm, []
-        columns = {'value': arm.values, 'std': np.sqrt(np.diag(arm.covariance)),
+        columns = {'value': arm.error_values, 'std': np.sqrt(np.diag(arm.covariance)),
                    'undetermined': self.outcome.undetermined}
         joint_of, column_of = np.nonzero(arm.free)
         for j, joint in enumerate(arm.joints):
             rows_of = {kind: (joint_of == j) & (ERROR_KINDS[column_of] == kind)
-                       for kind in arm.kinds}
+                       for kind in arm.error_kinds}
             entries.append({
                 'name': joint.name, 'type': joint.kind,
                 'origin': se3.transform_values(joint.origin),
@@ -96,10 +96,10 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
             for joint, offset in zip(arm.joints, arm.errors[:, 0].tolist(), strict=True)
             if joint.kind == REVOLUTE},
         'transform': se3.transform_values(calibration.T_flange_sensor),
-        'models': [{'parameters': list(m.fit.arm.kinds), 'residual_rms': m.fit.residual_rms,
+        'models': [{'parameters': list(m.fit.arm.error_kinds), 'residual_rms': m.fit.residual_rms,
                     'left_out_rms': m.left_out_rms, 'chosen': m is outcome.chosen}
                    for m in outcome.models],
-        'robot_smooth_error': outcome.smooth,
+        'robot_smooth_error': outcome.smooth_error_rms,
         'covariance': arm.covariance.tolist(),
         'configurations': arm.configurations[stored].round(6).tolist(),
         'provenance': {**dated(calibration).provenance, 'warnings': list(answer.warnings)}}
@@ -110,7 +110,7 @@ def table(answer: ArmAnswer) -> RenderableType:
     joints = figures_table('joint', 'zero offset', 'axis direction', 'axis position', 'not known')
     for joint in answer.joints:
         cells, unknown = [], []
-        for kind in GEOMETRY:
+        for kind in ALL_KINDS:
             entry = joint.get(kind, {'value': [], 'std': [], 'undetermined': [0.0]})
             lengths = kind == POSITION or (kind == OFFSET and joint['type'] != REVOLUTE)
             factor, digits, unit = (1e3, 3, 'mm') if lengths else (math.degrees(1), 4, 'deg')
@@ -122,7 +122,8 @@ def table(answer: ArmAnswer) -> RenderableType:
     stated, chosen = answer.outcome.models[0], answer.outcome.chosen
     return Group(
         Text('Zero offset: add it to the reading of the joint.'), joints,
-        Text(f'model: {", ".join(answer.outcome.arm.kinds) or UNCHANGED_ARM}; points that were '
+        Text(f'model: {", ".join(answer.outcome.arm.error_kinds) or UNCHANGED_ARM}; points that '
+             'were '
              f'left out: {stated.left_out_rms * 1e3:.2f} mm RMS before, '
              f'{chosen.left_out_rms * 1e3:.2f} mm after; what is left of the error of the robot: '
-             f'{answer.outcome.smooth * 1e3:.2f} mm (RMS, each axis)'))
+             f'{answer.outcome.smooth_error_rms * 1e3:.2f} mm (RMS, each axis)'))

@@ -83,7 +83,7 @@ class ArmProfiles:
                          whiten(linear.jacobian[:, problem.free_columns]), whiten(linear.wrt_pose),
                          rms_by(station, linear.residuals, len(poses)))
 
-    def stepped(self, target: Array, step: Array) -> Array:
+    def retracted(self, target: Array, step: Array) -> Array:
         """Return the state of the target after a step (k,)."""
         step = np.append(np.zeros(6), step)
         return self.problem.retracted(Estimate(np.eye(4), target), step).state
@@ -123,7 +123,7 @@ class ArmPoints:
                          wrt_X_and_target.reshape(3 * n, -1), wrt_pose.reshape(3 * n, 6),
                          np.linalg.norm(values[:, :, 0], axis=1))
 
-    def stepped(self, target: Array, step: Array) -> Array:
+    def retracted(self, target: Array, step: Array) -> Array:
         """Return the position of the target after a step (3,)."""
         return target + step
 
@@ -143,7 +143,7 @@ class ArmFit:
     noise: (axes,) 1 sigma of the residuals: of points one for each axis, else one
     used: (n,) which stops count
     variances: (g,) of each kind of error of the robot, relative to its prior
-    root: (n, r) the smooth functions at the stops
+    smooth_error_basis: (n, r) the smooth functions at the stops
     """
 
     measured: tuple[Measurement, ...]
@@ -154,7 +154,7 @@ class ArmFit:
     noise: Array
     used: NDArray[np.bool_]
     variances: Array
-    root: Array
+    smooth_error_basis: Array
 
     @classmethod
     def of_arm(cls, arm: Arm, measured: Sequence[Measurement], X: Array,
@@ -177,14 +177,14 @@ class ArmFit:
                                for start, residual in zip(first, self.residuals, strict=True)])
 
     @property
-    def rows(self) -> Indices:
+    def used_rows(self) -> Indices:
         """Return the numbers (m,) of the residuals of used stops, among all."""
         return np.flatnonzero(self.used[self.station])
 
     @property
-    def errors(self) -> Array:
+    def robot_errors(self) -> Array:
         """Return the errors (p,) of the robot: those of the arm, and the smooth ones."""
-        return np.append(self.arm.values, self.smooth)
+        return np.append(self.arm.error_values, self.smooth)
 
     @property
     def kind_numbers(self) -> Indices:
@@ -193,7 +193,7 @@ class ArmFit:
         return np.append(kind, np.full(len(self.smooth), kind.max(initial=-1) + 1))
 
     @property
-    def stds(self) -> Array:
+    def prior_stds(self) -> Array:
         """Return the prior sigmas (p,) of the errors, scaled by their estimated variances."""
         stated = np.append(self.arm.priors[self.arm.free],
                            np.full(len(self.smooth), SMOOTH_ERROR_STD))
@@ -216,49 +216,52 @@ class ArmFit:
         return rms(self.distances[self.used])
 
     @cached_property
-    def linear(self) -> tuple[Array, Array]:
+    def whitened_rows(self) -> tuple[Array, Array]:
         """Return the residuals (m,) of used stops in sigmas, and their derivatives (m, u)."""
-        shifts = np.einsum('nr,tx->ntrx', self.root, np.eye(6, 3)).reshape(len(self.q), 6, -1)
+        shifts = np.einsum('nr,tx->ntrx', self.smooth_error_basis, np.eye(6, 3)).reshape(
+            len(self.q), 6, -1)
         twists = np.append(self.arm.twists(self.q)[:, :, self.arm.free], shifts, axis=2)
         values, wrt_X, wrt_pose = (np.concatenate(parts) for parts in zip(*(
             (residual.values, residual.wrt_X_and_target[:, :6], residual.wrt_pose)
             for residual in self.residuals), strict=True))
         wrt_errors = (wrt_pose[:, None] @ twists[self.station])[:, 0]
-        values = values + wrt_errors[:, len(self.arm.values):] @ self.smooth
+        values = values + wrt_errors[:, len(self.arm.error_values):] @ self.smooth
         wrt_targets = block_diag(*(residual.wrt_X_and_target[:, 6:]
                                    for residual in self.residuals))
-        rows = np.column_stack([values, wrt_X, wrt_errors, wrt_targets])[self.rows]
-        rows /= self.noise[self.rows % len(self.noise), None]
+        rows = np.column_stack([values, wrt_X, wrt_errors, wrt_targets])[self.used_rows]
+        rows /= self.noise[self.used_rows % len(self.noise), None]
         return rows[:, 0], rows[:, 1:]
 
     @cached_property
-    def with_priors(self) -> tuple[Array, Array]:
+    def rows_with_priors(self) -> tuple[Array, Array]:
         """Return `linear` with the errors of the robot in sigmas as further residuals."""
-        (r, J), stds = self.linear, self.stds
+        (r, J), stds = self.whitened_rows, self.prior_stds
         by_priors = np.eye(len(stds), J.shape[1], 6) / stds[:, None]
-        return np.append(r, self.errors / stds), np.vstack([J, by_priors])
+        return np.append(r, self.robot_errors / stds), np.vstack([J, by_priors])
 
     @cached_property
     def covariance(self) -> Array:
         """Return the covariance (u, u) of all unknowns."""
-        return covariance_of(self.with_priors[1])
+        return covariance_of(self.rows_with_priors[1])
 
     @property
     def system(self) -> LeastSquares[ArmFit]:
         """Return the least squares with these weights; all errors of the robot are one item."""
-        item = np.append(self.station[self.rows], np.full(len(self.errors), len(self.q)))
-        return LeastSquares(lambda fit: Rows(fit.with_priors[0], lambda: fit.with_priors[1]),
-                            ArmFit.stepped, item)
+        stations = self.station[self.used_rows]
+        item = np.append(stations, np.full(len(self.robot_errors), len(self.q)))
+        return LeastSquares(lambda fit: Rows(
+            fit.rows_with_priors[0], lambda: fit.rows_with_priors[1]),
+                            ArmFit.retracted, item)
 
-    def stepped(self, step: Array) -> ArmFit:
+    def retracted(self, step: Array) -> ArmFit:
         """Return the estimate after a step (u,)."""
-        sizes = [6, len(self.arm.values), len(self.smooth),
+        sizes = [6, len(self.arm.error_values), len(self.smooth),
                  *(residual.wrt_X_and_target.shape[1] - 6 for residual in self.residuals)]
         X_step, arm_step, smooth_step, *target_steps = np.split(step, np.cumsum(sizes)[:-1])
-        targets = tuple(data.stepped(target, target_step) for data, target, target_step in zip(
+        targets = tuple(data.retracted(target, target_step) for data, target, target_step in zip(
             self.measured, self.targets, target_steps, strict=True))
         return replace(self, X=se3.perturb(self.X, X_step), targets=targets,
-                       arm=replace(self.arm, values=self.arm.values + arm_step),
+                       arm=replace(self.arm, error_values=self.arm.error_values + arm_step),
                        smooth=self.smooth + smooth_step)
 
     def solved(self) -> ArmFit:
@@ -276,13 +279,13 @@ def noise_and_variances(fit: ArmFit, conservative: bool = False) -> tuple[Array,
     variances = fit.variances
     if len(variances):
         order = np.argsort(fit.kind_numbers, kind='stable')
-        stated = fit.stds[order] / np.sqrt(variances[fit.kind_numbers[order]])
+        stated = fit.prior_stds[order] / np.sqrt(variances[fit.kind_numbers[order]])
         covariance = fit.covariance[np.ix_(6 + order, 6 + order)]
         counts = np.bincount(fit.kind_numbers).tolist()
         variances = prior_variances(
-            covariance / np.outer(stated, stated), fit.errors[order] / stated, counts,
+            covariance / np.outer(stated, stated), fit.robot_errors[order] / stated, counts,
             variances, np.full(len(variances), LARGEST_VARIANCE))[int(conservative)]
-    (r, J), axis = fit.linear, fit.rows % len(fit.noise)
+    (r, J), axis = fit.whitened_rows, fit.used_rows % len(fit.noise)
     redundancy = 1 - np.einsum('mi,mi->m', J @ fit.covariance, J)
     freedom, squares = np.bincount(axis, redundancy), np.bincount(axis, (r * fit.noise[axis]) ** 2)
     pooled = squares.sum() / max(freedom.sum(), 1.0)
@@ -311,14 +314,14 @@ def without_bad_stops(fit: ArmFit) -> ArmFit:
         return with_estimated_weights(replace(previous or fit, used=np.isin(stops, used)))
 
     def left_out_squares(fit: ArmFit) -> tuple[Array, Indices]:
-        _, item = np.unique(fit.station[fit.rows], return_inverse=True)
-        (r, J), freedom = fit.linear, np.bincount(item)
+        _, item = np.unique(fit.station[fit.used_rows], return_inverse=True)
+        (r, J), freedom = fit.whitened_rows, np.bincount(item)
         left_out = leave_one_out(r, J, fit.covariance, item)
         return np.bincount(item, r * left_out) / freedom, freedom
     return drop_outliers(stops[fit.used], len(stops), FEWEST_STOPS, fitted_to, left_out_squares)
 
 
-def with_arm(fit: ArmFit, arm: Arm) -> ArmFit:
+def solved_with_arm(fit: ArmFit, arm: Arm) -> ArmFit:
     """Return the fit with the errors of an arm, at their configured sigmas."""
     fit = replace(fit, arm=arm)
     return replace(fit, variances=np.ones(len(set(fit.kind_numbers)))).solved()
@@ -335,8 +338,8 @@ def arm_covariance(fit: ArmFit, chosen: ArmFit) -> tuple[Array, float]:
     """
     wide = with_estimated_weights(fit, conservative=True)
     arm_variances, noise = wide.variances, wide.noise
-    root = smooth_basis(wide.arm.forward(wide.q))
-    wide = replace(wide, root=root, smooth=np.zeros(3 * root.shape[1]),
+    basis = smooth_basis(wide.arm.forward(wide.q))
+    wide = replace(wide, smooth_error_basis=basis, smooth=np.zeros(3 * basis.shape[1]),
                    variances=np.append(arm_variances, 1.0))
     for _ in range(2):  # iterations of the noise beside a smooth error
         wide = replace(wide, noise=noise).solved()
@@ -345,6 +348,6 @@ def arm_covariance(fit: ArmFit, chosen: ArmFit) -> tuple[Array, float]:
     in_chosen = chosen.arm.free[wide.arm.free]
     rows = np.append(np.arange(6), 6 + np.flatnonzero(in_chosen))
     difference = np.append(se3.difference(wide.X, chosen.X),
-                           wide.arm.values[in_chosen] - chosen.arm.values)
+                           wide.arm.error_values[in_chosen] - chosen.arm.error_values)
     covariance = wide.covariance[np.ix_(rows, rows)] + np.outer(difference, difference)
-    return covariance, rms((root @ wide.smooth.reshape(-1, 3))[wide.used])
+    return covariance, rms((basis @ wide.smooth.reshape(-1, 3))[wide.used])

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import math
 
 from handeye_ros.arm import (
+    ALL_KINDS,
     Arm,
     DIRECTION,
     ERROR_KINDS,
-    GEOMETRY,
     OFFSET,
     POSITION,
     PRISMATIC,
@@ -31,7 +31,7 @@ from handeye_ros.robot.estimate import (
     arm_covariance,
     ArmFit,
     FEWEST_STOPS,
-    with_arm,
+    solved_with_arm,
     with_estimated_weights,
     without_bad_stops,
 )
@@ -72,14 +72,14 @@ class Model:
 
 
 @dataclass(frozen=True, eq=False)
-class ArmOutcome:
+class ArmSelection:
     """
     The chosen model, and all models; the simplest has no errors of the arm.
 
     arm: with its k errors, their covariance, and where they were found
     covariance: (6, 6) of X
     undetermined: (k,) posterior over prior sigma of each error, 1 where the data say nothing
-    smooth: RMS of the smooth remaining error of the robot, per axis (m)
+    smooth_error_rms: of the smooth remaining error of the robot, per axis (m)
     notes: sentences
     """
 
@@ -88,7 +88,7 @@ class ArmOutcome:
     arm: Arm
     covariance: Array
     undetermined: Array
-    smooth: float
+    smooth_error_rms: float
     notes: tuple[str, ...]
 
 
@@ -102,7 +102,7 @@ def require_enough(usable: int) -> None:
 
 @single_threaded
 def corrected_arm(fit: ArmFit, q: Array, limit: float, residual_with: Callable[[Array], float]
-                  ) -> ArmOutcome:
+                  ) -> ArmSelection:
     """
     Return the corrected arm and its hand-eye transform by the best model; raises DataError.
 
@@ -114,12 +114,13 @@ def corrected_arm(fit: ArmFit, q: Array, limit: float, residual_with: Callable[[
     if fit.used.sum() < max(FEWEST_STOPS, LEAST_AGREEING * len(q)) or (
             fit.residual_rms > HOPELESS_FACTOR * limit):
         raise _contradiction(stated, q, limit, residual_with)
-    richest = without_bad_stops(with_arm(fit, stated.freed(GEOMETRY)))
+    richest = without_bad_stops(solved_with_arm(fit, stated.freed(ALL_KINDS)))
     if richest.residual_rms > limit or richest.used.mean() < LEAST_AGREEING:
         raise _contradiction(stated, q, limit, residual_with)
     agreed, fold = replace(fit, used=richest.used), _regions(fit.q)
-    models = [_validated(with_estimated_weights(with_arm(agreed, stated.freed(kinds))), fold)
-              for kinds in ((), (OFFSET,), GEOMETRY)]
+    models = [_validated(
+        with_estimated_weights(solved_with_arm(agreed, stated.freed(kinds))), fold)
+              for kinds in ((), (OFFSET,), ALL_KINDS)]
     chosen = models[0]
     for richer in models[1:]:
         chosen = richer if _predicts_better(richer, chosen) else chosen
@@ -127,8 +128,8 @@ def corrected_arm(fit: ArmFit, q: Array, limit: float, residual_with: Callable[[
     covariance, smooth = arm_covariance(richest, chosen.fit)
     covariance *= models[-1].variance_ratio
     arm = replace(chosen.fit.arm, covariance=covariance[6:, 6:], configurations=fit.q)
-    return ArmOutcome(tuple(models), chosen, arm, covariance[:6, :6],
-                      _undetermined(chosen.fit), smooth, tuple(_notes(models, chosen)))
+    return ArmSelection(tuple(models), chosen, arm, covariance[:6, :6],
+                        _undetermined(chosen.fit), smooth, tuple(_notes(models, chosen)))
 
 
 def _regions(q: Array, most: int = REGION_COUNT) -> Indices:
@@ -147,11 +148,11 @@ def _validated(fit: ArmFit, fold: Indices) -> Model:
     """Return the model of a fit; fold: (n,) regions of the stops, left out one by one."""
     errors, variance_ratio = np.empty(len(fold)), 1.0
     for number in np.unique(fold):
-        left_out = fold == number
-        without = with_estimated_weights(replace(fit, used=fit.used & ~left_out),
+        in_fold = fold == number
+        without = with_estimated_weights(replace(fit, used=fit.used & ~in_fold),
                                          rounds=FOLD_ROUNDS)
-        errors[left_out] = without.distances[left_out]
-        r, J = replace(without, used=fit.used & left_out).linear
+        errors[in_fold] = without.distances[in_fold]
+        r, J = replace(without, used=fit.used & in_fold).whitened_rows
         predicted = len(r) + np.sum((J @ without.covariance) * J)
         variance_ratio = max(variance_ratio, float(r @ r / max(predicted, 1.0)))
     return Model(fit, errors, variance_ratio)
@@ -167,7 +168,7 @@ def _predicts_better(richer: Model, simpler: Model) -> bool:
 def _undetermined(fit: ArmFit) -> Array:
     """Return the posterior over the prior sigma (k,) of the errors, with the priors as stated."""
     stated = replace(fit, variances=np.ones_like(fit.variances))
-    return np.sqrt(np.diag(stated.covariance)[6:6 + len(stated.stds)]) / stated.stds
+    return np.sqrt(np.diag(stated.covariance)[6:6 + len(stated.prior_stds)]) / stated.prior_stds
 
 
 def _require_same_robot(arm: Arm) -> None:
@@ -186,7 +187,7 @@ def _notes(models: Sequence[Model], chosen: Model) -> Iterator[str]:
     if dropped := int((~richest.fit.used).sum()):
         yield f'{dropped} of {len(richest.fit.used)} stops contradict the others and are left out'
     if chosen is not richest:
-        rich, simple = (' and '.join(model.fit.arm.kinds) for model in (richest, chosen))
+        rich, simple = (' and '.join(model.fit.arm.error_kinds) for model in (richest, chosen))
         yield (f'the model with {rich} predicts left-out stops no better than '
                f'{simple or UNCHANGED_ARM}: the simpler one is the answer')
 

@@ -4,7 +4,7 @@
 The corrected arm from its data: recordings and sessions, or a table.
 
 They give samples with the joint values of their time; a table has a row for each configuration,
-with the point that the sensor measured there. Both are read (source_of, read_table), give the
+with the point that the sensor measured there. Both are read (source_of, read_arm_points), give the
 hand-eye transform alone (fit_of_sources, fit_of_points), then the best model of the arm
 (corrected_arm), and the answer with its calibration (solve_sources, solve_table).
 """
@@ -39,7 +39,7 @@ from handeye_ros.robot.estimate import (
     with_estimated_weights,
 )
 from handeye_ros.robot.selection import (
-    ArmOutcome,
+    ArmSelection,
     corrected_arm,
     joint_notes,
     require_enough,
@@ -56,12 +56,12 @@ from scipy.interpolate import PchipInterpolator
 
 LONGEST_GAP = NS  # 1 s, between a sample and joint values
 UNCORRECTED_STD = 5e-4  # 1 sigma of the robot's error before its correction (m)
-LARGEST_APART = 0.05  # m and rad: largest difference of X between targets
+LARGEST_X_DIFFERENCE = 0.05  # m and rad: largest difference of X between targets
 INACCURATE_RMS = 1e-3  # 1 sigma (m) of the residuals of an inaccurate robot
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class ArmSamples:
     """
     The samples of one target, with joint values.
 
@@ -79,7 +79,7 @@ class Source:
 
 
 def source_of(session: Session, recording: Recording, arm: Arm, config: Config,
-              inputs: Sequence[dict[str, str]] = ()) -> Source:
+              inputs: Sequence[dict[str, str]] = ()) -> ArmSamples:
     """
     Return the samples of a session with the joint values of their time.
 
@@ -96,9 +96,10 @@ def source_of(session: Session, recording: Recording, arm: Arm, config: Config,
     samples = with_estimated_clocks(samples, config).samples
     problem = problem_of_known_poses(samples, config)
     q = _joints_at(samples, recording, recording.joints)
-    return Source(session, samples, replace(problem, poses=mount_poses(arm.forward(q), config)), q,
-                  inputs, (*recording.warnings, *session.warnings,
-                           *joint_notes(arm, recording.joints)))
+    problem = replace(problem, poses=mount_poses(arm.forward(q), config))
+    return ArmSamples(session, samples, problem, q,
+                      inputs, (*recording.warnings, *session.warnings,
+                               *joint_notes(arm, recording.joints)))
 
 
 def _joints_at(samples: Sequence[Sample], recording: Recording, joints: Array) -> Array:
@@ -118,7 +119,7 @@ def _joints_at(samples: Sequence[Sample], recording: Recording, joints: Array) -
     return np.asarray(spline((np.clip(times, stamps[0], stamps[-1]) - stamps[0]) * 1e-9))
 
 
-def fit_of_sources(sources: Sequence[Source], arm: Arm) -> ArmFit:
+def fit_of_sources(sources: Sequence[ArmSamples], arm: Arm) -> ArmFit:
     """Return the hand-eye transform alone, of the stops that agree; raises DataError."""
     measured, estimates = list[ArmProfiles](), list[Estimate]()
     for source in sources:
@@ -132,7 +133,7 @@ def fit_of_sources(sources: Sequence[Source], arm: Arm) -> ArmFit:
                                     replace(agreed.problem, config=without_smooth)))
         estimates.append(agreed.estimate)
         apart = se3.difference(estimates[-1].X, estimates[0].X)
-        if max(np.linalg.norm(apart[:3]), np.linalg.norm(apart[3:])) > LARGEST_APART:
+        if max(np.linalg.norm(apart[:3]), np.linalg.norm(apart[3:])) > LARGEST_X_DIFFERENCE:
             raise DataError(
                 f'two recordings place the sensor {mm(float(np.linalg.norm(apart[:3])))} '
                 'apart: give only recordings of one sensor in one mount, on one robot')
@@ -140,7 +141,7 @@ def fit_of_sources(sources: Sequence[Source], arm: Arm) -> ArmFit:
         arm, measured, estimates[0].X, [each.state for each in estimates], np.ones(1)).solved())
 
 
-def _median_residual(source: Source, arm: Arm, joints: Array) -> float:
+def _median_residual(source: ArmSamples, arm: Arm, joints: Array) -> float:
     """Return the median residual (m) of all stops with q multiplied by joints (joints, joints)."""
     q = source.q @ joints.T
     poses = mount_poses(arm.forward(q), source.problem.config)
@@ -150,7 +151,7 @@ def _median_residual(source: Source, arm: Arm, joints: Array) -> float:
     return float(np.median(fit.distances))
 
 
-def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str, str]] = ()
+def solve_sources(sources: Sequence[ArmSamples], arm: Arm, inputs: Sequence[dict[str, str]] = ()
                   ) -> ArmAnswer:
     """
     Return the corrected arm, and the calibration that belongs to it; raises DataError.
@@ -180,7 +181,7 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
         **calibration.provenance, 'inputs': files}), (*warnings, *outcome.notes))
 
 
-def _calibrated(source: Source, arm: Arm) -> Calibration:
+def _calibrated(source: ArmSamples, arm: Arm) -> Calibration:
     """Return the calibration with the poses of a corrected arm; raises DataError."""
     samples = [replace(sample, T_base_flange=T, trajectory=None)
                for sample, T in zip(source.samples, arm.forward(source.q), strict=True)]
@@ -203,8 +204,8 @@ def _combined(calibrations: Sequence[Calibration], X: Array, covariance: Array) 
 # -- a table
 
 
-def read_table(path: Path, arm: Arm, in_hand: bool
-               ) -> tuple[list[ArmPoints], dict[str, Indices], list[str]]:
+def read_arm_points(path: Path, arm: Arm, in_hand: bool
+                    ) -> tuple[list[ArmPoints], dict[str, Indices], list[str]]:
     """
     Return the points of a table, target by target, its rows by target, and peculiarities.
 
@@ -217,8 +218,8 @@ def read_table(path: Path, arm: Arm, in_hand: bool
     kinds = {j.name: LENGTH if j.kind == PRISMATIC else ANGLE for j in arm.joints}
     readings = {name: table.values([name], kind)[:, 0] for name, kind in kinds.items()
                 if name in table.columns}
-    q, points = arm.positions(readings, path), table.values(['x', 'y', 'z'], LENGTH)
-    labels = table.text('target') if 'target' in table.columns else ['target'] * len(points)
+    q, points = arm.joint_values(readings, path), table.values(['x', 'y', 'z'], LENGTH)
+    labels = table.texts('target') if 'target' in table.columns else ['target'] * len(points)
     rows = {name: np.flatnonzero(np.array(labels) == name) for name in dict.fromkeys(labels)}
     unused = [f'the column {name} is no joint between {arm.base} and {arm.flange}: it is not used'
               for name, (unit, _) in table.columns.items()
@@ -227,7 +228,7 @@ def read_table(path: Path, arm: Arm, in_hand: bool
             [*unused, *joint_notes(arm, q)])
 
 
-def solve_points(measured: Sequence[ArmPoints], arm: Arm, limit: float) -> ArmOutcome:
+def solve_points(measured: Sequence[ArmPoints], arm: Arm, limit: float) -> ArmSelection:
     """Return the corrected arm; limit: the largest valid residual (m); raises DataError."""
     q = np.concatenate([points.q for points in measured])
     require_enough(len(q))
@@ -251,11 +252,11 @@ def fit_of_points(measured: Sequence[ArmPoints], arm: Arm) -> ArmFit:
 def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str, str]]
                 ) -> ArmAnswer:
     """
-    Return the corrected arm from a table of joint values and points (read_table).
+    Return the corrected arm from a table of joint values and points (read_arm_points).
 
     inputs: path and sha256 of the files. Raises HandeyeError.
     """
-    measured, rows, notes = read_table(path, arm, config.in_hand)
+    measured, rows, notes = read_arm_points(path, arm, config.in_hand)
     outcome = solve_points(measured, arm, config.limits.residual)
     fit, covariance = outcome.chosen.fit, outcome.covariance
     config = replace(config, robot_base_frame=arm.base, robot_effector_frame=arm.flange)
@@ -269,7 +270,7 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     calibration = assemble_calibration(
         config, 'kinematics', config.sensor_frame, fit.X, covariance,
         fit.residual_rms, outcome.chosen.left_out_rms,
-        {**target, 'robot_position_error': outcome.smooth},
+        {**target, 'robot_position_error': outcome.smooth_error_rms},
         sorted(reports, key=attrgetter('stamp')), {'inputs': list(inputs)})
     return ArmAnswer(outcome, replace(calibration, name=config.name or calibration.method),
                      (*notes, *outcome.notes))

@@ -21,7 +21,7 @@ from handeye_ros.errors import DataError, mm
 from handeye_ros.output import csv_text, write_atomically, yaml_text
 from handeye_ros.scanning.curves import Curve, spline
 from handeye_ros.scanning.seam_course import course, FLAT_RATIO, sheets_of
-from handeye_ros.scanning.seam_sections import Edges, edges_of_seam
+from handeye_ros.scanning.seam_sections import edges_of_seam, SeamSections
 from handeye_ros.se3 import unit
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -56,7 +56,7 @@ class Seam:
 
     kind: str
     line: str
-    sections: Edges
+    sections: SeamSections
     curves: Mapping[str, Curve]
     curve: Curve
     normals: Curve

@@ -51,7 +51,7 @@ SHEET_END = np.dtype([  # one sheet in a section across the seam
 
 
 @dataclass(frozen=True, eq=False)
-class Edges:
+class SeamSections:
     """
     The two edges of a seam, by k sections across it.
 
@@ -71,7 +71,7 @@ class Edges:
     ends: tuple[float, float]
 
 
-def edges_of_seam(sheets: Sheets, rough: Course) -> Edges:
+def edges_of_seam(sheets: Sheets, rough: Course) -> SeamSections:
     """Return the edges of the seam along a rough course; raises DataError."""
     is_corner = rough.kind in ('v', 'fillet')
     middle, (i, j) = sheets.points[rough.pairs].mean(axis=1), rough.pairs.T
@@ -100,7 +100,7 @@ def _dot(a: Array, b: Array) -> Array:
     return np.asarray((a * b).sum(axis=-1, keepdims=True))
 
 
-def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
+def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> SeamSections:
     """
     Return the edges by sections across a curve through the rough course; raises DataError.
 
@@ -139,8 +139,8 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
     resolution = {name: float(np.median(np.linalg.norm(
         [moved[name] - line for moved in moved_lines], axis=(0, 2))))
         for name, line in lines.items()}
-    return Edges(lengths[filled], lines, resolution, unit(normals.sum(axis=1)),
-                 float(np.median(ends['noise'])), seam_ends)
+    return SeamSections(lengths[filled], lines, resolution, unit(normals.sum(axis=1)),
+                        float(np.median(ends['noise'])), seam_ends)
 
 
 def _sheet_end(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step: float

@@ -8,8 +8,8 @@ from pathlib import Path
 from handeye_ros.config import Config
 from handeye_ros.errors import BadValueError, InputError
 from handeye_ros.tabulated.pairs import PointPairs, PosePairs
+from handeye_ros.tabulated.problem import TableProblem
 from handeye_ros.tabulated.tracker import TrackerProblem
-from handeye_ros.tabulated.values import TableProblem
 
 FILE_TARGETS: dict[str, type[TableProblem]] = {
     problem.name: problem for problem in (PointPairs, PosePairs, TrackerProblem)}

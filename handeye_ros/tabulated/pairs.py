@@ -35,9 +35,9 @@ from handeye_ros.estimation.least_squares import (
 )
 from handeye_ros.frames import mount_frame, mount_poses
 from handeye_ros.published.cn105021139a import solve_motions
-from handeye_ros.results.file_values import input_values
+from handeye_ros.results.file_values import input_provenance
 from handeye_ros.tables import NOTATIONS, Table
-from handeye_ros.tabulated.values import Misreading, TableAnswer, TableProblem
+from handeye_ros.tabulated.problem import Misreading, TableAnswer, TableProblem
 import numpy as np
 from scipy.special import fdtri
 
@@ -46,7 +46,7 @@ REGION_PROBABILITY = 0.99  # probability of the region that a covariance from fe
 SMALLEST_VARIANCE = 1e-18  # m^2 or rad^2: a smaller scatter is rounding
 PRIOR_FREEDOM = 0.5  # degrees of freedom of the prior of each variance, about the typical one
 LIKELIHOOD_STEPS = 100
-SMALLEST_WIDTH = 0.05  # of points: smallest spread across their line over that along it
+SMALLEST_WIDTH_RATIO = 0.05  # of points: smallest spread across their line over that along it
 PAIR_COUNT = 2000  # of pairs of poses, drawn for the closed form
 LARGEST_SURE_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
 
@@ -104,7 +104,7 @@ class PairedRows(TableProblem):
         """Return the rows of a table; raises TableError, DataError."""
         table = Table(path)
         rows = replace(cls.from_table(table, config), frame=config.sensor_frame,
-                       inputs=[input_values(path)])
+                       inputs=[input_provenance(path)])
         rows.require_plausible()
         return replace(rows, misreadings=[*rows.in_other_units(), *rows.in_other_notations(table)])
 
@@ -274,7 +274,7 @@ class PointPairs(PairedRows):
         require_count('the transform between two sets of points', self.fewest, 'points',
                       len(self))
         along, across = np.linalg.svd(self.robot - self.robot.mean(axis=0), compute_uv=False)[:2]
-        if across < SMALLEST_WIDTH * along:
+        if across < SMALLEST_WIDTH_RATIO * along:
             raise DataError('the points lie in one line, so a turn about it is free; put some of '
                             'them well outside it')
 
@@ -328,7 +328,7 @@ class PosePairs(PairedRows):
         notation = table.notation('flange', self.config.target.angles)
         columns = notation.columns('flange')
         others = {name: other.columns('flange') for name, other in NOTATIONS.items()
-                  if notation.angle and other.angle}
+                  if notation.angle_unit and other.angle_unit}
         for name, names in sorted(others.items(), key=lambda item: item[1] != columns):
             yield Misreading(
                 f'the flange written as {name}', f'set target.angles to {name}' + (

@@ -35,10 +35,10 @@ from handeye_ros.frames import T_sensor_plane
 from handeye_ros.profiles.arcs import arc_features
 from handeye_ros.profiles.faces import face_pair_features
 from handeye_ros.published import jing2020
-from handeye_ros.results.file_values import input_values
+from handeye_ros.results.file_values import input_provenance
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.tables import LENGTH, Table, TableError
-from handeye_ros.tabulated.values import TableAnswer, TableProblem
+from handeye_ros.tabulated.problem import TableAnswer, TableProblem
 import numpy as np
 
 FEWEST_POINTS = {'arc': 6, 'line': 3, 'face_c': 3, 'face_d': 3, 'ball': 1}  # points in the file
@@ -106,11 +106,11 @@ class TrackerProblem(TableProblem):
         if missing:
             raise InputError(f'{" and ".join(missing)} must be set: the answer changes by their '
                              'full size, so they have no default; see config/tracker.yaml')
-        by_reflector = read_table(file)
+        by_reflector = read_reflector_points(file)
         swept, q30 = sweep_from(recording.profiles, recording.poses, config)
         return cls(config, {**by_reflector, **swept}, q30,
                    frame=recording.profiles[0].frame_id or 'laser',
-                   inputs=[*recording.inputs, input_values(file)], warnings=recording.warnings)
+                   inputs=[*recording.inputs, input_provenance(file)], warnings=recording.warnings)
 
     @property
     def samples(self) -> list[tuple[int, str]]:
@@ -228,7 +228,7 @@ class TrackerProblem(TableProblem):
         return distances
 
 
-def read_table(path: Path) -> dict[str, list[Piece]]:
+def read_reflector_points(path: Path) -> dict[str, list[Piece]]:
     """
     Return the positions of the reflector, row by row, by kind (m).
 
@@ -236,7 +236,7 @@ def read_table(path: Path) -> dict[str, list[Piece]]:
     in the order measured. Raises TableError.
     """
     table = Table(path)
-    kinds, points = table.text('kind'), table.values('xyz', LENGTH)
+    kinds, points = table.texts('kind'), table.values('xyz', LENGTH)
     for row, kind in enumerate(kinds, 1):
         if kind not in FEWEST_POINTS:
             raise TableError(

@@ -53,13 +53,13 @@ from handeye_ros.frames import direction_in_words, mount_frame, target_frame
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.profile_target import GRAZING
 from handeye_ros.verification.fit import (
+    covariance_root,
     fit_without_outliers,
     GroupFit,
     largest_displacement,
-    likeliest,
     ONE_SIDED_95,
+    regularised_least_squares,
     require_stations,
-    root_of,
 )
 import numpy as np
 from scipy.special import softmax
@@ -69,7 +69,7 @@ LEAST_EVIDENCE = 100.0
 SURE_CHANGE_SIGMAS = 4.0  # sigmas of a change of the time offset
 SMALLEST_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
 MOVE_SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
-TURN_LEVER = 0.1  # m: a scale over it is that of a turn
+MOVE_TURN_LENGTH = 0.1  # m: a scale over it is that of a turn
 MOST_ITERATIONS = 6
 LARGEST_LOST_SHARE = 0.2  # of the stations: with edges far from those of the target
 NAMED_FROM = 0.95  # probability with which one cause, or some together, are named
@@ -140,7 +140,8 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
 
     Raises DataError, and InputError for a calibration without a target to compare with.
     """
-    cell = CalibratedCell.read(calibration, config)  # before samples of another target are sought
+    # before samples of another target are sought
+    cell = CalibratedCell.of_calibration(calibration, config)
     profiles = list(profiles)
     try:
         session = pipeline.gather(profiles, poses, config)
@@ -154,18 +155,20 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
     answer = pipeline.answer_session(session, config)
     offset, solution = answer.require_calibration().time_offset, answer.require_solution()
     used = [answer.samples[i] for i in solution.used_stations]
-    still = [replace(sample, trajectory=None) for sample in evenly_spaced(used, MOST_OF_SWEEP)]
-    result = check(still, cell, session.rejects, [stop.stamp for stop in session.stops])
+    fixed_pose_samples = [replace(sample, trajectory=None)
+                          for sample in evenly_spaced(used, MOST_OF_SWEEP)]
+    result = check(fixed_pose_samples, cell, session.rejects,
+                   [stop.stamp for stop in session.stops])
     before = calibration.time_offset
     return _with_offset(result, offset, before) if offset and before else result
 
 
 def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Reject] = (),
-          passes: Sequence[int] = ()) -> Check:
+          pass_stamps: Sequence[int] = ()) -> Check:
     """
     Return the check of a calibration by samples of the same target; raises DataError.
 
-    rejects: the stops that gave no sample; passes: stamps (ns) of those of a sweep, of which the
+    rejects: the stops that gave no sample; pass_stamps: (ns) of those of a sweep, of which the
     samples are single profiles.
     """
     problem, config = _observed(samples, cell, rejects), cell.config
@@ -204,11 +207,11 @@ def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Rej
                 'calibration is of this sensor, robot and target, and that the target still '
                 'stands there; if it does not, calibrate again', reason='other_cell')
 
-    stamps = passes or sorted([*(sample.stamp for sample in samples),
-                               *(reject.stamp for reject in rejects)])
+    stamps = pass_stamps or sorted([*(sample.stamp for sample in samples),
+                                    *(reject.stamp for reject in rejects)])
     left_out = sorted({bisect_right(stamps, samples[k].stamp) for k in contradicting})
     if left_out:
-        what = 'profiles of the passes' if passes else 'stops'
+        what = 'profiles of the passes' if pass_stamps else 'stops'
         sentence += f'. Left out, as they contradict the others: {what} {left_out}'
 
     return Check(
@@ -251,7 +254,7 @@ class CalibratedCell(NamedTuple):
     config: Config
 
     @classmethod
-    def read(cls, calibration: Calibration, config: Config) -> CalibratedCell:
+    def of_calibration(cls, calibration: Calibration, config: Config) -> CalibratedCell:
         """Return what a stored calibration says; raises InputError where it cannot be compared."""
         method, found, configured = calibration.method, calibration.target, config.noise
         if method != config.target.type and method in TARGETS:
@@ -278,7 +281,7 @@ class CalibratedCell(NamedTuple):
             flatness=found.get('flatness_error', configured.flatness),
             line_bend=found.get(LINE_BEND, configured.line_bend))
         X = calibration.T_flange_sensor @ frames.T_sensor_plane(config)
-        return cls(target, Estimate(X, state), root_of(covariance), factors, noise, config)
+        return cls(target, Estimate(X, state), covariance_root(covariance), factors, noise, config)
 
 
 def _observed(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Reject]
@@ -372,7 +375,7 @@ def _log_likelihood(residuals: Array, *errors: Array) -> float:
 
     errors: (m, k) each, derivatives by values of unit variance.
     """
-    _, covariance, square = likeliest(np.hstack(errors), residuals)
+    _, covariance, square = regularised_least_squares(np.hstack(errors), residuals)
     return float(np.linalg.slogdet(covariance)[1] - square) / 2
 
 
@@ -383,7 +386,7 @@ def _log_mean(logs: Sequence[float]) -> float:
 
 def _move_sigmas(scale: float) -> Array:
     """Return the prior sigmas (6,) of a move (m, rad) of a scale (m)."""
-    return np.repeat([scale, scale / TURN_LEVER], 3)
+    return np.repeat([scale, scale / MOVE_TURN_LENGTH], 3)
 
 
 class _Cause(NamedTuple):
@@ -410,7 +413,7 @@ def _cause_of(prediction: _Prediction, name: str) -> _Cause:
     for _ in range(MOST_ITERATIONS):
         r, D, lever = prediction.undoing(name, move)
         r = r + D @ move  # of no move, in this linearisation
-        x, C, _ = likeliest(np.hstack([prediction.errors, D * sigmas]), r)
+        x, C, _ = regularised_least_squares(np.hstack([prediction.errors, D * sigmas]), r)
         move, C = sigmas * x[-6:], C[-6:, -6:] * np.outer(sigmas, sigmas)
         log_likelihoods = [_log_likelihood(r, prediction.errors, D * _move_sigmas(scale))
                            for scale in MOVE_SCALES]

@@ -69,7 +69,7 @@ FREE_STD = 1e6  # 1 sigma of an unknown that may have any value, beside that by 
 LEFT_BY_OTHERS_SHARE = 1e-3
 # without what differs of the distortion
 NOISE = NoiseScales(np.where(np.arange(5) == LOCAL_DISTORTION_FACTOR, 0.0, 1.0))
-MOST_OUTLIERS = 0.2  # of the groups: more are no outliers, but a disagreement
+LARGEST_OUTLIER_SHARE = 0.2  # of the groups: more are no outliers, but a disagreement
 
 Result = TypeVar('Result')
 
@@ -165,7 +165,7 @@ class Quantity:
     characteristic: str = ''
 
     @property
-    def error(self) -> float | None:
+    def deviation(self) -> float | None:
         """Return value less nominal."""
         return None if self.nominal is None else self.value - self.nominal
 
@@ -246,8 +246,8 @@ class CalibrationError(NamedTuple):
     p_explained: probability of larger distances from the shape with this error
     p_chance: probability that chance looks at least as much like an error
     largest, largest_std: the largest displacement of a point by it, and its 1 sigma (m)
-    detectable: the smallest error that would show, in the direction in which it shows least, as
-        RMS displacement of the points (m)
+    smallest_detectable: error that would show, in the direction in which it shows least, as RMS
+        displacement of the points (m)
     weakest_direction: this direction in words
     """
 
@@ -256,7 +256,7 @@ class CalibrationError(NamedTuple):
     p_chance: float
     largest: float
     largest_std: float
-    detectable: float
+    smallest_detectable: float
     weakest_direction: str
 
 
@@ -323,7 +323,7 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float
     white = whitening(linear)
     r, J = white(linear.residuals), white(linear.jacobian[:, 6:])
     E = white(np.hstack([linear.jacobian[:, :6], by_robot]))
-    claim = scipy.linalg.block_diag(root_of(C), np.eye(by_robot.shape[1]))
+    claim = scipy.linalg.block_diag(covariance_root(C), np.eye(by_robot.shape[1]))
     # by how much the fitted q follows each distance
     gain = np.asarray(np.linalg.pinv(J), dtype=float)
 
@@ -336,7 +336,7 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float
     r_left, E_left = (values - J @ (gain @ values) for values in (r, E))
     freedom = max(len(r_left) - len(q), 1)
     sizes = np.abs(linear.residuals)
-    square = likeliest(E_left @ claim, r_left)[2]
+    square = regularised_least_squares(E_left @ claim, r_left)[2]
     scatter = Scatter(len(sizes), float(sizes.mean()), float(sizes.std()), rms(sizes),
                       float(sizes.max()), float(chi2_sf(square, freedom)))
     variances = np.square(by_robot).sum(axis=1)  # of the distances, due to robot and sensor
@@ -363,10 +363,10 @@ def _calibration_error(A: Array, b: Array, conditions: int, linear: Linearisatio
     without the number of unknowns that the shape takes up.
     """
     information = np.append(ERROR_PRIOR_STDS ** -2.0, np.ones(A.shape[1] - 6))
-    errors, covariance, square = likeliest(A, b, information)
+    errors, covariance, square = regularised_least_squares(A, b, information)
     twist, covariance = errors[:6], covariance[:6, :6]
     square -= float(twist ** 2 @ information[:6])
-    _, _, square_without = likeliest(A[:, 6:], b, information[6:])
+    _, _, square_without = regularised_least_squares(A[:, 6:], b, information[6:])
     freedom = max(conditions - 6, 1)
     factor = max(square / freedom, 1.0)
     return CalibrationError(
@@ -385,8 +385,8 @@ def _covariance(linear: Linearisation, group: StationGroup) -> Array:
     return total
 
 
-def likeliest(A: Array, b: Array, information: Array | float = 1.0
-              ) -> tuple[Array, Array, float]:
+def regularised_least_squares(A: Array, b: Array, information: Array | float = 1.0
+                              ) -> tuple[Array, Array, float]:
     """
     Return the x of least |b - A x|^2 + x' diag(information) x, its covariance, and this sum.
 
@@ -468,7 +468,7 @@ def refit_shape(shape: Shape, X: Array, C: Array, smooth_std: float) -> ShapeFit
     return fit
 
 
-def root_of(C: Array) -> Array:
+def covariance_root(C: Array) -> Array:
     """Return R (n, n) with R R' = C, which may be singular; raises InputError."""
     value, vectors = np.linalg.eigh((C + C.T) / 2)
     if value[0] < -1e-9 * value[-1]:
@@ -485,7 +485,7 @@ def fit_without_outliers(groups: Indices, fit_groups: Callable[[Indices], GroupF
     fit_groups: of some of them. The p-value of a group left out is that of the last fit in which
     it took part. None is left out where it would be too many, or where too few would be left.
     """
-    p_values, most = dict[int, float](), int(MOST_OUTLIERS * len(groups))
+    p_values, most = dict[int, float](), int(LARGEST_OUTLIER_SHARE * len(groups))
 
     def of_groups(_: object, used: Indices, dropped: dict[int, float]
                   ) -> tuple[Result, Array, Indices, list[int]]:

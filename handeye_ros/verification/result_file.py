@@ -19,10 +19,10 @@ from handeye_ros import __version__
 from handeye_ros.config import read_yaml
 from handeye_ros.errors import unusable_file
 from handeye_ros.output import rendered
-from handeye_ros.results.file_values import input_values, require_format
+from handeye_ros.results.file_values import input_provenance, require_format
 from handeye_ros.results.table import figures_table
 from handeye_ros.verification.fit import COVERAGE_FACTOR
-from handeye_ros.verification.verify import decision, formatted, Verification
+from handeye_ros.verification.verify import decision, in_mm_or_degrees, Verification
 from rich.table import Table
 
 FORMAT = 'handeye_ros/verification/1'
@@ -50,10 +50,10 @@ def plain_values(verification: Verification, inputs: Iterable[object] = (),
     values, fit = asdict(verification), verification.fit
     del values['fit']
     return {'format': FORMAT, 'version': __version__, 'k': COVERAGE_FACTOR, **values,
-            'scatter': asdict(fit.scatter), 'smallest_error': fit.error.detectable,
+            'scatter': asdict(fit.scatter), 'smallest_error': fit.error.smallest_detectable,
             'weakest_direction': fit.error.weakest_direction, 'region': fit.squared_deviation,
             'freedom': fit.freedom, 'claim_p': fit.claim_p, 'inputs': list(map(str, inputs)),
-            'calibration_file': input_values(calibration_file) if calibration_file else {},
+            'calibration_file': input_provenance(calibration_file) if calibration_file else {},
             'created': datetime.now(UTC).isoformat(timespec='seconds')}
 
 
@@ -72,10 +72,11 @@ def table_rows(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...
             decided = decision(deviation, U,
                                content['tolerance' if unit == 'm' else 'angle_tolerance'])
         claimed = quantity['claimed'] or None  # a scatter claims nothing
-        figures = (formatted(figure, unit) for figure in (value, nominal, deviation, U, claimed))
+        figures = (in_mm_or_degrees(figure, unit)
+                   for figure in (value, nominal, deviation, U, claimed))
         yield quantity['name'], (*figures, decided)
     for name, key, unit in FIGURE_ROWS:
-        yield name, (formatted({**content, **content['scatter']}[key], unit), *[''] * 5)
+        yield name, (in_mm_or_degrees({**content, **content['scatter']}[key], unit), *[''] * 5)
 
 
 def table(content: Mapping[str, Any]) -> Table:
@@ -124,7 +125,7 @@ def protocol(content: Mapping[str, Any]) -> str:
     return rendered(
         'protocol.html', t=content, number=digest.hexdigest()[:12], title=title_of(content),
         columns=TABLE_COLUMNS, rows=list(table_rows(content)),
-        characteristics=list(_characteristics(content)), formatted=formatted)
+        characteristics=list(_characteristics(content)), in_mm_or_degrees=in_mm_or_degrees)
 
 
 def _characteristics(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str, str]]:
@@ -134,5 +135,5 @@ def _characteristics(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str
         meaning, factor = CHARACTERISTICS.get(symbol, ('', 0.0))
         if meaning and (nominal is not None or symbol in ('PF', 'F')):
             yield (symbol, meaning, quantity['name'],
-                   formatted(factor * (quantity['value'] - (nominal or 0.0)), unit),
-                   formatted(factor * content['k'] * quantity['std'], unit))
+                   in_mm_or_degrees(factor * (quantity['value'] - (nominal or 0.0)), unit),
+                   in_mm_or_degrees(factor * content['k'] * quantity['std'], unit))

@@ -43,13 +43,13 @@ import numpy as np
 
 SWEEP_SAMPLES = 60  # samples of a sweep
 KNOWN_OFFSET_STD = 1e-3  # s: a time offset stated less exactly is none
-SAME_SURFACE = 1.5e-3  # m: pieces this near to a plane are one surface, or
+SAME_SURFACE_DISTANCE = 1.5e-3  # m: pieces this near to a plane are one surface, or
 FAR_RATIO = 4.0  # times the median distance of the stops' nearest pieces: the calibration is wrong
-LEAST_SEEN = 0.5  # of the stops must see the nearest surface
+LEAST_SEEN_SHARE = 0.5  # of the stops must see the nearest surface
 TRIAL_COUNT = 300  # pairs of features that define a trial point, line or plane
 PASS_PROFILES, POINTS_OF_PROFILE = 12, 80  # of a pass that are used, and of each of them
 
-Kind = TypeVar('Kind', EdgePoint, FaceLine)
+FeatureKind = TypeVar('FeatureKind', EdgePoint, FaceLine)
 
 
 def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibration: Calibration,
@@ -65,7 +65,7 @@ def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibr
     samples = [sample for recorded in shown for sample in recorded]
     poses = mount_poses_of(samples, config)
     target = TARGETS[routine.target]
-    problem = _problem(target, poses, _conditions(routine, samples, poses @ X), config,
+    problem = _problem(target, poses, _observations(routine, samples, poses @ X), config,
                        is_face=target.kinds == ('face',))
     return StationSet(
         problem, np.array([sample.stamp for sample in samples], dtype=np.int64),
@@ -127,7 +127,7 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
                       np.repeat(np.arange(len(counts)), counts))
 
 
-def _conditions(routine: Routine, samples: Sequence[Sample], T: Array) -> Observations:
+def _observations(routine: Routine, samples: Sequence[Sample], T: Array) -> Observations:
     """
     Return the conditions of a routine; T: (n, 4, 4) sensor planes in the base.
 
@@ -146,8 +146,8 @@ def _conditions(routine: Routine, samples: Sequence[Sample], T: Array) -> Observ
     return rows.observations()
 
 
-def _features_with_stops(samples: Sequence[Sample], T: Array, kind: type[Kind]
-                         ) -> tuple[Indices, list[Kind], Array]:
+def _features_with_stops(samples: Sequence[Sample], T: Array, kind: type[FeatureKind]
+                         ) -> tuple[Indices, list[FeatureKind], Array]:
     """
     Return the stop (k,) of each feature of a kind, these features, and their ends (k, 2, 3).
 
@@ -225,10 +225,10 @@ def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
     depth = range_sign * np.array([piece.centre[1] for piece in pieces])
     # one plane after the other, each of the pieces that are on none of those before
     left, surfaces = np.arange(len(pieces)), list[Indices]()
-    least = max(LEAST_SEEN * len(np.unique(stop)), LEAST_STATIONS)
+    least = max(LEAST_SEEN_SHARE * len(np.unique(stop)), LEAST_STATIONS)
     while len(np.unique(stop[left])) >= least:
         distances, nearest = _distances_from_common(ends[left], stop[left], 2)
-        on_plane = distances <= max(SAME_SURFACE, FAR_RATIO * float(np.median(nearest)))
+        on_plane = distances <= max(SAME_SURFACE_DISTANCE, FAR_RATIO * float(np.median(nearest)))
         if len(np.unique(stop[left[on_plane]])) >= least:
             surfaces.append(left[on_plane])
         left = left[~on_plane]

@@ -28,8 +28,8 @@ BIN_WIDTH = 0.05  # of the pitch
 OUTLIER_SIGMAS = 4.0  # sigmas of the points of a face
 # of the sensor's noise: the smallest scatter assumed when outliers are removed
 SMALLEST_SCATTER = 0.1
-LEAST_ON_GAUGE = 0.2  # of the points must be on the gauge
-LEAST_FACE = 0.01  # of the points must be on tops and valleys, and on flanks
+LEAST_SHARE_ON_GAUGE = 0.2  # of the points must be on the gauge
+LEAST_FACE_SHARE = 0.01  # of the points must be on tops and valleys, and on flanks
 ROUND_COUNT = 6
 SMALLEST_COSINE = 0.05  # cosine of a face to the ray, at least
 
@@ -48,23 +48,23 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     for _ in range(ROUND_COUNT):
         rows, face, tooth = _faces(_local(p, frame, q), pitch, height, q)
         share = len(rows) / len(p)
-        if share < LEAST_ON_GAUGE:
+        if share < LEAST_SHARE_ON_GAUGE:
             break
         obs = replace(stations.observations.select(rows), kind=face)
         shape = _shape(stations.with_observations(obs), frame, pitch, height, tooth, q)
         q = shape.fit_unknowns(p[rows], iterations=1)
     top, valley, *flanks = np.bincount(face, minlength=4) / len(p)
     least = float(min(top + valley, sum(flanks)))
-    if share < LEAST_ON_GAUGE or least < LEAST_FACE:
+    if share < LEAST_SHARE_ON_GAUGE or least < LEAST_FACE_SHARE:
         raise DataError(
             f'this is not the gauge: {share:.0%} of the points lie on teeth of pitch '
             f'{mm(pitch)} and height {mm(height)}, and {least:.1%} on their flats or on their '
             'flanks. Give both lengths (verify.lengths=[PITCH, HEIGHT]), and scan the gauge alone')
     stations, p = shape.stations, p[rows]
     rays = stations.problem.mounts_of_rows[0] @ X[:3, 2]
-    by_range = np.abs((shape.wrt_point(p, q) * rays).sum(axis=1))
+    wrt_range = np.abs((shape.wrt_point(p, q) * rays).sum(axis=1))
     good, noise = _without_outliers(
-        shape.distance(p, q), np.maximum(by_range, SMALLEST_COSINE),
+        shape.distance(p, q), np.maximum(wrt_range, SMALLEST_COSINE),
         np.stack([stations.recording_of_point, face, tooth], axis=1),
         SMALLEST_SCATTER * float(np.median(stations.observations.error_factor[:, 1, 0])))
     obs = stations.observations.select(good)
@@ -74,12 +74,12 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     return _shape(stations, frame, pitch, height, tooth[good], q)
 
 
-def _without_outliers(distances: Array, by_range: Array, face: Indices, min_scatter: float
+def _without_outliers(distances: Array, wrt_range: Array, face: Indices, min_scatter: float
                       ) -> tuple[NDArray[np.bool_], Array]:
     """
     Return which points (m,) are no outliers of their pass and face, and their noise (m,).
 
-    by_range: derivatives of the distances; face: (m, 3) pass, face and tooth; min_scatter: the
+    wrt_range: derivatives of the distances; face: (m, 3) pass, face and tooth; min_scatter: the
     smallest scatter assumed (m). A sensor measures steep faces worse than it states, so the noise
     is the scatter of the points of a pass about their own mean.
     """
@@ -94,7 +94,7 @@ def _without_outliers(distances: Array, by_range: Array, face: Indices, min_scat
         count = int(inliers.sum())
         # about a mean and a slope of their own
         scatter = deviation[inliers].std() * np.sqrt(count / max(count - 2, 1))
-        good[members[inliers]], noise[members] = True, scatter / np.median(by_range[members])
+        good[members[inliers]], noise[members] = True, scatter / np.median(wrt_range[members])
     return good, noise
 
 

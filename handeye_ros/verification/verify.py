@@ -143,7 +143,7 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
     return Verification(
         routine.name, calibration.name, verdict, reasons, stated.tolerance, stated.angle_tolerance,
         len(np.unique(shape.stations.observations.station)), quantities, fit, per_station,
-        stations.surface_note, routine.measures, output.time_of(int(stations.stamps.min())),
+        stations.surface_note, routine.measures, output.iso_time(int(stations.stamps.min())),
         stated.certificate, dict(config.record))
 
 
@@ -205,17 +205,18 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Sta
 
     # the shape fits, but not in its size
     other_size = fit.error.p_explained < UNEXPLAINED_P < fit.scatter.p
-    findings = [*_values_off(quantities, stated, remedy),
-                *_points_off(fit, results, stated, other_size)]
+    findings = [*_quantity_findings(quantities, stated, remedy),
+                *_point_findings(fit, results, stated, other_size)]
     failed, undecided = ([sentence for outcome, sentence in findings if outcome == wanted]
                          for wanted in (VIOLATES, UNDECIDED))
     verdict = 'fail' if failed else 'undecided' if undecided else 'pass'
-    if not failed and fit.error.detectable > stated.tolerance:
+    if not failed and fit.error.smallest_detectable > stated.tolerance:
         verdict = 'insensitive'
+        detectable = fit.error.smallest_detectable
         undecided.insert(0, (
             'this decides nothing: an error of the calibration would show only from '
-            f'{mm(fit.error.detectable)} on ({fit.error.weakest_direction}), and the tolerance is '
-            f'{mm(stated.tolerance)}{remedy(fit.error.detectable, stated.tolerance)}'))
+            f'{mm(detectable)} on ({fit.error.weakest_direction}), and the tolerance is '
+            f'{mm(stated.tolerance)}{remedy(detectable, stated.tolerance)}'))
     return verdict, tuple(dict.fromkeys(
         [*failed, *undecided, *_notes(fit, other_size, results)]))
 
@@ -227,34 +228,34 @@ def decision(deviation: float, U: float, tolerance: float) -> str:
     return VIOLATES if abs(deviation) - U > tolerance else UNDECIDED
 
 
-def formatted(value: float | None, unit: str) -> str:
+def in_mm_or_degrees(value: float | None, unit: str) -> str:
     """Return a value in millimetres or degrees, '' if there is none."""
     if value is None or math.isnan(value):
         return ''
     return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{math.degrees(value):.4f} degrees'
 
 
-def _values_off(quantities: Sequence[Quantity], stated: VerifyConfig,
-                remedy: Callable[[float, float], str]) -> Iterator[tuple[str, str]]:
+def _quantity_findings(quantities: Sequence[Quantity], stated: VerifyConfig,
+                       remedy: Callable[[float, float], str]) -> Iterator[tuple[str, str]]:
     """
     Yield the decisions on the values with a nominal, each with a sentence.
 
     remedy(size, largest): of an uncertainty that is larger than what the tolerance leaves.
     """
     for q in quantities:
-        if q.error is not None:
+        if q.deviation is not None:
             tolerance = stated.tolerance if q.unit == 'm' else stated.angle_tolerance
-            off, U = (formatted(value, q.unit) for value in (q.error, q.expanded))
-            outcome = decision(q.error, q.expanded, tolerance)
+            off, U = (in_mm_or_degrees(value, q.unit) for value in (q.deviation, q.expanded))
+            outcome = decision(q.deviation, q.expanded, tolerance)
             yield outcome, f'{q.name} is off by {off} ± {U} (k = {COVERAGE_FACTOR:g})' if (
                 outcome == VIOLATES) else (
                 f'{q.name} is off by {off}, its uncertainty is {U} (k = {COVERAGE_FACTOR:g}), and '
-                f'together they exceed the tolerance of {formatted(tolerance, q.unit)}'
-                f'{remedy(q.expanded, tolerance - abs(q.error))}')
+                f'together they exceed the tolerance of {in_mm_or_degrees(tolerance, q.unit)}'
+                f'{remedy(q.expanded, tolerance - abs(q.deviation))}')
 
 
-def _points_off(fit: ShapeFit, results: Sequence[StationResult], stated: VerifyConfig,
-                other_size: bool) -> Iterator[tuple[str, str]]:
+def _point_findings(fit: ShapeFit, results: Sequence[StationResult], stated: VerifyConfig,
+                    other_size: bool) -> Iterator[tuple[str, str]]:
     """
     Yield the decisions on points and calibration that do not conform, each with a sentence.
 
@@ -290,7 +291,7 @@ def _notes(fit: ShapeFit, other_size: bool, results: Sequence[StationResult]) ->
                'artefact moved, or the noise is set too small')
     if other_size:
         yield OTHER_SIZE
-    if unknown := [q.name for q in fit.quantities if q.error is None]:
+    if unknown := [q.name for q in fit.quantities if q.deviation is None]:
         yield (f'without a nominal value (verify.radius, verify.reference) nothing is said about '
                f'{", ".join(unknown)}')
     if fit.claim_p < SIGNIFICANCE:

@@ -18,14 +18,14 @@ from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.advice import (
     Advice,
     advise,
-    CAUSES_BY_BLOCK,
     enough_and_why,
+    FACTORS_BY_BLOCK,
     ROUGHLY_KNOWN,
 )
 from handeye_ros.guidance.candidates import (
     anchor_of,
     covariances_with_one_more,
-    REFUSED_DISTANCE,
+    FAILED_POSE_DISTANCE,
 )
 from handeye_ros.guidance.view import learn_view, next_move
 from handeye_ros.pipeline import Answer
@@ -54,7 +54,7 @@ def advice_for(fitted: tuple[Cell, Solution], failed_poses: tuple[Array, ...] = 
 
 
 def test_the_feature_stays_in_view_where_it_is_said_to_be(fitted: tuple[Cell, Solution]) -> None:
-    proposal = advice_for(fitted).next
+    proposal = advice_for(fitted).next_pose
     assert proposal is not None
     simulated_cell, solution = fitted
     view = learn_view(simulated_cell.samples)
@@ -87,7 +87,7 @@ def test_what_a_sample_brings_is_what_the_solver_then_says(fitted: tuple[Cell, S
 def test_the_limits_are_kept(fitted: tuple[Cell, Solution]) -> None:
     simulated_cell, solution = fitted
     advice = advice_for(fitted, guidance__reach=0.15, guidance__tilt=0.3, guidance__turn=0.8)
-    assert (proposal := advice.next) is not None
+    assert (proposal := advice.next_pose) is not None
     first, T = simulated_cell.samples[0].T_base_flange, proposal.T_base_flange
     assert np.linalg.norm(T[:3, 3] - first[:3, 3]) <= 0.15
     R_first, R = ((pose @ solution.estimate.X)[:3, :3] for pose in (first, T))
@@ -98,19 +98,19 @@ def test_the_limits_are_kept(fitted: tuple[Cell, Solution]) -> None:
 
 def test_limits_that_allow_nothing_are_reported(fitted: tuple[Cell, Solution]) -> None:
     advice = advice_for(fitted, guidance__reach=0.0, guidance__accuracy=1e-6)
-    assert advice.next is None
+    assert advice.next_pose is None
     assert not advice.enough
     assert 'widen them' in advice.text
 
 
 def test_a_failed_pose_is_not_proposed_again(fitted: tuple[Cell, Solution]) -> None:
-    proposal = advice_for(fitted).next
+    proposal = advice_for(fitted).next_pose
     assert proposal is not None
-    next_proposal = advice_for(fitted, failed_poses=(proposal.T_base_flange,)).next
+    next_proposal = advice_for(fitted, failed_poses=(proposal.T_base_flange,)).next_pose
     assert next_proposal is not None
     T = se3.inverse(proposal.T_base_flange) @ next_proposal.T_base_flange
-    assert (np.linalg.norm(T[:3, 3]) > REFUSED_DISTANCE[0]
-            or se3.angle(T[:3, :3]) > REFUSED_DISTANCE[1])
+    assert (np.linalg.norm(T[:3, 3]) > FAILED_POSE_DISTANCE[0]
+            or se3.angle(T[:3, :3]) > FAILED_POSE_DISTANCE[1])
 
 
 def test_it_is_the_same_in_another_base(fitted: tuple[Cell, Solution]) -> None:
@@ -118,16 +118,16 @@ def test_it_is_the_same_in_another_base(fitted: tuple[Cell, Solution]) -> None:
     moved = replace(simulated_cell, samples=tuple(
         replace(s, T_base_flange=ANY_POSE @ s.T_base_flange) for s in simulated_cell.samples))
     advice, in_other_base = advice_for(fitted), advice_for((moved, solved(moved.problem)))
-    assert advice.next and in_other_base.next
-    np.testing.assert_allclose(in_other_base.next.std, advice.next.std, rtol=1e-3)
+    assert advice.next_pose and in_other_base.next_pose
+    np.testing.assert_allclose(in_other_base.next_pose.std, advice.next_pose.std, rtol=1e-3)
 
 
 def test_eye_on_base_is_advised_too() -> None:
     simulated_cell = cell(replace(SCENARIOS['eye_on_base'], stations=(4, 4)), 1)
     advice = advice_for((simulated_cell, solved(simulated_cell.problem)))
-    assert advice.next
+    assert advice.next_pose
     T_first = simulated_cell.samples[0].T_base_flange
-    assert np.linalg.norm(advice.next.T_base_flange[:3, 3] - T_first[:3, 3]) <= (
+    assert np.linalg.norm(advice.next_pose.T_base_flange[:3, 3] - T_first[:3, 3]) <= (
         simulated_cell.config.guidance.reach)
 
 
@@ -143,27 +143,27 @@ def test_enough_is_said_with_its_reason(fitted: tuple[Cell, Solution]) -> None:
 def test_the_words_lead_from_the_last_sample_to_the_pose(fitted: tuple[Cell, Solution]) -> None:
     advice = advice_for(fitted, guidance__accuracy=1e-6)
     words, last = advice.sentences[-1], fitted[0].samples[-1].T_base_flange
-    assert advice.next is not None
+    assert advice.next_pose is not None
     turn, match = np.eye(3), re.search('move by (.*?) mm along base x, y, z', words)
     for degrees, axis in re.findall(r'([+-]\d+) degrees about flange ([xyz])', words):
         turn = turn @ Rotation.from_euler(axis, int(degrees), degrees=True).as_matrix()
     place = last[:3, 3] + 1e-3 * np.array(match[1].split(', '), dtype=float)
     T = se3.transform(last[:3, :3] @ turn, place)
-    error = se3.difference(advice.next.T_base_flange, T)
+    error = se3.difference(advice.next_pose.T_base_flange, T)
     assert np.abs(error).max() < 0.02, 'mm and degrees are whole ones'
 
 
 def test_samples_whose_answer_is_refused_are_never_enough(fitted: tuple[Cell, Solution]) -> None:
     advice = advice_for(fitted, refusal=DataError('only 2 samples show an edge'),
                         guidance__accuracy=0.05)
-    assert advice.next
+    assert advice.next_pose
     assert not advice.enough
     assert advice.why == 'only 2 samples show an edge'
 
 
 def test_a_sweep_goes_on_until_it_is_enough(fitted: tuple[Cell, Solution]) -> None:
     advice = advice_for(fitted, guidance__accuracy=1e-6, sampling__mode='moving')
-    assert not advice.enough and advice.next is None
+    assert not advice.enough and advice.next_pose is None
     assert 'continue to sweep over' in advice.sentences[-1]
 
 
@@ -174,7 +174,7 @@ def test_before_an_answer_it_tells_moves_within_the_limits(target: str, turn: fl
     config = with_values(simulated_cell.config, {'guidance.turn': turn}, 'test')
     method, view = targets.target_for(config), learn_view(simulated_cell.samples)
     advice = advise(simulated_cell.samples[:1], config, Answer((), None, False, None, None))
-    assert advice.next is None and advice.move is not None and not advice.enough
+    assert advice.next_pose is None and advice.first_move is not None and not advice.enough
     assert 'turn the sensor' in advice.text and 'in view' in advice.text
     assert ('beside the top' in advice.text) == (target == 'sphere')
     moves = [next_move(n, method, config, view) for n in range(1, 20)]
@@ -200,7 +200,7 @@ def test_a_sensor_that_is_not_roughly_known_is_not_aimed(fitted: tuple[Cell, Sol
     vague = replace(certain, report_posterior=certain.posterior,
                     added_covariances={'a test': ROUGHLY_KNOWN ** 2 * 2 * np.eye(6)})
     advice = advice_for((simulated_cell, vague))
-    assert advice.next is None and advice.move is not None
+    assert advice.next_pose is None and advice.first_move is not None
 
 
 def test_the_view_holds_what_was_seen() -> None:
@@ -226,7 +226,7 @@ def test_what_limits_is_named_with_its_key_and_is_enough() -> None:
 @pytest.mark.parametrize(('count', 'gain', 'enough'), [
     (15, 0.01, True), (15, 0.03, False), (14, 0.01, False)])
 def test_samples_of_little_use_are_not_asked_for(count: int, gain: float, enough: bool) -> None:
-    cause = (CAUSES_BY_BLOCK['robot_smooth'], 0.875)
+    cause = (FACTORS_BY_BLOCK['robot_smooth'], 0.875)
     is_enough, why = enough_and_why(4e-4, 3e-4, 4e-4 * (1 - gain), cause, count)
     assert is_enough == enough
     assert 'known to 0.400 mm' in why and '0.350 mm is the robot' in why

@@ -26,7 +26,7 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 pytest.importorskip('aiohttp', reason='needs aiohttp')
 from handeye_ros.page import server as servers  # noqa: E402, I100
 from handeye_ros.page.contents import page_source, PageSource  # noqa: E402
-from handeye_ros.page.server import PageServer, token_of  # noqa: E402
+from handeye_ros.page.server import PageServer, read_or_write_token  # noqa: E402
 
 pytestmark = pytest.mark.once
 
@@ -173,11 +173,11 @@ def test_other_machines_need_the_token() -> None:
 
 def test_the_token_survives_a_restart_in_a_file_of_the_user_alone(tmp_path: Path) -> None:
     file = tmp_path / 'new' / 'token'
-    token = token_of(file)
+    token = read_or_write_token(file)
     assert file.stat().st_mode & 0o777 == 0o600 and file.read_text().strip() == token
-    assert token_of(file) == token != token_of(tmp_path / 'other')
+    assert read_or_write_token(file) == token != read_or_write_token(tmp_path / 'other')
     file.chmod(0o644)  # others may have read it
-    assert token_of(file) != token and not file.stat().st_mode & 0o077
+    assert read_or_write_token(file) != token and not file.stat().st_mode & 0o077
 
 
 def test_events_come_as_json(server: tuple[PageServer, Cell]) -> None:

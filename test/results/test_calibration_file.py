@@ -171,7 +171,7 @@ def test_samples_not_used_for_one_reason_are_one_line_whatever_its_numbers():
 
 def test_errors_against_the_truth_are_those_of_known_differences():
     T = CALIBRATION.T_flange_sensor
-    assert truth.errors_against(T, T) == truth.Errors(0.0, 0.0, 0.0)
+    assert truth.errors_against(T, T) == truth.TransformErrors(0.0, 0.0, 0.0)
     shifted = se3.perturb(T, np.array([3e-3, 0, 4e-3, 0, 0, 0]))
     errors = truth.errors_against(shifted, T)
     assert errors.translation == pytest.approx(5e-3)

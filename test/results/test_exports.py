@@ -101,8 +101,8 @@ def read_robot(text: str, vendor: str) -> tuple[Array, None, None]:
     line = re.sub('[A-Za-z_]+[_0-9]*', ' ', text.splitlines()[-1])
     numbers = np.array([float(v) for v in re.findall(r'-?[0-9]+[.][0-9]+', line)])
     T, notation = np.eye(4), notation_of(vendor)
-    T[:3, :3] = notation.rotation(numbers[None, 3:]).as_matrix()[0]
-    T[:3, 3] = numbers[:3] * (1e-3 if notation.length == 'mm' else 1.0)
+    T[:3, :3] = notation.to_rotation(numbers[None, 3:]).as_matrix()[0]
+    T[:3, 3] = numbers[:3] * (1e-3 if notation.length_unit == 'mm' else 1.0)
     return T, None, None
 
 

@@ -10,7 +10,7 @@ from calibrations import calibration_at
 from cells import ONE_IN_1000, squared_error
 from command import assert_refused, bench_of, handeye, ROOT, succeeds
 from handeye_ros import pipeline, se3
-from handeye_ros.arm import arm_of, corrected_urdf, GEOMETRY, read_arm, read_urdf
+from handeye_ros.arm import ALL_KINDS, arm_of, corrected_urdf, read_arm, read_urdf
 from handeye_ros.bags.bag import read
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import DataError, HandeyeError
@@ -57,8 +57,8 @@ ODD = """<?xml version="1.0"?>
 
 
 def with_errors(arm, rng):
-    arm = arm.freed(GEOMETRY)
-    return replace(arm, values=rng.normal(size=len(arm.values)) * arm.priors[arm.free])
+    arm = arm.freed(ALL_KINDS)
+    return replace(arm, error_values=rng.normal(size=len(arm.error_values)) * arm.priors[arm.free])
 
 
 def poses(urdf, joints, q, frame):
@@ -80,7 +80,7 @@ def test_an_odd_urdf_moves_as_in_pinocchio_and_so_does_the_corrected_one():
     rng = np.random.default_rng(0)
     arm = with_errors(arm_of(ODD, flange='tip'), rng)
     names = [joint.name for joint in arm.joints]
-    q = arm.positions({name: rng.uniform(-1, 1, 5) for name in names}, 'test')
+    q = arm.joint_values({name: rng.uniform(-1, 1, 5) for name in names}, 'test')
     np.testing.assert_allclose(arm.freed(()).forward(q), poses(ODD, names, q, 'tip'), atol=1e-12)
     corrected = corrected_urdf(ODD, arm)
     np.testing.assert_allclose(arm.forward(q), poses(corrected, names, q, 'tip'), atol=1e-10)
@@ -90,11 +90,11 @@ def test_an_odd_urdf_moves_as_in_pinocchio_and_so_does_the_corrected_one():
 @pytest.mark.parametrize('urdf', [bench.urdf(bench.SIX), ODD])
 def test_twists_are_the_derivatives_of_the_pose(urdf):
     rng = np.random.default_rng(1)
-    arm = arm_of(urdf, flange='tip' if urdf == ODD else '').freed(GEOMETRY)
+    arm = arm_of(urdf, flange='tip' if urdf == ODD else '').freed(ALL_KINDS)
     q = rng.uniform(-1, 1, (7, len(arm.joints)))
     twists = arm.twists(q)[:, :, arm.free]
-    for k, step in enumerate(1e-6 * np.eye(len(arm.values))):
-        after, before = (replace(arm, values=s * step).forward(q) for s in (1, -1))
+    for k, step in enumerate(1e-6 * np.eye(len(arm.error_values))):
+        after, before = (replace(arm, error_values=s * step).forward(q) for s in (1, -1))
         np.testing.assert_allclose(twists[:, :, k], se3.difference(after, before) / 2e-6,
                                    atol=2e-6)
 
@@ -207,11 +207,11 @@ def test_a_damaged_kinematics_file_is_refused(from_table, tmp_path):
 
 def test_the_file_of_an_arm_without_errors_is_read(from_table, tmp_path):
     content = yaml.safe_load((from_table[2] / 'out/kinematics.yaml').read_text())
-    joints = [{key: joint[key] for key in joint.keys() - set(GEOMETRY)}
+    joints = [{key: joint[key] for key in joint.keys() - set(ALL_KINDS)}
               for joint in content['joints']]
     (tmp_path / 'kinematics.yaml').write_text(yaml.dump(
         content | {'joints': joints, 'covariance': []}))
-    assert read_arm(tmp_path).kinds == ()
+    assert read_arm(tmp_path).error_kinds == ()
 
 
 def test_profiles_and_joint_states_of_a_bag_correct_the_arm(tmp_path):
@@ -220,7 +220,7 @@ def test_profiles_and_joint_states_of_a_bag_correct_the_arm(tmp_path):
     out = tmp_path / 'out'
     arm, calibration = read_arm(out), read_calibration(out / 'calibration.yaml')
     assert calibration.quality.holdout_rms < 6e-5
-    assert (calibration.parent_frame, arm.kinds) == ('flange', GEOMETRY)
+    assert (calibration.parent_frame, arm.error_kinds) == ('flange', ALL_KINDS)
     run = succeeds('solve', ROOT / 'bags/arm', '--set', 'target.type=sphere', '--kinematics',
                    'out/kinematics.yaml', '--budget', '--out', 'again', cwd=tmp_path)
     match = re.search(r'corrected arm .* ([\d.]+) %', run.stdout)
@@ -271,7 +271,7 @@ def test_two_recordings_give_one_answer(recorded):
     source = sources.source_of(session, recording, arm, config)
     from_two, from_one = (sources.solve_sources(parts, arm) for parts in (
         [every_other(source, 0), every_other(source, 1)], [source]))
-    assert from_two.outcome.arm.kinds == GEOMETRY
+    assert from_two.outcome.arm.error_kinds == ALL_KINDS
     assert from_two.outcome.chosen.left_out_rms < 6e-5
     assert from_two.calibration.quality.samples_used == len(source.samples)
     assert squared_error(from_two.calibration, from_one.calibration) < 6
@@ -316,7 +316,8 @@ def test_a_solve_with_a_corrected_arm_carries_its_uncertainty(tmp_path):
     config = Config(target=TargetConfig(type='sphere'), robot_effector_frame='flange')
     method = target_for(config)
     problem = Problem(method, stated.forward(q), method.observe(samples), config)
-    answer = sources.solve_sources([sources.Source(Session(config), samples, problem, q)], stated)
+    measured = sources.ArmSamples(Session(config), samples, problem, q)
+    answer = sources.solve_sources([measured], stated)
     answer.save(simulated_arm.URDF, tmp_path, ())
     corrected = [replace(s, T_base_flange=T) for s, T in zip(
         samples, read_arm(tmp_path).forward(q), strict=True)]

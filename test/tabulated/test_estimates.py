@@ -20,8 +20,8 @@ from handeye_ros.simulate.tables import (
     SimulatedFiles,
 )
 from handeye_ros.tabulated.pairs import PointPairs, PosePairs
+from handeye_ros.tabulated.problem import answer_table, TableAnswer
 from handeye_ros.tabulated.tracker import Piece, sweep_from, SWEPT_PARTS, TrackerProblem
-from handeye_ros.tabulated.values import answer_table, TableAnswer
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

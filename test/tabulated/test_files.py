@@ -26,7 +26,7 @@ from handeye_ros.simulate import FILE_SCENES, tables
 from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.tables import Table
 from handeye_ros.tabulated import FILE_TARGETS
-from handeye_ros.tabulated.values import calibrate_table, TableProblem
+from handeye_ros.tabulated.problem import calibrate_table, TableProblem
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

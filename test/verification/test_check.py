@@ -53,7 +53,7 @@ def check_cell(calibrated, kind, count=8, moved=(0.0, 0.0, 0.0), **scenario):
     cell, config, calibration, X, T = calibrated[kind]
     T = T @ se3.transform(np.eye(3), np.array(moved))
     return check(bench.samples(replace(cell, **scenario), count, X, T, np.random.default_rng(3)),
-                 CalibratedCell.read(calibration, config))
+                 CalibratedCell.of_calibration(calibration, config))
 
 
 @pytest.mark.parametrize('change', bench.TRUTH)
@@ -75,7 +75,7 @@ def test_a_stop_that_is_left_out_has_its_number_among_all_stops(calibrated):
     wrong[:3, 3] += [4e-3, 3e-3, 4e-3]
     samples[8] = replace(samples[8], T_base_flange=wrong)
     others = [Reject(sample.stamp, 'no edge') for sample in samples[:2]]
-    known = CalibratedCell.read(calibration, config)
+    known = CalibratedCell.of_calibration(calibration, config)
     assert check(samples[2:], known, others).left_out == [9]
     passes = [sample.stamp for sample in samples[::4]]  # of a sweep, with four profiles in each
     check_result = check(samples[2:], known, others, passes)
@@ -102,7 +102,7 @@ def test_beside_the_robot_the_base_moves_with_the_sensor(calibrated):
         return [replace(s, T_base_flange=se3.inverse(s.T_base_flange))
                 for s in bench.samples(cell, count, X, T, rng)]
 
-    known = CalibratedCell.read(
+    known = CalibratedCell.of_calibration(
         pipeline.solve(samples_of(18, X, T), [], config, 'laser'), config)
     shift = se3.transform(np.eye(3), np.array([0, 0, 1e-3]))
     for changed, words in ((X @ shift, T), 'the sensor, or the base'), (
@@ -149,7 +149,7 @@ def test_a_stop_that_contradicts_the_others_is_left_out(calibrated):
     samples = bench.samples(scenario, 8, X, T, np.random.default_rng(3))
     T_off = se3.perturb(samples[2].T_base_flange, np.array([0, 0, 1e-3, 0, 0, 0]))
     samples[2] = replace(samples[2], T_base_flange=T_off)
-    check_result = check(samples, CalibratedCell.read(calibration, config))
+    check_result = check(samples, CalibratedCell.of_calibration(calibration, config))
     assert (check_result.verdict, check_result.left_out) == ('unchanged', [3])
     assert check_result.stations == 7
     assert check_result.sentence.endswith('stops [3]')
@@ -163,7 +163,8 @@ def test_faces_seen_at_grazing_incidence_are_no_change(calibrated):
         samples = pipeline.gather(recording.profiles, recording.poses, config).samples
         calibration = pipeline.solve(samples[:18], [], config, 'laser')
         for checked_samples in (samples[:18], samples[18:]):  # its own stops, and others
-            check_result = check(checked_samples, CalibratedCell.read(calibration, config))
+            check_result = check(
+                checked_samples, CalibratedCell.of_calibration(calibration, config))
             assert check_result.verdict == 'unchanged', check_result.sentence
             assert check_result.left_out == [], check_result.sentence
 
@@ -193,7 +194,7 @@ def test_what_cannot_be_checked_is_refused(calibrated):
             (eight, replace(sphere, target={'centre': {}}), InputError, 'does not hold'),
             (eight, with_state(sphere, [1.0, 2.0]), InputError, 'does not hold')):
         with pytest.raises(error, match=words):
-            check(samples, CalibratedCell.read(calibration, config))
+            check(samples, CalibratedCell.of_calibration(calibration, config))
     with pytest.raises(InputError, match='target of type plate'):  # before the recording is read
         check_recording([], [], calibrated['plate'].calibration, config)
 

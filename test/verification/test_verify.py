@@ -71,7 +71,7 @@ def test_of_a_block_on_a_surface_plate_the_nearest_surface_is_taken():
     X_off = se3.perturb(X, np.array([1e-3, 0, 0, 0, 9e-3, 0]))
     right, wrong = bench.runs(ROUTINES['step'], artefact, (
         calibration, replace(calibration, T_flange_sensor=X_off)), 0.0)
-    assert right.verdict == 'pass' and abs(right.quantities[0].error) < 5e-5
+    assert right.verdict == 'pass' and abs(right.quantities[0].deviation) < 5e-5
     assert right.surface.startswith('recording 2: of 2 surfaces in sight it is the nearest')
     assert wrong.verdict == 'fail'
 
@@ -132,7 +132,7 @@ def test_errors_of_the_artefact_are_measured(name, change, number, error):
         change = {'reference': tuple(np.add(artefact.reference, change['reference']))}
     verification = assess(name, replace(artefact, **change), calibration)
     assert verification.verdict == 'fail'
-    assert verification.quantities[number].error == pytest.approx(error, abs=1e-4)
+    assert verification.quantities[number].deviation == pytest.approx(error, abs=1e-4)
     assert verification.quantities[number].name in verification.reasons[0]
 
 
@@ -190,7 +190,7 @@ def test_what_could_not_have_shown_is_no_pass():
     few = assess('plane', *measure('plane', count=5))
     assert few.verdict == 'insensitive' and 'would show only from' in few.reasons[0]
     artefact, calibration = measure('step', count=12)
-    detectable = assess('step', artefact, calibration).fit.error.detectable
+    detectable = assess('step', artefact, calibration).fit.error.smallest_detectable
     assert assess('step', artefact, calibration, tolerance=2.0 * detectable).verdict == 'pass'
     coarse = assess('step', artefact, calibration, tolerance=0.8 * detectable)
     more = math.ceil(sum(stop.used for stop in coarse.per_station) / 0.8 ** 2)
@@ -268,8 +268,8 @@ def test_the_smooth_error_of_the_robot_is_part_of_the_uncertainty():
                 verdicts[stated].append('refused')
                 continue
             verdicts[stated].append(verification.verdict)
-            inside[stated] += [abs(q.error) < 1.96 * np.hypot(q.std, q.claimed)
-                               for q in verification.quantities if q.error is not None]
+            inside[stated] += [abs(q.deviation) < 1.96 * np.hypot(q.std, q.claimed)
+                               for q in verification.quantities if q.deviation is not None]
             if stated and verification.verdict == 'insensitive':
                 assert 'smooth error of the robot' in verification.reasons[0]
     assert np.mean(inside[size]) > 0.85 > 0.5 > np.mean(inside[0.0])
@@ -288,7 +288,7 @@ def test_an_angle_of_more_than_90_degrees_is_told_from_one_of_less():
     for T in (se3.transform(turn, np.zeros(3)), se3.transform(turn.T, np.zeros(3))):
         turned = tuple(replace(s, T_base_flange=T @ s.T_base_flange) for s in artefact.bags[0])
         square = replace(artefact, bags=(turned, artefact.bags[1]))
-        errors.append(assess('square', square, calibration).quantities[0].error)
+        errors.append(assess('square', square, calibration).quantities[0].deviation)
     assert sorted(errors) == pytest.approx([-4e-3, 4e-3], abs=3e-4)
 
 
@@ -360,7 +360,7 @@ def test_of_points_without_noise_none_is_an_outlier():
     calibration = bench.calibration(artefact.T_flange_sensor, np.diag(bench.STD ** 2))
     verification = teeth(artefact, calibration)
     assert verification.verdict == 'pass'
-    assert max(abs(q.error) for q in verification.fit.quantities) < 1e-6
+    assert max(abs(q.deviation) for q in verification.fit.quantities) < 1e-6
     assert verification.fit.scatter.points > 0.5 * len(artefact.passes) * 960
 
 
