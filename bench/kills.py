@@ -50,7 +50,7 @@ from rosbags.highlevel import AnyReader
 NS = 1_000_000_000
 KILLS_OF_A_SESSION = 10  # then another begins, as reading hundreds of samples takes its time
 LONGEST = 0.5  # s until a kill
-LONGEST_OF_NODE = 2.0
+MAX_OF_NODE = 2.0
 WORKING = 0.8  # share of kills of which this time begins with the first acknowledgement
 STARTING = 12.0  # s of the others, from the start of a node
 PATIENCE = 120.0
@@ -257,7 +257,7 @@ def kill_node(parent: Path, rng: random.Random, tally: Tally) -> float:
     try:
         if rng.random() < WORKING:
             operator.acknowledged.wait(PATIENCE)
-            time.sleep(rng.uniform(0, LONGEST_OF_NODE))
+            time.sleep(rng.uniform(0, MAX_OF_NODE))
         else:
             time.sleep(rng.uniform(0, STARTING))
         if process.poll() is not None:

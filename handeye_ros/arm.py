@@ -36,7 +36,7 @@ OFFSET, DIRECTION, POSITION = ALL_KINDS = ('offset', 'direction', 'position')
 ERROR_KINDS = np.array([OFFSET, DIRECTION, DIRECTION, POSITION, POSITION])  # the errors of a joint
 # prior 1 sigma of them (rad or m), 0: it has no such error
 PRIOR_STDS = {REVOLUTE: (1e-3, 5e-4, 5e-4, 5e-4, 5e-4), PRISMATIC: (5e-4, 5e-4, 5e-4, 0.0, 0.0)}
-MOST_ROUNDS, LARGEST_STEP = 20, 0.2  # of the search for joint values (rad or m)
+MAX_ROUNDS, MAX_STEP = 20, 0.2  # of the search for joint values (rad or m)
 FORMAT, KINEMATICS_FILE = 'handeye_ros/kinematics/1', 'kinematics.yaml'
 FLANGE_FRAMES = ('tool0', 'flange', 'tool', 'tcp')  # usual names of the last frame
 
@@ -185,18 +185,18 @@ class Arm:
         """
         Return joint values (n, joints) at poses (n, 4, 4), from the nearest known configurations.
 
-        By Gauss-Newton steps of at most LARGEST_STEP; poses beyond reach get values that come
+        By Gauss-Newton steps of at most MAX_STEP; poses beyond reach get values that come
         near.
         """
         known, lengths = self.forward(self.configurations), np.repeat([1.0, TURN_LENGTH], 3)
         q = self.configurations[[
             np.argmin(np.linalg.norm(se3.difference(known, T) * lengths, axis=1))
             for T in T_base_flange]]
-        for _ in range(MOST_ROUNDS):
+        for _ in range(MAX_ROUNDS):
             missing = se3.difference(T_base_flange, self.forward(q))
             J = self.twists(q)[..., 0]  # a joint moves the flange as its offset does
             step = np.einsum('njx,nx->nj', np.linalg.pinv(J, rcond=1e-3), missing)
-            q = q + step / np.maximum(np.abs(step).max(axis=1) / LARGEST_STEP, 1)[:, None]
+            q = q + step / np.maximum(np.abs(step).max(axis=1) / MAX_STEP, 1)[:, None]
         return np.asarray(q)
 
 

@@ -36,12 +36,12 @@ from handeye_ros.frames import mount_frame, T_sensor_plane, weakest_position
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_POINTS = 200_000  # measured points of which residuals are computed
-MOST_FOLDS = 20  # of the cross-validation
+MAX_POINTS = 200_000  # measured points of which residuals are computed
+MAX_FOLDS = 20  # of the cross-validation
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
              'crosses the edge at too small an angle')
 SURE_SIGMAS, NOTED_SIGMAS = 4.0, 3.0  # of a bend or a drift, and of a measure, to note them
-SMALLEST_BEND = 3e-5  # m, told
+MIN_BEND = 3e-5  # m, told
 LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
 
 
@@ -147,7 +147,7 @@ def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
     problem, n = solution.problem, len(used)
     measured = measured_points(used, problem)
     if fold is None:
-        fold = np.arange(n) % min(n, MOST_FOLDS)
+        fold = np.arange(n) % min(n, MAX_FOLDS)
     estimates, poses = solution.posterior.estimates_without(fold)
     T = poses @ np.array([estimate.X for estimate in estimates])[fold]
     p = mapped(measured.points, T[measured.station])
@@ -197,7 +197,7 @@ def measured_points(used: Sequence[Sample], problem: Problem) -> MeasuredPoints:
     """
     Return all measured points of samples, in the order of the problem's stations.
 
-    Of more than MOST_POINTS every second, third, ... is taken: their RMS is the same.
+    Of more than MAX_POINTS every second, third, ... is taken: their RMS is the same.
     """
     obs = problem.observations
     bounds = np.searchsorted(obs.station, np.arange(len(used) + 1))
@@ -205,7 +205,7 @@ def measured_points(used: Sequence[Sample], problem: Problem) -> MeasuredPoints:
              for sample, first, last in zip(used, bounds[:-1], bounds[1:], strict=True)]
     station = np.repeat(np.arange(len(used)), [len(kind) for _, kind in parts])
     points, kind = map(np.concatenate, zip(*parts, strict=True))
-    step = max(-(-len(kind) // MOST_POINTS), 1)
+    step = max(-(-len(kind) // MAX_POINTS), 1)
     return MeasuredPoints(points[::step], kind[::step], station[::step])
 
 
@@ -268,7 +268,7 @@ def notes_of(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the remarks on an answer in words: clocks, laser, target, edges, surfaces."""
     yield from clock_notes(solution)
     bend = block_estimates(solution.report_posterior).get(LINE_BEND)
-    if bend and abs(bend.significance) > SURE_SIGMAS and abs(bend.value) > SMALLEST_BEND:
+    if bend and abs(bend.significance) > SURE_SIGMAS and abs(bend.value) > MIN_BEND:
         yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
                f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '
                'the transform is that of the plane which fits it best')

@@ -51,7 +51,7 @@ RECORD_PREFIX = 'record.'
 BASE_FRAME = 'base'
 UNNAMED_FRAME = 'sensor'  # name for the frame of profiles without a frame_id
 BAD_YAML = yaml.YAMLError, ValueError, RecursionError  # ValueError: of an invalid date or number
-LONGEST_TEXT = 1000  # characters of a record.*
+MAX_TEXT_LENGTH = 1000  # characters of a record.*
 NODE_NAME = 'handeye'  # the name of the node, and of its section in parameter files
 # Parameters of every ROS node, also in a dump of ours.
 ROS_OWN_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
@@ -539,8 +539,8 @@ def _with_record(config: Config, key: str, value: Any) -> Config:
     name, text = key.removeprefix(RECORD_PREFIX), '' if value is None else str(value)
     if not re.fullmatch(r'[A-Za-z]\w*', name):
         raise BadValueError(key, value, 'a name of letters, digits and _ after record.')
-    if len(text) > LONGEST_TEXT or not text.isprintable():
-        raise BadValueError(key, value, f'one line of at most {LONGEST_TEXT} characters')
+    if len(text) > MAX_TEXT_LENGTH or not text.isprintable():
+        raise BadValueError(key, value, f'one line of at most {MAX_TEXT_LENGTH} characters')
     record = {**dict(config.record), name: text}
     return replace(config, record=tuple((n, t) for n, t in record.items() if t))
 

@@ -28,7 +28,7 @@ TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT = 'time_offset', 'rotation_lag', 'clock_d
 QUATERNION_TOLERANCE = 1e-3  # of its length
 ENDINGS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; see EdgePoint
 SIGMA_OF_MEDIAN = 1.4826  # 1 sigma of a normal distribution over its median absolute deviation
-MOST_BACK = 0.2  # largest way back of columns in order, over the way forth: at steps they jump
+MAX_BACK_SHARE = 0.2  # way back of columns in order, over the way forth: at steps they jump
 
 
 def rms(values: Array) -> float:
@@ -60,7 +60,7 @@ def column_order(x: Array, is_return: NDArray[np.bool_]) -> Indices | slice:
     """
     steps = np.diff(x[is_return])
     forth, back = steps[steps > 0].sum(), -steps[steps < 0].sum()
-    if min(forth, back) <= MOST_BACK * max(forth, back):
+    if min(forth, back) <= MAX_BACK_SHARE * max(forth, back):
         return slice(None)
     with_place = np.isfinite(x).nonzero()[0]
     return np.asarray(with_place[np.argsort(x[with_place], kind='stable')])

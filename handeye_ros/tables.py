@@ -30,7 +30,7 @@ LENGTH, ANGLE, NUMBER = 'm', 'rad', ''  # kinds of columns, by their SI unit
 SPELLINGS = {'degree': 'deg', '°': 'deg', 'radian': 'rad', 'radians': 'rad', 'metre': 'm',
              'metres': 'm', 'meter': 'm', 'meters': 'm', 'millimetres': 'mm',
              'millimeters': 'mm'}
-LARGEST_VALUE = 1e6  # m or rad: more is a mistake
+MAX_VALUE = 1e6  # m or rad: more is a mistake
 _HEADER = re.compile(r'\s*([\w.:/-]+)\s*(?:\[\s*(\w+|°)\s*\])?\s*')  # name [unit]
 
 
@@ -154,7 +154,7 @@ class Table:
                 f'has the unit {unit}' if unit else 'names no unit')
                 + '; write ' + ' or '.join(f'{name} [{u}]' if u else name for u in factors))
         values = factors[unit] * np.array([_number(text) for text in texts])
-        for row in np.flatnonzero(~(np.abs(values) <= LARGEST_VALUE))[:1]:
+        for row in np.flatnonzero(~(np.abs(values) <= MAX_VALUE))[:1]:
             raise TableError(self.path, f'row {row + 1}: {name} is ' + (
                 f'{texts[row]}, which is beyond all measure' if np.isfinite(values[row]) else
                 f'"{texts[row]}", expected a number, with a point before its decimals'))

@@ -41,8 +41,8 @@ from handeye_ros.sampling.stream import (
 )
 import numpy as np
 
-MOST_MALFORMED = 0.5  # largest share of messages of a topic that cannot be used
-MOST_LISTED = 12  # topics in a sentence
+MAX_MALFORMED_SHARE = 0.5  # largest share of messages of a topic that cannot be used
+MAX_LISTED = 12  # topics in a sentence
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ def _dropped_warning(reasons: Sequence[str], total: int, what: str) -> list[str]
     """
     if not reasons:
         return []
-    if len(reasons) > MOST_MALFORMED * total:
+    if len(reasons) > MAX_MALFORMED_SHARE * total:
         usable = 'none' if len(reasons) == total else f'only {total - len(reasons)}'
         raise InputError(f'{usable} of the {total} {what} can be used; the first reason: '
                          f'{reasons[0]}')
@@ -207,7 +207,7 @@ class _Topic:
                   if key == 'pose_topic' and types.get('/tf') == TF_TYPE else
                   f'publish and record one, or set {key}')
         return InputError(f'{reader.path} has no topic {self.name} with {self._message_type}, '
-                          f'but {", ".join(listed[:MOST_LISTED])}: {advice}')
+                          f'but {", ".join(listed[:MAX_LISTED])}: {advice}')
 
     def ordered(self, reader: Reader) -> list[Any]:
         """

@@ -31,23 +31,23 @@ DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: '
 INTENSITY = 'intensity'  # its field, if the driver publishes it
 METRES_PER_UNIT = {'m': 1.0, 'mm': 1e-3}
 
-LARGEST_POSITION = 1e6  # m; poses in mm stay below, so that the solver can report the wrong unit
+MAX_POSITION = 1e6  # m; poses in mm stay below, so that the solver can report the wrong unit
 MESSAGE_QUATERNION_TOLERANCE = 1e-2  # of a quaternion's length
 
 # No line profiler measures this far (m): a larger coordinate is no return. If most are larger, or
 # with mm all are smaller than ALL_TOO_NEAR, the unit is wrong.
-LARGEST_COORDINATE = 10.0
+MAX_COORDINATE = 10.0
 NO_RETURN = 1e9  # coordinates beyond it, such as the largest float, are those of no return
 ALL_TOO_NEAR = 1e-3
-LARGEST_THICKNESS = 2e-3  # m: largest distance of the points of a profile from its plane
-SMALLEST_TILT, LEAST_SLOPE = 2e-4, 0.01  # m, slope: less across the plane is no tilt of it
+MAX_THICKNESS = 2e-3  # m: largest distance of the points of a profile from its plane
+MIN_TILT, MIN_SLOPE = 2e-4, 0.01  # m, slope: less across the plane is no tilt of it
 THIN_SHARE = 0.01  # of the spread across the plane: an axis with less is orthogonal to it
-FEWEST_RETURNS = 10  # smallest number of returns for a decision on their order
+MIN_RETURNS = 10  # smallest number of returns for a decision on their order
 # fraction of backward steps between returns: at most along the line, at least along the range
 LINE_BACKWARD, RANGE_BACKWARD = 0.05, 0.1
 
-LEAST_OVERLAP = 0.5  # smallest common fraction of the line in rows that are profiles
-FEWEST_COLUMNS = 10  # of rows that are compared
+MIN_OVERLAP = 0.5  # smallest common fraction of the line in rows that are profiles
+MIN_COLUMNS = 10  # of rows that are compared
 # share of a message's time before its stamp
 SHARE_BEFORE_STAMP = {'first': 0.0, 'middle': 0.5, 'last': 1.0}
 
@@ -99,7 +99,7 @@ def _pose(kind: str, message: Any, position: Any, orientation: Any) -> TimedPose
     length, farthest = math.hypot(*quaternion), max(map(abs, translation))
     if not math.isfinite(length + sum(translation)):
         problem = 'the pose holds values that are not finite'
-    elif farthest > LARGEST_POSITION:
+    elif farthest > MAX_POSITION:
         problem = f'the position reaches {farthest:.3g} m'
     elif abs(length - 1.0) > MESSAGE_QUATERNION_TOLERANCE:
         problem = f'quaternion of length {length:.4g}, expected 1'
@@ -197,7 +197,7 @@ def profile_from_cloud(cloud: Any, config: ProfileConfig) -> Profile:
     points, is_return = _points(cloud, config)
     _require_axes(points[is_return, :2], config)
     x = points[:, 0]
-    order = column_order(np.where(np.abs(x) <= LARGEST_COORDINATE, x, np.nan), is_return)
+    order = column_order(np.where(np.abs(x) <= MAX_COORDINATE, x, np.nan), is_return)
     points, is_return = points[order], is_return[order]
     out_of_plane = np.nan_to_num(points[is_return, 2].mean()) if is_return.any() else 0.0
     return Profile(*stamp_and_frame(cloud), np.where(is_return[:, None], points[:, :2], np.nan),
@@ -233,7 +233,7 @@ def _points(cloud: Any, config: ProfileConfig) -> tuple[Array, NDArray[np.bool_]
     points[np.abs(points) > NO_RETURN] = np.nan
     x, z = points[:, 0], points[:, 1]
     with np.errstate(invalid='ignore'):
-        is_return = (np.maximum(np.abs(x), np.abs(z)) <= LARGEST_COORDINATE) & (
+        is_return = (np.maximum(np.abs(x), np.abs(z)) <= MAX_COORDINATE) & (
             (x != 0) | (z != 0))
     _require_unit(points[:, :2], config.unit)
     _require_one_plane(points[is_return], _axes(config))
@@ -244,7 +244,7 @@ def _require_unit(points: Array, unit: str) -> None:
     """Raise for coordinates (n, 2), by `unit` in metres, that no sensor measures."""
     reach = np.maximum(np.abs(points[:, 0]), np.abs(points[:, 1]))
     finite = np.isfinite(reach)
-    too_far = finite & (reach > LARGEST_COORDINATE)
+    too_far = finite & (reach > MAX_COORDINATE)
     if too_far.sum() > finite.sum() / 2:
         raise _error_of(f'coordinates reach {reach[too_far].max():.3g} m' + (
             ': set profile.unit to mm' if unit == 'm' else ', but profile.unit is m or mm'))
@@ -260,7 +260,7 @@ def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
 
     axes: names of the columns: along the line, range, across the plane.
     """
-    if len(points) < 2 or not np.ptp(points[:, 2]) > SMALLEST_TILT:  # nor where it is not finite
+    if len(points) < 2 or not np.ptp(points[:, 2]) > MIN_TILT:  # nor where it is not finite
         return
     spread = np.ptp(points, axis=0)
     centred = points - points.mean(axis=0)
@@ -268,13 +268,13 @@ def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     slope, distance_rms = slopes[1], rms(centred[:, 2] - centred[:, :2] @ slopes)
     thin = THIN_SHARE * spread[2]
     is_flat = min(spread[:2]) < thin  # one of the two axes is orthogonal to the plane
-    if abs(slope) > LEAST_SLOPE and distance_rms < thin and not is_flat:
+    if abs(slope) > MIN_SLOPE and distance_rms < thin and not is_flat:
         raise _error_of(f'the points lie in a plane that is tilted by '
                         f'{math.degrees(math.atan(abs(slope))):.1f} degrees about {axes[0]} '
                         f'against that of {axes[0]} and {axes[1]}: let the driver publish them in '
                         f'a frame of the light plane, where {axes[2]} is 0; a static transform '
                         'can hold the tilt')
-    if spread[2] > LARGEST_THICKNESS:
+    if spread[2] > MAX_THICKNESS:
         flat = axes[int(np.argmin(spread[:2]))]
         first, second = (axes[2] if axis == flat else axis for axis in axes[:2])
         advice = (f', their {flat} nothing: set profile.axes to [{first}, {second}]' if is_flat
@@ -288,7 +288,7 @@ def _require_axes(points: Array, config: ProfileConfig) -> None:
     """Raise for returns (n, 2) whose order shows that the two axes are exchanged."""
     line_axis, range_axis, _ = _axes(config)
     steps = np.diff(points, axis=0)
-    if len(steps) < FEWEST_RETURNS:
+    if len(steps) < MIN_RETURNS:
         return
     # by axis, the share of steps against the direction of the majority
     backward = 1.0 - np.maximum((steps > 0).sum(axis=0), (steps < 0).sum(axis=0)) / len(steps)
@@ -340,14 +340,14 @@ def profile_count(cloud: Any, config: ProfileConfig) -> int:
     """
     if config.rows == 'profiles':
         return max(int(cloud.height), 1)
-    if config.rows == 'points' or cloud.height < 2 or cloud.width < FEWEST_COLUMNS:
+    if config.rows == 'points' or cloud.height < 2 or cloud.width < MIN_COLUMNS:
         return 1
     along = field_view(cloud, config.axes[0][-1]).astype(np.float64)
     ends = [along[i][np.isfinite(along[i])] for i in (0, -1)]
     if not (len(ends[0]) and len(ends[1])):
         return 1
     shared = min(end.max() for end in ends) - max(end.min() for end in ends)
-    return int(cloud.height) if shared > LEAST_OVERLAP * max(map(np.ptp, ends)) else 1
+    return int(cloud.height) if shared > MIN_OVERLAP * max(map(np.ptp, ends)) else 1
 
 
 def profiles_of(raw: RawProfile, previous_stamp: int | None) -> list[RawProfile]:

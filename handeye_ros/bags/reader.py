@@ -32,7 +32,7 @@ ROS1_MAGIC = b'#ROSBAG '
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 SUFFIXES = ('.mcap', '.db3')
 
-LARGEST_RECORD = 1 << 28  # bytes of a record or message, compressed or not: none is larger
+MAX_RECORD = 1 << 28  # bytes of a record or message, compressed or not: none is larger
 CACHED_CHUNKS = 4  # decompressed chunks in memory: the profiles of a stop are close together
 
 
@@ -196,7 +196,7 @@ def _unpacked(data: bytes) -> bytes:
         return data
     try:
         with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-            return stream.read(LARGEST_RECORD)
+            return stream.read(MAX_RECORD)
     except zstandard.ZstdError:
         return b''  # no message of any type
 
@@ -206,7 +206,7 @@ def _up_to_damage(stream: BinaryIO, start: int) -> Iterator[McapRecord]:
     stream.seek(start)
     with suppress(Exception):  # of all kinds, in the parser
         yield from StreamReader(stream, skip_magic=start > 0, emit_chunks=True,
-                                record_size_limit=LARGEST_RECORD).records
+                                record_size_limit=MAX_RECORD).records
 
 
 def _expanded(record: McapRecord) -> list[Any] | None:
@@ -214,7 +214,7 @@ def _expanded(record: McapRecord) -> list[Any] | None:
     if not isinstance(record, Chunk):
         return [record]
     with suppress(Exception):  # of all kinds, in decompressors and in the parser
-        if record.uncompressed_size <= LARGEST_RECORD:
+        if record.uncompressed_size <= MAX_RECORD:
             return breakup_chunk(record, validate_crc=True)
     return None
 

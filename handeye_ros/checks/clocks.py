@@ -33,8 +33,8 @@ from numpy.typing import NDArray
 
 COMPARED_LAG = NS // 20  # ns between two profiles that are compared
 STILL_SHARE = 0.1  # smallest share of the comparisons with a robot at rest
-LARGEST_REST_RATIO, SMALLEST_CHANGE = 4.0, 5e-5  # largest change at rest: ratio, and at least (m)
-SMALLEST_OFFSET = 0.05  # s: a smaller time offset is not visible at stops
+MAX_REST_RATIO, MIN_CHANGE = 4.0, 5e-5  # largest change at rest: ratio, and at least (m)
+MIN_OFFSET = 0.05  # s: a smaller time offset is not visible at stops
 CLOCK_STEP = 10.0  # times clock_drift_std: more is a step of a clock
 
 
@@ -83,7 +83,7 @@ def _delay_hypotheses(rests: Sequence[_Rest], config: Config) -> Iterator[Hypoth
     stamps = [rest.sample.stamp for rest in rests if rest.sample]
     for stops_late in (0, 1, -1):
         pairs = list(zip(rests[max(stops_late, 0):], rests[max(-stops_late, 0):], strict=False))
-        if not pairs or abs(delay := _delay(pairs)) <= SMALLEST_OFFSET:
+        if not pairs or abs(delay := _delay(pairs)) <= MIN_OFFSET:
             continue
         samples = [replace(seen.sample, T_base_flange=posed.T_base_flange)
                    for seen, posed in pairs if seen.sample]
@@ -123,7 +123,7 @@ def _rests(session: Session, config: Config) -> list[_Rest]:
         return []
     all_changes = np.concatenate([changes for _, _, changes in stops])
     largest_at_rest = max(
-        SMALLEST_CHANGE, LARGEST_REST_RATIO * float(np.quantile(all_changes, STILL_SHARE)))
+        MIN_CHANGE, MAX_REST_RATIO * float(np.quantile(all_changes, STILL_SHARE)))
     return [_rest(stop, profiles, changes > largest_at_rest, config)
             for stop, profiles, changes in stops]
 

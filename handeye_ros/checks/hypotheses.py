@@ -26,7 +26,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 
-from handeye_ros.checks.refusals import LARGEST_DROPPED_SHARE
+from handeye_ros.checks.refusals import MAX_DROPPED_SHARE
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample, SEED
 from handeye_ros.errors import DataError, mm
@@ -45,11 +45,11 @@ FALSE_CAUSE_PROBABILITY = 1e-5  # probability of naming a wrong cause
 DECISIVE_EVIDENCE = -2 * math.log(FALSE_CAUSE_PROBABILITY)
 MANY_TRIED = 40  # assumptions that may be tried in all where nothing fits
 # variance factors: of a stop that is not explained, the least
-UNEXPLAINED_FACTOR, SMALLEST_FACTOR = 64.0, 0.01
-SMALLEST_REDUNDANCY = 6  # smallest redundancy of a fit that is believed
+UNEXPLAINED_FACTOR, MIN_FACTOR = 64.0, 0.01
+MIN_REDUNDANCY = 6  # smallest redundancy of a fit that is believed
 # smallest number of explained stops, as a share of those explained as configured: fewer may fit by
 # chance
-SMALLEST_EXPLAINED_SHARE = 0.9
+MIN_EXPLAINED_SHARE = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,14 +88,14 @@ class Explanation:
     @property
     def agrees(self) -> bool:
         """Return whether most stops fit, about as well as the configured noise predicts."""
-        most = (1 - LARGEST_DROPPED_SHARE) * len(self.stamps)
+        most = (1 - MAX_DROPPED_SHARE) * len(self.stamps)
         return bool(self.redundancy > 0 and self.reduced_chi_squared < CONVINCING_SQUARE
                     and len(self.left_out_squares) > most)
 
     @property
     def believable(self) -> bool:
         """Return whether the stops agree, and not by chance."""
-        return self.agrees and self.redundancy >= SMALLEST_REDUNDANCY
+        return self.agrees and self.redundancy >= MIN_REDUNDANCY
 
     @property
     def within_noise(self) -> bool:
@@ -113,7 +113,7 @@ class Explanation:
         """Return twice the log of the odds, for this explanation of its stops against another."""
         explained_before = len(baseline.left_out_squares.keys() & self.stamps)
         if not self.solutions or (len(self.left_out_squares)
-                                  < SMALLEST_EXPLAINED_SHARE * explained_before):
+                                  < MIN_EXPLAINED_SHARE * explained_before):
             return -math.inf
         fitted = [each.solutions for each in (self, baseline) if each.solutions]
         conditions = min(int(np.median(np.concatenate(
@@ -198,7 +198,7 @@ def stops_deviance(q: Array, conditions: int) -> float:
     """Return the deviance of a fit, (13); q: (n,) of its stops, inf: not explained."""
     explained = q[np.isfinite(q)]
     v = float(np.clip(explained.mean() if len(explained) else UNEXPLAINED_FACTOR,
-                      SMALLEST_FACTOR, UNEXPLAINED_FACTOR))
+                      MIN_FACTOR, UNEXPLAINED_FACTOR))
     return float(
         conditions * np.minimum(math.log(v) + q / v, math.log(UNEXPLAINED_FACTOR) + 1).sum())
 

@@ -51,7 +51,7 @@ TIME_STD = 0.01  # of the times that may be wrong instead, 1 sigma (s)
 SIZE_FACTORS = (1.0, 0.25)  # factors on MOVE_STD, of equal prior probability
 # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
 WARNING_EVIDENCE = 5.0
-LEAST_MOVE_SIGMAS = 3.0  # smallest move over the robot's smooth error
+MIN_MOVE_SIGMAS = 3.0  # smallest move over the robot's smooth error
 PARTED_P = 0.01  # largest probability that random stations are the first, or the last, ones
 RANDOM_ORDERS, PARTS_EXCHANGED = 200, 40  # of the permutation test
 WARNING_P, REFUSAL_P = 0.1, 0.01  # largest p-value of the permutation test: to warn, to refuse
@@ -232,7 +232,7 @@ class _Move:
         smooth = min(max((block.std * each.prior_scale(block) for block in each.blocks
                           if block.name == 'robot_smooth'), default=0.0)
                      for each in (self.moved, self.unmoved))
-        smallest = LEAST_MOVE_SIGMAS * smooth
+        smallest = MIN_MOVE_SIGMAS * smooth
         if self.solution.problem.is_sweep:  # its error is smooth in time, as a move is
             smallest = max(smallest, self.solution.full_problem.config.noise.robot_smooth)
         return rms(np.linalg.norm(shifts, axis=1)) < smallest

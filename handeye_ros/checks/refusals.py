@@ -28,13 +28,13 @@ from handeye_ros.se3 import (
 from handeye_ros.targets.profile_target import ProfileTarget
 import numpy as np
 
-LARGEST_DROPPED_SHARE = 0.34  # largest share of the stations that an answer may leave out
-FEWEST_REDUNDANT = 3  # redundant conditions needed, and as many for each dropped station
-LARGEST_P_WRONG = 0.1  # largest probability that one of few samples is wrong
+MAX_DROPPED_SHARE = 0.34  # largest share of the stations that an answer may leave out
+MIN_REDUNDANT = 3  # redundant conditions needed, and as many for each dropped station
+MAX_P_WRONG = 0.1  # largest probability that one of few samples is wrong
 # the same where several stations were dropped and similar surfaces may be confused
 SURELY_WRONG_P = 0.99
 STRAY_EDGES = 9.0  # variance factor of edges (3 sigma) above which they are of something else
-SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
+MIN_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
 # rad RMS about the second axis: tilts by 12 degrees to both sides; less may look like a move
 SMALL_SECOND_TURN = 0.12
 MISFIT_FACTOR, MISFIT_TIMES = 40.0, 4.0  # of a misfit: variance factor, residuals over the noise
@@ -101,12 +101,12 @@ def require_rotations(poses: Array, frame: str, lost: str) -> None:
     frame: the mount frame, in which the axis is reported; lost: what one axis leaves unknown.
     """
     turns, axes = rms_turns_and_axes(poses)
-    if turns[0] < SMALLEST_TURN:
+    if turns[0] < MIN_TURN:
         raise DataError(
             f'all poses share one orientation (within {np.degrees(turns[0]):.2f} degrees): the '
             'position of the sensor cannot be separated from the position of the target; tilt '
             'the tool by 15 degrees or more about two axes', reason='one_orientation')
-    if turns[1] < SMALLEST_TURN:
+    if turns[1] < MIN_TURN:
         raise DataError(
             f'all poses share one rotation axis ({direction_in_words(axes[0], frame)}; they turn '
             f'by {np.degrees(turns[0]):.1f} degrees RMS about it): {lost}; tilt the tool by 15 '
@@ -135,7 +135,7 @@ def misfit_refusal(solution: Solution) -> UnexplainedError | None:
             'every sample shows the target itself and no clamp or second plate, target.type, '
             'profile.unit, profile.axes and profile.range_sign', reason='misfit')
     total = len(solution.full_problem.poses)
-    if len(dropped) > LARGEST_DROPPED_SHARE * total:
+    if len(dropped) > MAX_DROPPED_SHARE * total:
         return UnexplainedError(
             f'{len(dropped)} of {total} samples contradict the others, so no answer can be '
             'trusted: check that target and sensor are fixed and that the laser crosses only the '
@@ -163,7 +163,7 @@ def require_testable(solution: Solution) -> None:
     redundancy = solution.posterior.redundancy
 
     def needed(outliers: int) -> int:
-        return FEWEST_REDUNDANT * (1 + outliers) + (outliers > 0)
+        return MIN_REDUNDANT * (1 + outliers) + (outliers > 0)
 
     if redundancy < needed(dropped):
         why = f' ({dropped} of them contradict the others)' if dropped else ''
@@ -175,7 +175,7 @@ def require_testable(solution: Solution) -> None:
     missing = needed(dropped + 1) - (redundancy - per_sample)
     others_wrong_too = (solution.probability_wrong > SURELY_WRONG_P and dropped > 1
                         and solution.full_problem.shows_several)
-    if others_wrong_too or (solution.probability_wrong > LARGEST_P_WRONG and missing > 0):
+    if others_wrong_too or (solution.probability_wrong > MAX_P_WRONG and missing > 0):
         raise UnexplainedError(
             f'these {used} samples contradict each other: either the robot is less accurate than '
             'noise.robot_smooth states, or at least one sample is wrong (a pose wrong by about a '
@@ -267,7 +267,7 @@ def require_edges(solution: Solution) -> None:
             'steeply and inside the field of view, or calibrate from the plane alone (target.type '
             'plane)', reason='edges')
     shown = int(solution.full_problem.shows_edge.sum())
-    if shown - used > LARGEST_DROPPED_SHARE * shown:
+    if shown - used > MAX_DROPPED_SHARE * shown:
         dropped = len(solution.dropped_squares)
         why = '; '.join(filter(None, (f'{dropped} contradict the others' if dropped else '',
                                       unused_edges_in_words(solution))))

@@ -28,7 +28,7 @@ from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 
-MOST_STOPS, MOST_PROFILES = 40, 4  # read again: stops, profiles of each
+MAX_STOPS, MAX_PROFILES = 40, 4  # read again: stops, profiles of each
 RANGE_SIGN, TARGET_TYPE = 'profile.range_sign', 'target.type'
 Values = tuple[tuple[str, str], ...]  # of settings, by their keys
 
@@ -36,7 +36,7 @@ Values = tuple[tuple[str, str], ...]  # of settings, by their keys
 def setting_hypotheses(session: Session, config: Config, baseline: Explanation
                        ) -> Iterator[Hypothesis]:
     """Yield the hypotheses that other settings explain the stops of a session."""
-    stops = evenly_spaced(stops_to_explain(session), MOST_STOPS)
+    stops = evenly_spaced(stops_to_explain(session), MAX_STOPS)
     stamps = [stop.result.stamp for stop in stops]
     few_profiles = [with_few_profiles(stop, config) for stop in stops]
     show_edge = {sample.stamp for stop in stops if (sample := stop.sample) and any(
@@ -53,7 +53,7 @@ def setting_hypotheses(session: Session, config: Config, baseline: Explanation
         changed = with_settings(config, dict(values))
         if 2 * len(samples_as(changed, profiles=1)) < len(stops):
             continue  # most show nothing: read no more of them
-        tried = explain_samples(samples_as(changed, MOST_PROFILES), changed, stamps)
+        tried = explain_samples(samples_as(changed, MAX_PROFILES), changed, stamps)
         if changed.target.type == 'plane':  # it does not explain the edges that are seen now
             tried = replace(tried, left_out_squares={
                 stamp: q for stamp, q in tried.left_out_squares.items() if stamp not in show_edge})
@@ -137,4 +137,4 @@ def with_settings(config: Config, values: Mapping[str, str]) -> Config:
 def with_few_profiles(stop: Stop, config: Config) -> Stop:
     """Return a stop with a few of its profiles."""
     stop = stop.load(config).trimmed(config)
-    return replace(stop, profiles=tuple(evenly_spaced(stop.profiles, MOST_PROFILES)))
+    return replace(stop, profiles=tuple(evenly_spaced(stop.profiles, MAX_PROFILES)))

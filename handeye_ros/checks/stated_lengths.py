@@ -28,7 +28,7 @@ import numpy as np
 
 VERY_STRONG_EVIDENCE = 10.0  # twice the log of a Bayes factor (Kass and Raftery)
 FREED_FROM_SIGMAS = 2.5  # an estimated length is used; it costs little where the stated is right
-SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
+MIN_SCALE_ERROR, MAX_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
 
 
 def with_free_measure_if_needed(problem: Problem, solution: Solution, rng: np.random.Generator,
@@ -102,7 +102,7 @@ def scale_hypotheses(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypo
     J = np.hstack([posterior.whitening(np.hstack([wrt_scale, wrt_measures])), posterior.jacobian])
     covariance = covariance_of(J)
     scale = float(covariance[0] @ (J.T @ posterior.postfit_residuals))
-    if SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
+    if MIN_SCALE_ERROR < abs(scale) < MAX_SCALE_ERROR:
         T = problem.robot_poses.copy()
         T[:, :3, 3] /= 1 + scale
         rescaled = explain_problem(replace(problem, poses=mount_poses(T, problem.config)), stamps)
@@ -118,7 +118,7 @@ def require_one_scale(solution: Solution) -> None:
     """
     scale = block_estimates(solution.report_posterior).get('robot_scale')
     if scale and abs(scale.sigmas_off_stated) > NOTED_SIGMAS and abs(scale.value) > max(
-            SMALLEST_SCALE_ERROR, NOTED_SIGMAS * scale.std):
+            MIN_SCALE_ERROR, NOTED_SIGMAS * scale.std):
         possible_move(solution)
         raise _scale_refusal(abs(scale.value), scale.std)
 

@@ -29,9 +29,9 @@ from handeye_ros.targets import target_for
 import numpy as np
 from numpy.typing import NDArray
 
-SMALLEST_DISTANCE = 1e-3  # m: faces that are farther apart are several surfaces
-LARGEST_INCLINATION = 0.05  # rad: what is more inclined is no surface of a clamp or plate
-FEWEST_STOPS = 2  # that show both surfaces: of a target that moved, each stop shows one
+MIN_DISTANCE = 1e-3  # m: faces that are farther apart are several surfaces
+MAX_INCLINATION = 0.05  # rad: what is more inclined is no surface of a clamp or plate
+MIN_STOPS = 2  # that show both surfaces: of a target that moved, each stop shows one
 ADVICE = ('take samples where the laser crosses the target alone; if it does, check '
           'profile.range_sign and profile.axes')
 
@@ -66,9 +66,9 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
     levels, several = _levels(at_edge), False
     for level, is_at_level in levels:
         shows_level = np.array([bool(np.any(_is_near(heights, level))) for heights in shown])
-        if (shows_level & ~is_at_level).sum() < FEWEST_STOPS:
+        if (shows_level & ~is_at_level).sum() < MIN_STOPS:
             continue  # only those that show both tell that there are two
-        several |= bool(is_at_level.sum() >= FEWEST_STOPS)
+        several |= bool(is_at_level.sum() >= MIN_STOPS)
         above = at_edge[~is_at_level] - level
         # only wrong axes or a wrong sign make the ground beneath a face
         if np.nanmedian(above) > 0 and _agree_on_target(stops[is_at_level], config):
@@ -117,7 +117,7 @@ def _face_heights(result: Sample | Reject, T_target_plane: Array) -> Array:
     by_x, _, by_z, offset = T_target_plane[2] * np.sign(T_target_plane[2, 3])
     return np.array([
         by_x * face.centre[0] + by_z * face.centre[1] + offset
-        if abs(by_x * face.direction[0] + by_z * face.direction[1]) < LARGEST_INCLINATION
+        if abs(by_x * face.direction[0] + by_z * face.direction[1]) < MAX_INCLINATION
         else np.nan for face in getattr(result, 'features', ()) if isinstance(face, FaceLine)])
 
 
@@ -132,7 +132,7 @@ def _levels(heights: Array) -> list[tuple[float, NDArray[np.bool_]]]:
 
 
 def _is_near(heights: Array, level: Array | float) -> NDArray[np.bool_]:
-    return np.asarray(np.abs(heights - level) < SMALLEST_DISTANCE)
+    return np.asarray(np.abs(heights - level) < MIN_DISTANCE)
 
 
 def _agree_on_target(stops: NDArray[np.object_], config: Config) -> bool:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 NOT_AS_WANTED = 1  # exit code: measured, and not passed, or changed
 SAME_STAMP_NS = 100_000  # ns: profiles are further apart, and an offset estimated anew is nearer
-LARGEST_PLAIN = 10.0  # a position without a unit that is larger was meant in mm: refused
+MAX_PLAIN = 10.0  # a position without a unit that is larger was meant in mm: refused
 THINNING_SIZE = 2e-4  # m: edge of the cubes of which each keeps one point
 PATH_LINES = ('auto', 'centre', 'root', 'first', 'second')  # that the path of a tool may follow
 
@@ -270,14 +270,14 @@ def seam(
     from handeye_ros.config import parse_length
     from handeye_ros.errors import BadValueError
     from handeye_ros.scanning.seam import find_seam, sentences, tool_frames, write
-    limits = [parse_length(text, '--box', LARGEST_PLAIN) for text in box]
+    limits = [parse_length(text, '--box', MAX_PLAIN) for text in box]
     if any(map(operator.gt, limits[::2], limits[1::2])):
         raise BadValueError('--box', ' '.join(box), 'of each axis the lower limit first')
     if not 0.0 < math.hypot(*towards) < math.inf:
         raise BadValueError('--towards', towards, 'a direction')
     widest_m = parse_length(widest, '--widest', 0.1, 1e-4)
     pitch_m = parse_length(pitch, '--pitch', 0.1, 1e-5)
-    start_m = [parse_length(text, '--start', LARGEST_PLAIN, -1e3) for text in start if any(start)]
+    start_m = [parse_length(text, '--start', MAX_PLAIN, -1e3) for text in start if any(start)]
     points, frame = _cloud(path, calibration_file, config, assignments, kinematics)
     points = points[((points >= limits[::2]) & (points <= limits[1::2])).all(axis=1)]
     with progress_bar('looking for the seam'):

@@ -26,7 +26,7 @@ POSE_ERROR = np.repeat([1e-3, 3e-3], 3)  # 1 sigma of a wrong station's pose err
 ONE_WRONG, CORRECTED_ARM = 'one station wrong', 'corrected arm'  # added parts in a budget
 PRIOR_ODDS_WRONG = 0.05  # of one station being wrong against all being right
 SURE_ODDS = 100.0  # posterior odds of one station being wrong, above which it is dropped
-SMALLEST_P = 0.2  # p-value of the other squares; below it more than one is wrong
+MIN_P = 0.2  # p-value of the other squares; below it more than one is wrong
 
 
 def with_possibly_wrong_station(solution: Solution) -> Solution:
@@ -51,7 +51,7 @@ def with_possibly_wrong_station(solution: Solution) -> Solution:
     worst = int(np.argmax(probability))
     freedom = max(configured.degrees_of_freedom - len(POSE_ERROR), 1)
     p_of_others = chi2_sf(max(configured.sum_of_squares - explained[worst], 0.0), freedom)
-    sure = probability[worst] > SURE_ODDS * (1 - probability[worst]) and p_of_others > SMALLEST_P
+    sure = probability[worst] > SURE_ODDS * (1 - probability[worst]) and p_of_others > MIN_P
     return replace(solution, added_covariances={ONE_WRONG: np.tensordot(probability, added, 1)},
                    probability_wrong=float(probability.sum()),
                    surely_wrong_places=(worst,) if sure else ())

@@ -38,9 +38,9 @@ DAMPING_FACTOR = 30.0
 GROSS_SQUARE = 64.0  # squared residual over the typical one (8 sigma): dropped at once
 FALSE_ALARM = 1e-3  # probability that good data lose one item
 
-LARGEST_STD = 1e3  # of a direction without information (m or rad)
+MAX_STD = 1e3  # of a direction without information (m or rad)
 FREE_DIRECTION = 1e-13  # relative information, or variance, that is rounding
-SMALLEST_INFORMATION = 1e-280  # smallest information: its inverse is still a number
+MIN_INFORMATION = 1e-280  # smallest information: its inverse is still a number
 
 States: TypeAlias = tuple[NDArray[Any], ...]
 Whitener: TypeAlias = Callable[[Array], Array]
@@ -332,13 +332,13 @@ def covariance_of(J: Array) -> Array:
     root = J if len(J) < J.shape[1] else np.linalg.qr(J, mode='r')
     _, values, axes = np.linalg.svd(root)
     values = np.pad(values, (0, len(axes) - len(values)))
-    scaled = axes / np.maximum(values, 1 / LARGEST_STD)[:, None]
+    scaled = axes / np.maximum(values, 1 / MAX_STD)[:, None]
     return np.asarray(scaled.T @ scaled)
 
 
 def bounded_inverse(information: Array) -> Array:
     """Return the inverse of a symmetric positive matrix, variances of free directions bounded."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), SMALLEST_INFORMATION))
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), MIN_INFORMATION))
     scaled = information * scale * scale[:, None] + FREE_DIRECTION * np.eye(len(information))
     root, failed = lapack.dpotrf(scaled.T, lower=1)  # and zeros above it
     if failed:  # not positive but for rounding

@@ -55,7 +55,7 @@ SUBSET_COUNT = 40  # of six stations: if a third are wrong, one subset has no wr
 # one that no other can beat; of a station far from it, over the typical one (16: 4 sigma).
 # SMALL_SQUARE is added in mean_log_square: as the robot is seldom as inaccurate as configured,
 # fits to a fifth of a sigma are distinguished from fits to a half.
-CONVINCING_SQUARE, UNRIVALLED_SQUARE, LARGEST_SQUARE, SMALL_SQUARE = 4.0, 0.1, 16.0, 0.03
+CONVINCING_SQUARE, UNRIVALLED_SQUARE, MAX_SQUARE, SMALL_SQUARE = 4.0, 0.1, 16.0, 0.03
 
 
 def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = False,
@@ -82,7 +82,7 @@ def quick_solution(problem: Problem) -> Solution | None:
         for start in islice(problem.target.starts(problem, np.random.default_rng(SEED)), 2):
             with suppress(np.linalg.LinAlgError):  # from this start
                 robust = refined_robustly(problem, start)
-                if typical_square(station_squares(problem, robust)) < LARGEST_SQUARE:
+                if typical_square(station_squares(problem, robust)) < MAX_SQUARE:
                     return without_outliers(problem, robust)
     return None
 
@@ -95,7 +95,7 @@ def without_outliers(problem: Problem, robust: Linearisation) -> Solution:
     do not predict.
     """
     # least squares could move to a fit between the target and another surface
-    limit = LARGEST_SQUARE if problem.shows_several else GROSS_SQUARE
+    limit = MAX_SQUARE if problem.shows_several else GROSS_SQUARE
     squares, fewest = station_squares(problem, robust), problem.target.min_samples
     is_near = squares <= limit * max(1.0, typical_square(squares))
     is_near[np.argsort(squares, kind='stable')[:fewest]] = True
@@ -161,8 +161,8 @@ def refined_robustly(problem: Problem, start: Estimate) -> Linearisation:
 
 
 def station_squares(problem: Problem, robust: Linearisation) -> Array:
-    """Return the mean squares (n,) of stations; of those without edges, LARGEST_SQUARE or more."""
-    least = np.where(has_unused_edges(problem, robust.problem), LARGEST_SQUARE, 0.0)
+    """Return the mean squares (n,) of stations; of those without edges, MAX_SQUARE or more."""
+    least = np.where(has_unused_edges(problem, robust.problem), MAX_SQUARE, 0.0)
     return np.maximum(mean_squares(robust), least)
 
 
@@ -184,7 +184,7 @@ def is_convincing(problem: Problem, robust: Linearisation) -> bool:
     """
     squares = station_squares(problem, robust)
     typical = typical_square(squares)
-    misfits = squares > LARGEST_SQUARE * max(1.0, typical)
+    misfits = squares > MAX_SQUARE * max(1.0, typical)
     misfits |= has_unused_edges(problem, robust.problem)
     largest = UNRIVALLED_SQUARE if problem.shows_several else CONVINCING_SQUARE
     return typical <= largest and bool(misfits.mean() <= 0.1)

@@ -34,8 +34,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 # The iteration of the unknowns ends at a step of CONVERGED_SIGMAS; one more follows with the final
-# scales. After MOST_STEPS, one of NEAR_SIGMAS is small enough.
-CONVERGED_SIGMAS, NEAR_SIGMAS, MOST_STEPS = 0.25, 1.0, 10
+# scales. After MAX_STEPS, one of NEAR_SIGMAS is small enough.
+CONVERGED_SIGMAS, NEAR_SIGMAS, MAX_STEPS = 0.25, 1.0, 10
 FULL_STEPS = 5  # in which the scales change in full, later by half
 LAST_STEPS = 3  # of variance factors and scales, after the last of the unknowns
 LEFT_BY_OTHERS = 1e-6  # share of a variance; a station that leaves less to the others is needed
@@ -225,7 +225,7 @@ def _iterated(start: Posterior) -> tuple[Posterior, bool]:
     """
     current = nearest = start
     shortest = np.inf
-    for number in range(MOST_STEPS):
+    for number in range(MAX_STEPS):
         sigmas = np.sqrt(np.diag(current.covariance))
         length = float(np.abs(current.step / sigmas)[:current.unknown_count].max())
         if length < shortest:

@@ -30,8 +30,8 @@ from scipy.spatial.transform import Rotation
 
 ROUGHLY_KNOWN = 3e-3  # m: points mapped worse than this cannot be aimed at
 GOOD_COUNT = 15  # samples, before which nothing but the wanted accuracy is enough
-SMALLEST_GAIN = 0.02  # of the mapped points' sigma: less is no reason for another sample
-SMALLEST_FACTOR = 0.5  # of the sigma: a smaller cause is not named
+MIN_GAIN = 0.02  # of the mapped points' sigma: less is no reason for another sample
+MIN_FACTOR = 0.5  # of the sigma: a smaller cause is not named
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ def largest_limiting_factor(solution: Solution) -> tuple[LimitingFactor, float] 
     """
     Return the largest systematic cause, and its sigma over that of mapped points.
 
-    None below SMALLEST_FACTOR. White noise is none of the causes: more samples reduce it.
+    None below MIN_FACTOR. White noise is none of the causes: more samples reduce it.
     """
     *terms, total = budget(solution)
     squares = dict[LimitingFactor, float]()
@@ -186,7 +186,7 @@ def largest_limiting_factor(solution: Solution) -> tuple[LimitingFactor, float] 
                 squares[cause] = squares.get(cause, 0.0) + term.mapped ** 2
     cause, square = max(squares.items(), key=lambda item: item[1], default=(SETBACK, 0.0))
     ratio = square ** 0.5 / total.mapped
-    return (cause, ratio) if ratio >= SMALLEST_FACTOR else None
+    return (cause, ratio) if ratio >= MIN_FACTOR else None
 
 
 def enough_and_why(std: float, accuracy: float, expected: float | None,
@@ -205,7 +205,7 @@ def enough_and_why(std: float, accuracy: float, expected: float | None,
         content += f', of which {1e3 * ratio * std:.3f} mm is {cause.text} ({cause.key})'
         remedy = f', a better {cause.remedy} would'
     if std > accuracy and count >= GOOD_COUNT and expected and (
-            expected > (1 - SMALLEST_GAIN) * std):
+            expected > (1 - MIN_GAIN) * std):
         return True, f'enough: {content}; more samples bring little{remedy}'
     if expected:
         content += f'; one more sample would bring {1e3 * expected:.3f} mm'

@@ -24,18 +24,18 @@ from handeye_ros.estimation.problem import Linearisation, linearise, Observation
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.view import BORDER_NORMALS, View
-from handeye_ros.profiles.faces import SMALLEST_CORNER_ANGLE
+from handeye_ros.profiles.faces import MIN_CORNER_ANGLE
 import numpy as np
 from numpy.typing import NDArray
 
 TEMPLATE_COUNT, CANDIDATES_EACH = 6, 500  # stations; candidates around each
 STEPS_TO_TARGET = 3  # towards the target
-LARGEST_SHIFT = 0.2  # largest shift across the laser line of what is seen, in widths of the view
+MAX_SHIFT = 0.2  # largest shift across the laser line of what is seen, in widths of the view
 STOP_POSE_ERROR = (5e-3, 0.053)  # m and rad (3 degrees) by which a stop may be off
 FAILED_POSE_DISTANCE = (1.5e-2, 0.12)  # m and rad around a pose at which a stop gave no sample
 ON_TARGET = 1e-4  # m: largest residual of a point on the target
-SMALLEST_SHARE = 0.5  # smallest share of a feature's length in the view
-SMALLEST_COSINE = 0.5  # smallest cosine of the incidence on a face, if the template has it
+MIN_SHARE = 0.5  # smallest share of a feature's length in the view
+MIN_COSINE = 0.5  # smallest cosine of the incidence on a face, if the template has it
 CORNER_MARGIN = 0.34  # rad: a corner is this much sharper than it must be to be found
 
 
@@ -124,7 +124,7 @@ def _random_poses(T: Array, first: Array, anchor: Array, view: View, config: Con
     R = (first[:3, :3] @ se3.exp_rotation(np.outer(turn, [0, 0, 1]))
          @ se3.exp_rotation(tilt[:, None] * tilt_axes))
     places = view.middle + rng.uniform(-1, 1, (CANDIDATES_EACH, 2)) * view.size / 2
-    across = LARGEST_SHIFT * view.size[0] * rng.uniform(-1, 1, (CANDIDATES_EACH, 1)) * T[:3, 1]
+    across = MAX_SHIFT * view.size[0] * rng.uniform(-1, 1, (CANDIDATES_EACH, 1)) * T[:3, 1]
     aim = T[:3, [0, 2]] @ anchor + T[:3, 3] + across  # what is seen at the place
     return se3.transform(R, aim - np.einsum('nij,nj->ni', R[:, :, [0, 2]], places)), places
 
@@ -166,7 +166,7 @@ def stations_like(template: Problem, solution: Solution, poses: Array, places: A
     room = view.offsets - anchors @ BORDER_NORMALS.T
     share = np.clip((room / outward).min(axis=(1, 2)), 0.0, 1.0)
     points = anchors + share[:, None, None] * (points - anchors)
-    large = share > SMALLEST_SHARE
+    large = share > MIN_SHARE
     poses, points, share = poses[large], points[large], share[large]
     points = _on_target(template, solution, poses, points, same_point)
     linear = _linear(template, solution, poses, points, 1 / np.sqrt(share))
@@ -213,8 +213,8 @@ def _from_same_side(A: Array, same_point: Array, template: Linearisation) -> NDA
     """
     wrt_range = template.wrt_point[:, 1]  # of single conditions it depends on the choice of axes
     size = np.sqrt(wrt_range ** 2 @ same_point)
-    same_side = (A[..., 1] * wrt_range) @ same_point > SMALLEST_COSINE * size
-    return np.asarray((same_side | (size <= SMALLEST_COSINE)).all(axis=1))
+    same_side = (A[..., 1] * wrt_range) @ same_point > MIN_COSINE * size
+    return np.asarray((same_side | (size <= MIN_COSINE)).all(axis=1))
 
 
 def _linear(template: Problem, solution: Solution, poses: Array, points: Array, noise: Array
@@ -258,9 +258,9 @@ def _corner_seen(A: Array, points: Array, template: Linearisation, view: View
     normals = normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-9)
     offsets = (normals * (mean_of_face @ points)).sum(axis=2, keepdims=True)
     corners = np.linalg.solve(normals + 1e-9 * np.eye(2), offsets)[..., 0]
-    return np.asarray((facing > SMALLEST_COSINE).all(axis=1) & (view.room(corners) > 0)
+    return np.asarray((facing > MIN_COSINE).all(axis=1) & (view.room(corners) > 0)
                       & (np.abs(np.linalg.det(normals))
-                         > np.sin(SMALLEST_CORNER_ANGLE + CORNER_MARGIN)))
+                         > np.sin(MIN_CORNER_ANGLE + CORNER_MARGIN)))
 
 
 def covariances_with_one_more(solution: Solution, candidates: Problem) -> Array:

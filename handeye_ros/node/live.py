@@ -61,11 +61,11 @@ from handeye_ros.sampling.session import Session, silent_poses_error
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.stream import interpolate
 
-MOST_STOPS = 32  # waiting for evaluation: at most 7 MB each with 1280 points a profile
+MAX_STOPS = 32  # waiting for evaluation: at most 7 MB each with 1280 points a profile
 KEPT_JOINTS = 20_000  # messages with joint values: more than those of the longest stop
 KEPT_LATEST = 100  # messages of a kind: one of the two streams may be late
-LONGEST_POSE_SILENCE = 2.0  # s without a pose, while profiles come: the robot may be anywhere
-LONGEST_PROFILE_SILENCE = 1.0  # s without a profile until none come
+MAX_POSE_SILENCE = 2.0  # s without a pose, while profiles come: the robot may be anywhere
+MAX_PROFILE_SILENCE = 1.0  # s without a profile until none come
 EVALUATING = 'a stop is evaluated'
 
 Result = TypeVar('Result')
@@ -147,12 +147,12 @@ class LiveSession:
 
     def _queue_stops(self, stops: Iterable[Stop]) -> None:
         """Queue stops, each in place of an earlier part; drop the oldest if too many wait."""
-        self.session.limit_waiting(MOST_STOPS)
+        self.session.limit_waiting(MAX_STOPS)
         for stop in stops:
             self.to_evaluate.pop(stop.stamp, None)
             self.to_evaluate[stop.stamp] = stop
         not_stored = [stamp for stamp, stop in self.to_evaluate.items() if not stop.load_messages]
-        for stamp in not_stored[:-MOST_STOPS]:
+        for stamp in not_stored[:-MAX_STOPS]:
             del self.to_evaluate[stamp]
             self._dropped_stops += 1
         if self.to_evaluate or self._frame_change_notice:
@@ -259,7 +259,7 @@ class LiveSession:
         return tuple(filter(None, (
             f'a verification ({routine.name}) continues: stops are not samples until '
             '~/verify_result' if routine else '',
-            f'left {count} stops out, the oldest of more than {MOST_STOPS} that waited to be '
+            f'left {count} stops out, the oldest of more than {MAX_STOPS} that waited to be '
             'evaluated: the processor cannot keep up; stop less often, or publish fewer points'
             if count else '')))
 
@@ -440,8 +440,8 @@ class LiveSession:
         """
         poses, profiles = self.message_counts['pose'], self.message_counts['profile']
         try:
-            if (poses.count and poses.silence > LONGEST_POSE_SILENCE
-                    and profiles.silence < LONGEST_PROFILE_SILENCE):
+            if (poses.count and poses.silence > MAX_POSE_SILENCE
+                    and profiles.silence < MAX_PROFILE_SILENCE):
                 raise silent_poses_error(poses.silence)
             with self.lock:
                 stop = self.session.stop_on_request()

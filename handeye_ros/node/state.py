@@ -42,7 +42,7 @@ BAD_SHARE = 0.01  # or such a share of the last RECENT, or of the messages lost 
 RECENT = 1000
 VALID, MALFORMED, LOST = 'valid', 'malformed', 'lost'  # what a message was
 FRESH_TIME = 1.0  # s: the clocks are compared if the last messages of both kinds are not older
-LARGEST_CLOCK_DIFFERENCE = 5.0  # s, that a slow network or a queue explains
+MAX_CLOCK_DIFFERENCE = 5.0  # s, that a slow network or a queue explains
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +126,7 @@ def _clock_trouble(profiles: MessageCount, poses: MessageCount) -> str:
     if not profiles.stamp or not poses.stamp or max(profiles.silence, poses.silence) > FRESH_TIME:
         return ''
     ahead = (profiles.stamp - poses.stamp) * 1e-9 + profiles.silence - poses.silence
-    if abs(ahead) < LARGEST_CLOCK_DIFFERENCE:
+    if abs(ahead) < MAX_CLOCK_DIFFERENCE:
         return ''
     return (f'the stamps of the profiles are {abs(ahead):.1f} s '
             f'{"ahead of" if ahead > 0 else "behind"} those of the poses: the clocks of sensor '

@@ -50,10 +50,10 @@ MESSAGES = {CLOUD_TYPE: PointCloud2, POSE_TYPE: PoseStamped, JOINTS_TYPE: JointS
 NO_CALLBACKS = SubscriptionEventCallbacks(use_default_callbacks=False)
 
 READ_PERIOD = 2e-3  # s between two reads of all topics
-MOST_AT_ONCE = 200  # messages of one topic before the next topic
+MAX_AT_ONCE = 200  # messages of one topic before the next topic
 LOOK_PERIOD = 0.1  # s between two looks at what the publishers offer
 WARNING_PERIOD = 5.0  # s between two warnings of a kind
-MOST_LISTED = 5  # largest number of topics or nodes in a sentence
+MAX_LISTED = 5  # largest number of topics or nodes in a sentence
 
 Stamped = TypeVar('Stamped', RawProfile, TimedPose)
 
@@ -195,7 +195,7 @@ class Streams:
                         self._node.get_logger().warning(
                             f'the topics cannot be read now: {error}',
                             throttle_duration_sec=WARNING_PERIOD)
-                if most_read < MOST_AT_ONCE:
+                if most_read < MAX_AT_ONCE:
                     time.sleep(READ_PERIOD)
 
     def _look_at_publishers(self) -> None:
@@ -211,10 +211,10 @@ class Streams:
                 self._node.destroy_subscription(old_subscription)
 
     def _read_messages(self, topic: _Topic) -> int:
-        """Read at most MOST_AT_ONCE messages of a topic; return how many."""
+        """Read at most MAX_AT_ONCE messages of a topic; return how many."""
         handle, message_type = topic.subscription.handle, MESSAGES[topic.message_type]
         with handle:
-            for count in range(MOST_AT_ONCE):
+            for count in range(MAX_AT_ONCE):
                 taken = handle.take_message(message_type, True)
                 if not taken:
                     return count
@@ -231,7 +231,7 @@ class Streams:
                     reason = sentence_and_log(f'the reading of {topic.name}', error)
                     topic.counts.add_malformed(reason)
                     self._node.get_logger().warning(reason, throttle_duration_sec=WARNING_PERIOD)
-        return MOST_AT_ONCE
+        return MAX_AT_ONCE
 
     def _on_profile(self, data: bytes) -> None:
         config = self._receiver.config
@@ -279,7 +279,7 @@ class Streams:
             if len(nodes) > 1:
                 sentences.append(
                     f'{len(nodes)} publishers send {kind}s on {self._full_name(topic.name)} '
-                    f'({", ".join(nodes[:MOST_LISTED])}): let only one publish')
+                    f'({", ".join(nodes[:MAX_LISTED])}): let only one publish')
         this_node = (node.get_name(), node.get_namespace())
         if node.get_node_names_and_namespaces().count(this_node) > 1:
             sentences.append(
@@ -297,7 +297,7 @@ class Streams:
                 'its driver publishes with best effort: large messages may all get lost; publish '
                 'reliably')
         others = ', '.join([other for other in self.topics_of(expected)
-                            if other != name][:MOST_LISTED])  # its own has just begun
+                            if other != name][:MAX_LISTED])  # its own has just begun
         problem = (f'it carries {", ".join(sorted(offered))}, expected {expected}' if offered else
                    f'{name} has no publisher')
         return problem + (f'; {expected} is on {others}: set {topic.key}' if others else '')

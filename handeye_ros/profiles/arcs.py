@@ -20,7 +20,7 @@ from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
 from handeye_ros.profiles.ransac import circles_among
 from handeye_ros.profiles.segment import (
     columns_with_return,
-    MOST_NOISE,
+    MAX_NOISE,
     noise_level,
     without_clutter,
 )
@@ -28,25 +28,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgesv
 
-SMALLEST_ARC_RADIUS, LARGEST_ARC_RADIUS = 1e-4, 0.5  # of the arc of a sphere of unknown radius (m)
-LEAST_RADIUS_RATIO = 0.29  # smallest radius of an arc over that of the sphere: less is too steep
-MOST_RADIUS_RATIO = 1.05  # the largest, for short and noisy arcs
+MIN_ARC_RADIUS, MAX_ARC_RADIUS = 1e-4, 0.5  # of the arc of a sphere of unknown radius (m)
+MIN_RADIUS_RATIO = 0.29  # smallest radius of an arc over that of the sphere: less is too steep
+MAX_RADIUS_RATIO = 1.05  # the largest, for short and noisy arcs
 TOLERANCE_SIGMAS = 6.0
 # widths of successive fits, in tolerances: of a new circle, and of one with another noise
 ARC_FIT_WIDTHS, ARC_REFIT_WIDTHS = (3.0, 2.0, 1.0, 1.0), (2.0, 1.0)
-FEWEST_FITTED = 5  # fewest points for another fit of a circle
+MIN_FITTED = 5  # fewest points for another fit of a circle
 # noise over assumed noise that starts a new search; searches at most
-NOISE_RATIO, MOST_SEARCHES = 2.0, 5
+NOISE_RATIO, MAX_SEARCHES = 2.0, 5
 RIM_INCIDENCE = 0.5  # an arc that ends at a larger angle of incidence (rad) ends at its rim
 RIM_WIDTH = 0.24  # angle of the arc before its rim that is not used (rad)
 RIM_COSINE = 0.5  # smallest cosine of the incidence of a usable point: the rim is bad
 ARC_POINTS, SWEPT_ARC_POINTS = 12, 6  # of an arc; where hundreds of profiles show the ball
 FINER_BINS = 4  # per bin of an arc: their scatter gives the variance of its normal point
-SMALLEST_DENSITY = 0.5  # smallest share of an arc's points among those between its ends
-LEAST_ARC_SAGITTA = 2.5  # smallest sagitta of an arc, in tolerances: less may be a corner
-SMALLEST_ARC_ANGLE = 0.5  # smallest angle of an arc that determines its circle (rad)
-LEAST_ROUNDNESS = 2.0  # smallest ratio of the squares of two lines to those of the circle
-FEWEST_LINE_POINTS = 4  # fewest points of each line
+MIN_DENSITY = 0.5  # smallest share of an arc's points among those between its ends
+MIN_ARC_SAGITTA = 2.5  # smallest sagitta of an arc, in tolerances: less may be a corner
+MIN_ARC_ANGLE = 0.5  # smallest angle of an arc that determines its circle (rad)
+MIN_ROUNDNESS = 2.0  # smallest ratio of the squares of two lines to those of the circle
+MIN_LINE_POINTS = 4  # fewest points of each line
 JUDGED_POINTS = 128  # points of an arc, at most, that the corner test uses
 CONVERGED_STEP = 1e-6  # step of a converged fit, as a share of the radius
 SCATTERED = 'too few points, or only scattered ones, on an arc of the sphere in the profile'
@@ -67,9 +67,9 @@ def arc_features(points: Array, config: Config) -> tuple[Arc]:
     # speckle that is correlated over some columns does not show in the noise level
     noise = max(noise_level(valid[:, 1], config.noise.sensor), config.noise.sensor / 2)
     radius, reason = config.target.radius, ''
-    smallest, largest = SMALLEST_ARC_RADIUS, LARGEST_ARC_RADIUS
+    smallest, largest = MIN_ARC_RADIUS, MAX_ARC_RADIUS
     if radius > 0:
-        smallest, largest = LEAST_RADIUS_RATIO * radius, (MOST_RADIUS_RATIO + 0.1) * radius
+        smallest, largest = MIN_RADIUS_RATIO * radius, (MAX_RADIUS_RATIO + 0.1) * radius
     for circle in circles_among(valid, smallest, largest, TOLERANCE_SIGMAS * noise):
         try:
             return (_arc(*_on_arc(valid, circle, noise, config), config),)
@@ -131,9 +131,9 @@ def _on_arc(points: Array, circle: Array, noise: float, config: Config) -> tuple
     """
     widths: Sequence[float] = ARC_FIT_WIDTHS
     columns, (x, z) = np.empty(0, dtype=np.intp), points.T.copy()
-    for _ in range(MOST_SEARCHES):
+    for _ in range(MAX_SEARCHES):
         for width in widths:
-            if len(columns) >= FEWEST_FITTED:
+            if len(columns) >= MIN_FITTED:
                 circle = fit_circle(points.take(columns, axis=0), steps=1)
             dx, dz = x - circle[0], z - circle[1]
             distance = np.sqrt(dx * dx + dz * dz)
@@ -142,21 +142,21 @@ def _on_arc(points: Array, circle: Array, noise: float, config: Config) -> tuple
             towards_light = dz if dz @ near > 0 else -dz
             near &= towards_light > 0
             columns = np.flatnonzero(near & (towards_light > RIM_COSINE * distance))
-            if len(columns) < FEWEST_FITTED:
+            if len(columns) < MIN_FITTED:
                 raise FeatureError(SCATTERED)
         columns = _without_rims(columns, near, np.arctan2(dx, towards_light))
-        if len(columns) < FEWEST_FITTED:
+        if len(columns) < MIN_FITTED:
             break
         circle = fit_circle(points.take(columns, axis=0), steps=1)
         between_ends = points[columns[0]:columns[-1] + 1]
         deviations = np.abs(distances_from_circle(between_ends, circle))
         middle = len(deviations) // 2
         scatter = SIGMA_OF_MEDIAN * float(np.partition(deviations, middle)[middle])
-        if not NOISE_RATIO * noise < scatter < MOST_NOISE * config.noise.sensor:
+        if not NOISE_RATIO * noise < scatter < MAX_NOISE * config.noise.sensor:
             break
         noise, widths = scatter, ARC_REFIT_WIDTHS
     if len(columns) < config.sampling.min_points or (
-            len(columns) < SMALLEST_DENSITY * (columns[-1] - columns[0] + 1)):
+            len(columns) < MIN_DENSITY * (columns[-1] - columns[0] + 1)):
         raise FeatureError(SCATTERED)
     return points.take(columns, axis=0), noise
 
@@ -182,15 +182,15 @@ def _arc(points: Array, noise: float, config: Config) -> Arc:
     """Return the arc of points (n, 2) on a circle; raises FeatureError when it is none."""
     radius = config.target.radius
     arc = fitted_arc(points, SWEPT_ARC_POINTS if config.sampling.moving else ARC_POINTS)
-    if 0 < MOST_RADIUS_RATIO * radius < arc.radius or arc.radius < LEAST_RADIUS_RATIO * radius:
+    if 0 < MAX_RADIUS_RATIO * radius < arc.radius or arc.radius < MIN_RADIUS_RATIO * radius:
         raise FeatureError(f'the arc in the profile has a radius of {arc.radius * 1e3:.1f} mm, '
                            f'which does not fit the sphere of {mm(radius)}')
     # angle and sagitta from its ends
     chord = float(np.linalg.norm(arc.points[-1] - arc.points[0]))
     angle = 2 * math.asin(min(chord / (2 * arc.radius), 1.0))
     sagitta = arc.radius * (1 - math.cos(angle / 2))
-    if arc.radius < SMALLEST_ARC_RADIUS or angle < SMALLEST_ARC_ANGLE or (
-            sagitta < LEAST_ARC_SAGITTA * TOLERANCE_SIGMAS * noise):
+    if arc.radius < MIN_ARC_RADIUS or angle < MIN_ARC_ANGLE or (
+            sagitta < MIN_ARC_SAGITTA * TOLERANCE_SIGMAS * noise):
         raise FeatureError('the arc of the sphere in the profile is too short')
     if _is_corner(arc):
         raise FeatureError('no arc of the sphere in the profile, only straight pieces')
@@ -207,9 +207,9 @@ def _is_corner(arc: Arc) -> bool:
     points = arc.measured[::-(-len(arc.measured) // JUDGED_POINTS)]
     residual, (x, z) = distances_from_circle(points, arc.circle), (points - arc.centre).T
     sums = np.array([np.ones(len(x)), x, z, x * x, x * z, z * z]).cumsum(axis=1)
-    first_line = sums[:, FEWEST_LINE_POINTS - 1:-FEWEST_LINE_POINTS]  # that ends at each point
+    first_line = sums[:, MIN_LINE_POINTS - 1:-MIN_LINE_POINTS]  # that ends at each point
     squares = _squares_of_lines(first_line) + _squares_of_lines(sums[:, -1:] - first_line)
-    return bool(squares.min() < LEAST_ROUNDNESS * (residual @ residual))
+    return bool(squares.min() < MIN_ROUNDNESS * (residual @ residual))
 
 
 def _squares_of_lines(sums: Array) -> Array:

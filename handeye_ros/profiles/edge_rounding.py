@@ -30,7 +30,7 @@ ALONG_STD = 0.3  # 1 sigma of where a point lies along the laser line, in column
 STRAY_SIGMAS = 3.0  # sigmas beyond which a point loses weight: near the rim most are wrong
 BEND_SIGMAS = 2.0  # sigmas below the face line from which points indicate a bend
 FIT_STEPS = 6  # Gauss-Newton steps of the start of a shape
-LEAST_LIKELY = -100.0  # smallest log likelihood of a shape that matters
+MIN_LOG_LIKELIHOOD = -100.0  # smallest log likelihood of a shape that matters
 TINY = 1e-30  # smallest information, for points that all lie on the face
 
 
@@ -62,7 +62,7 @@ def fitted_bend(u: Array, v: Array, end_u: float, pitch: float, noise: float) ->
     along the face; noise: 1 sigma of v (m).
     """
     start, slope, weights, misfit = _fitted_shapes(u, v, pitch, noise)
-    log_likelihood = np.maximum((misfit.min() - misfit) / 2, LEAST_LIKELY)
+    log_likelihood = np.maximum((misfit.min() - misfit) / 2, MIN_LOG_LIKELIHOOD)
     likelihood = np.exp(log_likelihood)
     log_likelihoods = np.append(log_likelihood[ROUNDED], np.log(likelihood[BEVELLED].mean()))
     posterior = likelihood * PRIOR

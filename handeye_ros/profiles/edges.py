@@ -232,7 +232,7 @@ def _goes_on(end: FaceEnd, column: int, after: int) -> bool:
             and -slack < drop < STEEPEST_SURFACE * aside + slack)
 
 
-LARGEST_BEVEL = 2.5e-3  # of a bevel between a face and its wall; a larger piece is a face (m)
+MAX_BEVEL = 2.5e-3  # of a bevel between a face and its wall; a larger piece is a face (m)
 WALL_SLOPE = 0.45  # largest |tangent| between a wall in the profile and the face's normal
 
 
@@ -242,7 +242,7 @@ def _is_bevel(end: FaceEnd, piece: Segment, tail: Indices) -> bool:
         return False
     u, v = end.in_frame(piece.columns[[0, -1]])
     size, depth = math.hypot(u[1] - u[0], v[1] - v[0]), float(v[1] - v[0])
-    return size <= LARGEST_BEVEL and depth > 0 and abs(u[1] - u[0]) > WALL_SLOPE * depth
+    return size <= MAX_BEVEL and depth > 0 and abs(u[1] - u[0]) > WALL_SLOPE * depth
 
 
 ROOF_ANGLE = 0.15  # two pieces that meet at a smaller angle (rad) are one bent face
@@ -263,7 +263,7 @@ def _meet_in_roof(end: FaceEnd, other: Segment, tail: Indices) -> bool:
                        for x in (face.crossing(other), end.points[other.first, 0]))
     # a rounded or bevelled corner leaves room between the pieces, with points of its own
     has_tail = len(tail) > 0 and other.first - tail[-1] <= LOST_BETWEEN
-    reach = max(ROOF_REACH * end.pitch, LARGEST_BEVEL if has_tail else 0.0)
+    reach = max(ROOF_REACH * end.pitch, MAX_BEVEL if has_tail else 0.0)
     if not (min(start, 0.0) - reach <= crossing <= max(start, 0.0) + reach
             and abs(start) <= 2 * reach):
         return False
@@ -321,7 +321,7 @@ def smallest_step(end: FaceEnd, other: Segment) -> float:
     return MIN_STEP_SIGMAS * max(end.segment.noise, other.noise)
 
 
-SMALLEST_WALL = 1.2e-3  # smallest depth of a visible wall below the face (m)
+MIN_WALL = 1.2e-3  # smallest depth of a visible wall below the face (m)
 WALL_POINTS = 4  # fewest points of a wall
 
 
@@ -332,7 +332,7 @@ def _edge_at_wall(end: FaceEnd, tail: Indices) -> EdgePoint | None:
     tail_u, tail_v = end.in_frame(tail)
     lowest = float(tail_v.max())
     on_wall = (tail_v > 0.5 * lowest) & (tail_v < 0.97 * lowest)
-    if lowest < SMALLEST_WALL or np.count_nonzero(on_wall) < WALL_POINTS:
+    if lowest < MIN_WALL or np.count_nonzero(on_wall) < WALL_POINTS:
         return None
     v = tail_v[on_wall]
     line = line_through(v, tail_u[on_wall])  # u of the wall is top + slope * v
@@ -358,8 +358,8 @@ def _u_of_flat_end(end: FaceEnd, tail_u: Array, tail_v: Array) -> float:
 LAST_POINTS = 3  # last points that give the depth of an end
 BENT_END_SIGMAS = 2.0  # an end that is lower than this is bent
 STEEPEST_ROUNDING = 1.5  # slope of a bent end from where it leaves the face line
-SHORTEST_ROUNDING = 20  # points before the last one of a face that may be bent
-RIM_SHARE, LONGEST_RIM = 4, 3  # last points of a bent end that are not used: 1 in so many; at most
+MIN_ROUNDING = 20  # points before the last one of a face that may be bent
+RIM_SHARE, MAX_RIM = 4, 3  # last points of a bent end that are not used: 1 in so many; at most
 LOST_STD = 0.17  # 1 sigma of an edge due to lost points, in columns
 
 
@@ -385,8 +385,8 @@ def _edge_before_drop(end: FaceEnd, tail: Indices, ending: str,
         return edge
     # the end is bent. How far it is from the edge is determined later, from all samples (see
     # sampling/edge_shapes.py); its last points are the worst
-    before = end.segment.columns[-max(2 * len(tail), SHORTEST_ROUNDING):]
-    inner = tail[:len(tail) - min(len(tail) // RIM_SHARE, LONGEST_RIM)]
+    before = end.segment.columns[-max(2 * len(tail), MIN_ROUNDING):]
+    inner = tail[:len(tail) - min(len(tail) // RIM_SHARE, MAX_RIM)]
     bend = fitted_bend(*end.in_frame(np.concatenate([before, inner])), edge_u, pitch, noise)
     # an end that goes down but not outwards is no bend, but a hardly visible wall
     depth = min(bend.depth, STEEPEST_ROUNDING * (plate_end - flat_end) + FLAT_SIGMAS * noise)
@@ -396,7 +396,7 @@ def _edge_before_drop(end: FaceEnd, tail: Indices, ending: str,
                    rounding_std=bend.rounding_std)
 
 
-LONGEST_RAMP = 16  # points between two levels: a wider transition is a surface
+MAX_RAMP = 16  # points between two levels: a wider transition is a surface
 MIXED_POINTS = 2  # most points between two levels that are only mixed at the edge
 RAMP_STD = 0.2  # 1 sigma of the edge within a wide transition, over the way to its middle
 
@@ -412,7 +412,7 @@ def _distance_to_edge(end: FaceEnd, last: int, spacing: float, ground: Segment |
     spacing: of the points (m); ground: the surface seen below, or None.
     """
     mixed, uniform_std = 0, end.pitch / 12 ** 0.5
-    if ground and 0 < ground.first - last - 1 <= LONGEST_RAMP:
+    if ground and 0 < ground.first - last - 1 <= MAX_RAMP:
         points = end.points[last:ground.first + 1]
         columns = columns_with_return(points)
         x, z = points.take(columns, axis=0).T

@@ -29,17 +29,17 @@ import numpy as np
 SURE_EDGE_WEIGHT = 1.5  # weight of a face with a sure edge
 # weight of a surface beside a nearer one: all profiles should choose the same
 BESIDE_NEARER_WEIGHT = 0.02
-WIDEST_GAP = 0.014  # largest gap (m) between adjacent surfaces, without what the nearer one hides
+MAX_GAP_WIDTH = 0.014  # m, between adjacent surfaces, without what the nearer one hides
 HIDDEN_PER_HEIGHT = 0.4  # width that a nearer surface hides, over its height
-LARGEST_SPLINTER = 0.002  # largest piece that is no surface (m)
-MOST_SURFACES, SHORTEST_SURFACE = 3, 0.1  # surfaces that may be the plane; size over the longest
-MOST_CORNERS, SHORTEST_CORNER = 3, 0.25  # of a profile; of shorter faces, over the best
-SMALLEST_CORNER_ANGLE = 0.26  # between two faces (rad): less is one bent face
+MAX_SPLINTER = 0.002  # largest piece that is no surface (m)
+MAX_SURFACES, MIN_SURFACE = 3, 0.1  # surfaces that may be the plane; size over the longest
+MAX_CORNERS, MIN_CORNER = 3, 0.25  # of a profile; of shorter faces, over the best
+MIN_CORNER_ANGLE = 0.26  # between two faces (rad): less is one bent face
 FAR_END = 0.75  # distance of a face's other end, over its length: faces that cross are no edge
 # largest distance of a face's end from the crossing, over its length: a groove can hide its own
 # bottom from the camera
 REACH_SHARE = 0.5
-SMALLEST_REACH = 2e-3  # m: its lower bound, for short faces
+MIN_REACH = 2e-3  # m: its lower bound, for short faces
 
 
 def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
@@ -84,8 +84,8 @@ def _is_nearer_beside(end: FaceEnd, other: Segment) -> bool:
     if rise / math.hypot(1.0, end.segment.slope) <= smallest_step(end, other):
         return False
     u, v = end.in_frame(other.columns[[0, -1]])
-    return (math.hypot(u[1] - u[0], v[1] - v[0]) > LARGEST_SPLINTER
-            and bool(u.min() < WIDEST_GAP + HIDDEN_PER_HEIGHT * rise))
+    return (math.hypot(u[1] - u[0], v[1] - v[0]) > MAX_SPLINTER
+            and bool(u.min() < MAX_GAP_WIDTH + HIDDEN_PER_HEIGHT * rise))
 
 
 def plane_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
@@ -96,9 +96,9 @@ def plane_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
     nor looked for. Raises FeatureError.
     """
     segments = straight_segments(points, config.noise.sensor, config.sampling.min_points)
-    longest = sorted(segments, key=lambda s: -len(s.columns))[:MOST_SURFACES]
+    longest = sorted(segments, key=lambda s: -len(s.columns))[:MAX_SURFACES]
     return tuple(face_line(segment, points, config.sampling.moving) for segment in longest
-                 if len(segment.columns) >= SHORTEST_SURFACE * len(longest[0].columns))
+                 if len(segment.columns) >= MIN_SURFACE * len(longest[0].columns))
 
 
 def face_pair_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
@@ -116,10 +116,10 @@ def face_pair_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
     pairs = [pair for pair in combinations(segments, 2) if _meet(*pair, points)]
     if not pairs:
         raise FeatureError(f'no two of the {len(segments)} straight pieces in the profile meet in '
-                           f'an edge of more than {np.degrees(SMALLEST_CORNER_ANGLE):.0f} degrees')
+                           f'an edge of more than {np.degrees(MIN_CORNER_ANGLE):.0f} degrees')
     pairs.sort(key=_shorter, reverse=True)
-    best = [pair for pair in pairs[:MOST_CORNERS]
-            if _shorter(pair) >= SHORTEST_CORNER * _shorter(pairs[0])]
+    best = [pair for pair in pairs[:MAX_CORNERS]
+            if _shorter(pair) >= MIN_CORNER * _shorter(pairs[0])]
     return tuple(line for pair in best for line in sorted(
         (face_line(segment, points, config.sampling.moving) for segment in pair),
         key=lambda line: float(line.centre[0])))
@@ -132,13 +132,13 @@ def _shorter(pair: tuple[Segment, Segment]) -> int:
 
 def _meet(a: Segment, b: Segment, points: Array) -> bool:
     """Return whether two pieces form an angle and end near the crossing of their lines."""
-    if abs(math.atan(a.slope) - math.atan(b.slope)) < SMALLEST_CORNER_ANGLE:
+    if abs(math.atan(a.slope) - math.atan(b.slope)) < MIN_CORNER_ANGLE:
         return False
     x = a.crossing(b)
     for segment in (a, b):
         ends = points[[segment.first, segment.last]]
         near, far = np.sort(np.linalg.norm(ends - [x, a.height(x)], axis=1))
         length = float(np.linalg.norm(ends[1] - ends[0]))
-        if near >= max(REACH_SHARE * length, SMALLEST_REACH) or far <= FAR_END * length:
+        if near >= max(REACH_SHARE * length, MIN_REACH) or far <= FAR_END * length:
             return False
     return True

@@ -19,8 +19,8 @@ import numpy as np
 
 LINE_POINTS, SWEPT_LINE_POINTS = 6, 4  # of a line; where hundreds of profiles show each part of it
 BIN_COUNT = 24  # bins whose scatter gives the variance of the normal points
-FEWEST_POINTS = 4  # of a bin
-FEWEST_BINS = 6
+MIN_POINTS = 4  # of a bin
+MIN_BINS = 6
 SURELY_MORE = 1.7  # ratio to the variance of white noise that chance seldom exceeds
 
 
@@ -34,7 +34,7 @@ def face_line(segment: Segment, points: Array, moving: bool) -> FaceLine:
     measured = points.take(segment.straight_columns, axis=0)
     n, length = len(measured), math.hypot(1.0, segment.slope)
     middle, spread_x = float(measured[:, 0].mean()), float(measured[:, 0].std())
-    bin_count = BIN_COUNT if n >= BIN_COUNT * FEWEST_POINTS else min(most, n)
+    bin_count = BIN_COUNT if n >= BIN_COUNT * MIN_POINTS else min(most, n)
     bins, _ = bin_means(measured, bin_count)
     centre = np.array([middle, segment.height(middle)])
     white_var = (segment.noise / length) ** 2 * bin_count / n
@@ -66,7 +66,7 @@ def line_of_bins(centre: Array, slope: float, spread: float, bins: Array, white_
     across, along = (bins - centre) @ normal, bins @ direction
     variance = variance_of_bins(across, white_var)
     fitted_arc, size = bin_means(bins, min(most, len(bins)))
-    if len(bins) >= FEWEST_BINS:  # of a bowed face the mean of a part lies beside the surface
+    if len(bins) >= MIN_BINS:  # of a bowed face the mean of a part lies beside the surface
         bow = (across * legendre_2((along - along.mean()) / along.std())).mean()
         fitted_arc -= bow * (legendre_2(1 / len(size)) - legendre_2(0.0)) * normal
     return FaceLine(centre, direction, spread, math.sqrt(variance / len(bins)),
@@ -88,14 +88,14 @@ def variance_of_bins(bins: Array, white_var: float) -> float:
     white_var: the variance for white noise; it is returned unless the bins scatter significantly
     more.
     """
-    if len(bins) < FEWEST_BINS:
+    if len(bins) < MIN_BINS:
         return white_var
     variance = _variance_about_smooth(bins)
     if variance <= SURELY_MORE * white_var:
         return white_var
     # speckle that is wider than a bin makes two neighbours alike
     pairs = bins[:len(bins) // 2 * 2].reshape(-1, 2).mean(axis=1)
-    return (variance if len(pairs) < FEWEST_BINS else
+    return (variance if len(pairs) < MIN_BINS else
             max(variance, 2 * _variance_about_smooth(pairs)))
 
 

@@ -20,11 +20,11 @@ TRIPLE_COUNT, TRIPLE_SPANS = 72, (2.5, 4, 8, 16, 32)  # the same of triples
 VOTER_COUNT = 256  # points that vote
 DECISIVE_SHARE = 0.5  # share of a quarter of the voters that decides on a line: no other has more
 LINE_FIT_WIDTHS = (2.0, 1.5, 1.0)  # of successive lines, in tolerances
-MOST_CIRCLES = 8  # circles tried, in the order of their votes
-FEWEST_VOTES = 5
-LEAST_SPREAD = 1e-9  # smallest spread of points along x, relative: less is rounding
-NARROWEST_LINE = 1e-6  # smallest length of a line along x (m)
-LEAST_CIRCLE_SAGITTA = 4.0  # smallest sagitta of points on a circle, in tolerances: less is a line
+MAX_CIRCLES = 8  # circles tried, in the order of their votes
+MIN_VOTES = 5
+MIN_SPREAD = 1e-9  # smallest spread of points along x, relative: less is rounding
+MIN_LINE_WIDTH = 1e-6  # smallest length of a line along x (m)
+MIN_CIRCLE_SAGITTA = 4.0  # smallest sagitta of points on a circle, in tolerances: less is a line
 
 
 def on_dominant_line(x: Array, z: Array, tolerance: float, fewest: int
@@ -43,7 +43,7 @@ def on_dominant_line(x: Array, z: Array, tolerance: float, fewest: int
     pairs = _subsets(n, 2, PAIR_COUNT, PAIR_SPANS)
     (x, x_after), (z, z_after) = x.take(pairs), z.take(pairs)
     width = x_after - x
-    width[np.abs(width) < NARROWEST_LINE] = np.inf
+    width[np.abs(width) < MIN_LINE_WIDTH] = np.inf
     slopes = (z_after - z) / width
     lines = np.column_stack([z - slopes * x, slopes, np.full(len(x), -1.0)])
     step = -(-n // VOTER_COUNT)
@@ -57,7 +57,7 @@ def on_dominant_line(x: Array, z: Array, tolerance: float, fewest: int
         if count < fewest:
             return None
         spread = sxx - sx * sx / count
-        slope = (sxz - sx * sz / count) / spread if spread > LEAST_SPREAD * sxx else 0.0
+        slope = (sxz - sx * sz / count) / spread if spread > MIN_SPREAD * sxx else 0.0
         line = np.array([(sz - slope * sx) / count, slope, -1.0])
     return _near(line, terms[:3], tolerance)
 
@@ -81,14 +81,14 @@ def circles_among(points: Array, smallest: float, largest: float, tolerance: flo
     shapes = np.column_stack([(x * x + z * z - r * r - tolerance ** 2) / (2 * r), -x / r, -z / r,
                               0.5 / r])
     near = _near(shapes, terms, tolerance)
-    for _ in range(MOST_CIRCLES):
+    for _ in range(MAX_CIRCLES):
         votes, x, z, squares = terms @ near.T.astype(float)
         # evenly spread points of a chord have this variance: a line may fit them as well
         count = np.maximum(votes, 1.0)
         variance = (squares - (x * x + z * z) / count) / count
-        votes[12 * variance / (8 * r) < LEAST_CIRCLE_SAGITTA * tolerance] = 0
+        votes[12 * variance / (8 * r) < MIN_CIRCLE_SAGITTA * tolerance] = 0
         best = int(votes.argmax())
-        if votes[best] < FEWEST_VOTES:
+        if votes[best] < MIN_VOTES:
             return
         yield np.asarray(circles[best])
         near &= ~near[best]

@@ -15,7 +15,7 @@ from typing import Any
 
 from handeye_ros.data import Array, Indices
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.ransac import NARROWEST_LINE, on_dominant_line
+from handeye_ros.profiles.ransac import MIN_LINE_WIDTH, on_dominant_line
 import numpy as np
 
 MAX_LINES = 5
@@ -24,11 +24,11 @@ MAX_LINES = 5
 FOREIGN_POINTS = 5
 STRAY_GAP = 2  # an end point further than this from its neighbour is on the line by chance
 INLIER_SIGMAS = 4.0
-MOST_NOISE = 30.0  # times the configured noise: more is no surface
+MAX_NOISE = 30.0  # times the configured noise: more is no surface
 STEEPEST_SURFACE = 4.0  # slope of a surface from which light still comes back
 CLUTTER_JUMPS = 0.1  # largest share of jumps from point to point in a profile without clutter
 # compared on either side; fewest of all at a similar range
-NEIGHBOURS_EACH_SIDE, FEWEST_NEIGHBOURS = 5, 4
+NEIGHBOURS_EACH_SIDE, MIN_NEIGHBOURS = 5, 4
 END_POINTS = 5  # points of a group whose mean shows a bent end
 ROUNDED_SIGMAS = 3.0
 BENT_SHARE = 6  # a bent end has at most one part in so many of the points
@@ -89,7 +89,7 @@ def noise_level(z: Array, configured: float) -> float:
     second = np.abs(z[2:] - 2 * z[1:-1] + z[:-2])
     rank = len(second) // 5
     level = float(np.partition(second, rank)[rank]) / 0.2533 / 6 ** 0.5
-    return min(max(level, configured / 3), MOST_NOISE * configured)
+    return min(max(level, configured / 3), MAX_NOISE * configured)
 
 
 def columns_with_return(points: Array) -> Indices:
@@ -105,7 +105,7 @@ def without_clutter(columns: Indices, points: Array, noise: float) -> Indices:
     A sensor may return random ranges where nothing reflects. A point of a surface has neighbours
     at a similar range. noise: configured, 1 sigma (m).
     """
-    z, slack = points[:, 1].take(columns), MOST_NOISE * noise
+    z, slack = points[:, 1].take(columns), MAX_NOISE * noise
     if np.count_nonzero(np.abs(z[1:] - z[:-1]) > slack) <= CLUTTER_JUMPS * len(columns):
         return columns
     x = points[:, 0].take(columns)
@@ -114,7 +114,7 @@ def without_clutter(columns: Indices, points: Array, noise: float) -> Indices:
         near = np.abs(z[k:] - z[:-k]) < slack + STEEPEST_SURFACE * np.abs(x[k:] - x[:-k])
         neighbours[k:] += near
         neighbours[:-k] += near
-    return columns[neighbours >= FEWEST_NEIGHBOURS]
+    return columns[neighbours >= MIN_NEIGHBOURS]
 
 
 def straight_segments(points: Array, noise: float, min_points: int) -> list[Segment]:
@@ -132,7 +132,7 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
     def segments_of(members: Indices) -> list[Segment]:
         fitted = [_segment(columns.take(piece), x.take(piece), z.take(piece), noise / 3)
                   for piece in _pieces(members) if len(piece) >= min_points]
-        return [segment for segment in fitted if segment and segment.noise <= MOST_NOISE * noise]
+        return [segment for segment in fitted if segment and segment.noise <= MAX_NOISE * noise]
 
     for _ in range(MAX_LINES):
         left_x, left_z = x.take(unassigned), z.take(unassigned)
@@ -208,7 +208,7 @@ def line_through(x: Array, z: Array, part: slice = slice(None), least_noise: flo
     middle_x, middle_z = float(x[part].sum()) / n, float(z[part].sum()) / n
     dx, dz = x - middle_x, z - middle_z
     square = float(dx[part] @ dx[part])
-    if square < n * NARROWEST_LINE ** 2:
+    if square < n * MIN_LINE_WIDTH ** 2:
         return None
     slope = float(dx[part] @ dz[part]) / square
     residual = dz - slope * dx

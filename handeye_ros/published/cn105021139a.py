@@ -17,7 +17,7 @@ What is wrong in print, and what is done here:
   nearest to them.
 - how the two equations are solved is not said: the axes of the turns for the rotation, then
   linear least squares for the translation.
-- that the stripe runs through O is taken for granted; here it must pass within `LARGEST_MISS`
+- that the stripe runs through O is taken for granted; here it must pass within `MAX_MISS`
   pixels.
 """
 from __future__ import annotations
@@ -31,10 +31,10 @@ import numpy as np
 
 NAME = 'CN105021139A'
 
-LARGEST_MISS = 5.0
+MAX_MISS = 5.0
 """Pixels by which the stripe may miss the centre."""
 
-SMALLEST_SINGULAR = 1e-3
+MIN_SINGULAR = 1e-3
 """Two turns have one axis when the second singular value of their vectors is below (radians)."""
 
 
@@ -90,7 +90,7 @@ def target_centre(view: View, camera: Camera) -> Array:
     along = np.linalg.svd(view.stripe - mean, full_matrices=False)[2][0]
     foot = mean + along * (along @ (o - mean))
     miss = float(np.linalg.norm(foot - o))
-    if miss > LARGEST_MISS:
+    if miss > MAX_MISS:
         raise SingularError(NAME, f'the stripe misses the centre by {miss:.1f} pixels')
     ray = np.linalg.solve(camera.matrix, np.append(foot, 1.0))
     slope = camera.light_plane[:3] @ ray
@@ -119,7 +119,7 @@ def solve_motions(A: Array, B: Array) -> Array:
     """
     require_count(NAME, 2, 'motions', len(A))
     a, b = se3.log_rotation(A[:, :3, :3]), se3.log_rotation(B[:, :3, :3])
-    if np.linalg.svd(a, compute_uv=False)[1] < SMALLEST_SINGULAR:
+    if np.linalg.svd(a, compute_uv=False)[1] < MIN_SINGULAR:
         raise SingularError(NAME, 'the motions turn about one axis only; turn about another too')
     R = se3.nearest_rotation(a.T @ b)
     M = (A[:, :3, :3] - np.eye(3)).reshape(-1, 3)

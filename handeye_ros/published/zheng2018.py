@@ -45,7 +45,7 @@ FACTOR = 1e-2
 STEP = 1e-9
 """Er: the search ends when a round of Powell moves the parameters by less (in LENGTH_UNIT)."""
 
-MOST_ROUNDS, FIRST_ADVANCE = 2000, 0.05
+MAX_ROUNDS, FIRST_ADVANCE = 2000, 0.05
 """Of Powell for one factor; the first step of a line search, as a share of its direction."""
 
 ENOUGH = 1e-18
@@ -134,7 +134,7 @@ def _penalty(problem: _Problem, x: Array, k: int) -> Array:
 def minimise(problem: _Problem, x: Array, factor: float) -> Array:
     """Return the minimum of M(., factor) by the modified Powell method, steps (1) to (7)."""
     directions = np.eye(len(x))
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         start, values = x, [problem.along(x, directions[0], factor)[0]]
         for direction in directions:
             line = problem.along(x, direction, factor)

@@ -22,8 +22,8 @@ FLANGE_COLOUR, SENSOR_COLOUR = '#555555', '#6a1b9a'
 LASER_COLOUR, UNUSED_COLOUR = '#e53935', '#bdbdbd'
 TARGET_COLOUR, EDGE_COLOUR, SEEN_COLOUR = '#2e7d32', '#00695c', '#e07b00'
 AXIS_LENGTH = 0.03  # m, of a frame at a stop
-MOST_POINTS = 60  # of a laser line in the scene
-MOST_OF_PROFILE = 400  # points: about the pixels of a tablet
+MAX_POINTS = 60  # of a laser line in the scene
+MAX_OF_PROFILE = 400  # points: about the pixels of a tablet
 DRAWN_EDGE_LENGTH = 0.1  # m of an edge that is drawn when its length is unknown
 CIRCLE_ANGLES = np.linspace(0, 2 * np.pi, 49)
 
@@ -89,7 +89,7 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
              np.array([T[:3, 3], (T @ X)[:3, 3]]))
     for stop in stops:
         plane = stop.points[np.isfinite(stop.points).all(axis=1)]
-        plane = plane[::max(1, math.ceil(len(plane) / MOST_POINTS))]
+        plane = plane[::max(1, math.ceil(len(plane) / MAX_POINTS))]
         name, color = (('laser line', LASER_COLOUR) if stop.used else
                        ('laser line, not used', UNUSED_COLOUR))
         draw('points', name, color, 2.0, se3.apply(stop.T_mount @ X, in_sensor(plane, config)))
@@ -128,7 +128,7 @@ def profile_picture(points: Array, features: Iterable[Feature]) -> dict[str, Any
     """
     points = points[np.isfinite(points).all(axis=1)]
     polylines = [feature.polyline for feature in features]
-    return {'points': rounded(points[::-(-len(points) // MOST_OF_PROFILE) or 1]),
+    return {'points': rounded(points[::-(-len(points) // MAX_OF_PROFILE) or 1]),
             'lines': [rounded(line) for line in polylines if len(line) > 1],
             'spots': [rounded(line[0]) for line in polylines if len(line) == 1]}
 

@@ -32,7 +32,7 @@ from rich.text import Text
 
 URDF_FILE = 'corrected.urdf'
 UNDETERMINED_SHARE = 0.9  # of the prior sigma: the data hardly determine the error
-MOST_CONFIGURATIONS = 200  # that are stored, to find the joint values of poses
+MAX_CONFIGURATIONS = 200  # that are stored, to find the joint values of poses
 FILE_HEADER = """\
 # Errors of the joints and axes of an arm, found with the hand-eye transform in calibration.yaml.
 # offset is added to the joint's reading; direction (rad) and position (m) turn and shift its axis
@@ -87,7 +87,7 @@ class ArmAnswer:
 def _content(answer: ArmAnswer) -> dict[str, Any]:
     """Return the contents of kinematics.yaml."""
     outcome, arm, calibration = answer.outcome, answer.outcome.arm, answer.calibration
-    stored = even_indices(len(arm.configurations), MOST_CONFIGURATIONS)
+    stored = even_indices(len(arm.configurations), MAX_CONFIGURATIONS)
     return {
         'format': FORMAT, 'name': calibration.name, 'base': arm.base,
         'flange': arm.flange, 'joints': answer.joints, 'end': se3.transform_values(arm.end),

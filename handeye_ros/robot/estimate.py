@@ -39,12 +39,12 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 SMOOTH_ERROR_STD = 2e-4  # prior 1 sigma of the remaining error of the robot, each axis (m)
-FEWEST_STOPS = 12
+MIN_STOPS = 12
 # iterations of variances and noise; relative change below which they end
-MOST_ROUNDS, CONVERGED_CHANGE = 6, 0.02
+MAX_ROUNDS, CONVERGED_CHANGE = 6, 0.02
 POOLED_FREEDOM = 4.0  # degrees of freedom by which the noise of all axes counts for each axis
-LEAST_NOISE = 1e-6  # rounding of the values (m)
-LARGEST_VARIANCE = 1e3  # of a kind of error, relative to its prior
+MIN_NOISE = 1e-6  # rounding of the values (m)
+MAX_VARIANCE = 1e3  # of a kind of error, relative to its prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,17 +284,17 @@ def noise_and_variances(fit: ArmFit, conservative: bool = False) -> tuple[Array,
         counts = np.bincount(fit.kind_numbers).tolist()
         variances = prior_variances(
             covariance / np.outer(stated, stated), fit.robot_errors[order] / stated, counts,
-            variances, np.full(len(variances), LARGEST_VARIANCE))[int(conservative)]
+            variances, np.full(len(variances), MAX_VARIANCE))[int(conservative)]
     (r, J), axis = fit.whitened_rows, fit.used_rows % len(fit.noise)
     redundancy = 1 - np.einsum('mi,mi->m', J @ fit.covariance, J)
     freedom, squares = np.bincount(axis, redundancy), np.bincount(axis, (r * fit.noise[axis]) ** 2)
     pooled = squares.sum() / max(freedom.sum(), 1.0)
     noise = np.sqrt((squares + POOLED_FREEDOM * pooled)
                     / (np.maximum(freedom, 0.0) + POOLED_FREEDOM))
-    return np.maximum(noise, LEAST_NOISE), variances
+    return np.maximum(noise, MIN_NOISE), variances
 
 
-def with_estimated_weights(fit: ArmFit, conservative: bool = False, rounds: int = MOST_ROUNDS
+def with_estimated_weights(fit: ArmFit, conservative: bool = False, rounds: int = MAX_ROUNDS
                            ) -> ArmFit:
     """Return a fit with noise and variances as it shows them; see noise_and_variances."""
     for _ in range(rounds):
@@ -318,7 +318,7 @@ def without_bad_stops(fit: ArmFit) -> ArmFit:
         (r, J), freedom = fit.whitened_rows, np.bincount(item)
         left_out = leave_one_out(r, J, fit.covariance, item)
         return np.bincount(item, r * left_out) / freedom, freedom
-    return drop_outliers(stops[fit.used], len(stops), FEWEST_STOPS, fitted_to, left_out_squares)
+    return drop_outliers(stops[fit.used], len(stops), MIN_STOPS, fitted_to, left_out_squares)
 
 
 def solved_with_arm(fit: ArmFit, arm: Arm) -> ArmFit:

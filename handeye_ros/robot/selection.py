@@ -30,7 +30,7 @@ from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.robot.estimate import (
     arm_covariance,
     ArmFit,
-    FEWEST_STOPS,
+    MIN_STOPS,
     solved_with_arm,
     with_estimated_weights,
     without_bad_stops,
@@ -39,14 +39,14 @@ import numpy as np
 
 UNSOLVED = 'unsolved'  # reason of refusals that wrong clocks may explain
 UNCHANGED_ARM = 'the URDF as it is'
-REGION_COUNT, FEWEST_OF_REGION = 8, 3  # of the joint space, each left out once; stops of one
+REGION_COUNT, MIN_OF_REGION = 8, 3  # of the joint space, each left out once; stops of one
 FOLD_ROUNDS = 2
-LEAST_AGREEING = 0.5  # smallest share of the stops that agree
+MIN_AGREEING_SHARE = 0.5  # smallest share of the stops that agree
 HOPELESS_FACTOR = 20.0  # times the limit of the residual: no arm is so inaccurate
-LARGEST_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis, if the URDF belongs to the robot
+MAX_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis, if the URDF belongs to the robot
 # Per kind of joint, rad and m: tolerance of the limits, which are often stated roughly, and the
 # smallest range of values that determines the error of a joint.
-LARGEST_EXTRAPOLATION = {REVOLUTE: 0.35, PRISMATIC: 0.1}
+MAX_EXTRAPOLATION = {REVOLUTE: 0.35, PRISMATIC: 0.1}
 UNMOVED_SPREAD = {REVOLUTE: 0.02, PRISMATIC: 0.005}
 CURED_SHARE = 0.2  # a change that reduces the residual to less than this fraction is the cause
 
@@ -94,9 +94,9 @@ class ArmSelection:
 
 def require_enough(usable: int) -> None:
     """Raise DataError for fewer stops than the kinematics need."""
-    if usable < FEWEST_STOPS:
+    if usable < MIN_STOPS:
         raise DataError(f'{count_of(usable, "usable robot configuration")}; the kinematics need '
-                        f'at least {FEWEST_STOPS}, and 40 are a good number: record more, with '
+                        f'at least {MIN_STOPS}, and 40 are a good number: record more, with '
                         'all joints moving')
 
 
@@ -111,11 +111,11 @@ def corrected_arm(fit: ArmFit, q: Array, limit: float, residual_with: Callable[[
     with the joint values multiplied by a matrix (joints, joints).
     """
     stated = fit.arm
-    if fit.used.sum() < max(FEWEST_STOPS, LEAST_AGREEING * len(q)) or (
+    if fit.used.sum() < max(MIN_STOPS, MIN_AGREEING_SHARE * len(q)) or (
             fit.residual_rms > HOPELESS_FACTOR * limit):
         raise _contradiction(stated, q, limit, residual_with)
     richest = without_bad_stops(solved_with_arm(fit, stated.freed(ALL_KINDS)))
-    if richest.residual_rms > limit or richest.used.mean() < LEAST_AGREEING:
+    if richest.residual_rms > limit or richest.used.mean() < MIN_AGREEING_SHARE:
         raise _contradiction(stated, q, limit, residual_with)
     agreed, fold = replace(fit, used=richest.used), _regions(fit.q)
     models = [_validated(
@@ -135,7 +135,7 @@ def corrected_arm(fit: ArmFit, q: Array, limit: float, residual_with: Callable[[
 def _regions(q: Array, most: int = REGION_COUNT) -> Indices:
     """Return the region (n,) of stops (n, joints): halves of halves, across the widest axis."""
     region = np.zeros(len(q), dtype=np.intp)
-    if most > 1 and len(q) >= 2 * FEWEST_OF_REGION:
+    if most > 1 and len(q) >= 2 * MIN_OF_REGION:
         centred = q - q.mean(axis=0)
         along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
         low, high = np.split(np.argsort(along, kind='stable'), [len(q) // 2])
@@ -172,7 +172,7 @@ def _undetermined(fit: ArmFit) -> Array:
 
 
 def _require_same_robot(arm: Arm) -> None:
-    for kind, largest in LARGEST_ERROR.items():
+    for kind, largest in MAX_ERROR.items():
         sizes = np.linalg.norm(arm.errors[:, ERROR_KINDS == kind], axis=1)
         worst = int(np.argmax(sizes))
         if sizes[worst] > largest:
@@ -200,7 +200,7 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
     """
     sentences = []
     for joint, low, high in zip(arm.joints, q.min(axis=0), q.max(axis=0), strict=True):
-        tolerance = LARGEST_EXTRAPOLATION[joint.kind]
+        tolerance = MAX_EXTRAPOLATION[joint.kind]
         if low < joint.lower - tolerance or high > joint.upper + tolerance:
             raise DataError(
                 f'{joint.name} goes from {low:.4g} to {high:.4g}, and the URDF limits it to '

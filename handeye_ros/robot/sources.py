@@ -35,7 +35,7 @@ from handeye_ros.robot.estimate import (
     ArmFit,
     ArmPoints,
     ArmProfiles,
-    FEWEST_STOPS,
+    MIN_STOPS,
     with_estimated_weights,
 )
 from handeye_ros.robot.selection import (
@@ -54,9 +54,9 @@ from handeye_ros.targets.profile_target import xyz
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-LONGEST_GAP = NS  # 1 s, between a sample and joint values
+MAX_GAP = NS  # 1 s, between a sample and joint values
 UNCORRECTED_STD = 5e-4  # 1 sigma of the robot's error before its correction (m)
-LARGEST_X_DIFFERENCE = 0.05  # m and rad: largest difference of X between targets
+MAX_X_DIFFERENCE = 0.05  # m and rad: largest difference of X between targets
 INACCURATE_RMS = 1e-3  # 1 sigma (m) of the residuals of an inaccurate robot
 
 
@@ -110,7 +110,7 @@ def _joints_at(samples: Sequence[Sample], recording: Recording, joints: Array) -
     after = np.searchsorted(stamps, times)
     gaps = np.minimum(*(np.abs(stamps[np.clip(after - k, 0, len(stamps) - 1)] - times)
                         for k in (0, 1)))
-    missing = int((gaps > LONGEST_GAP).sum())
+    missing = int((gaps > MAX_GAP).sum())
     if missing:
         raise InputError(
             f'{missing} of {len(times)} samples have no joint values of their time: joint values '
@@ -133,7 +133,7 @@ def fit_of_sources(sources: Sequence[ArmSamples], arm: Arm) -> ArmFit:
                                     replace(agreed.problem, config=without_smooth)))
         estimates.append(agreed.estimate)
         apart = se3.difference(estimates[-1].X, estimates[0].X)
-        if max(np.linalg.norm(apart[:3]), np.linalg.norm(apart[3:])) > LARGEST_X_DIFFERENCE:
+        if max(np.linalg.norm(apart[:3]), np.linalg.norm(apart[3:])) > MAX_X_DIFFERENCE:
             raise DataError(
                 f'two recordings place the sensor {mm(float(np.linalg.norm(apart[:3])))} '
                 'apart: give only recordings of one sensor in one mount, on one robot')
@@ -244,7 +244,7 @@ def fit_of_points(measured: Sequence[ArmPoints], arm: Arm) -> ArmFit:
     places = [np.median(se3.apply(T @ X, points.points[:, None])[:, 0], axis=0)
               for T, points in zip(poses, measured, strict=True)]
     start = ArmFit.of_arm(arm, measured, X, places, np.full(3, INACCURATE_RMS))
-    adjusted = robust_least_squares(start.system, start, FEWEST_STOPS)
+    adjusted = robust_least_squares(start.system, start, MIN_STOPS)
     used = np.isin(np.arange(len(start.q)), adjusted.used)
     return with_estimated_weights(replace(adjusted.state, used=used).solved())
 

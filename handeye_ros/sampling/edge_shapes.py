@@ -13,13 +13,13 @@ import numpy as np
 SHARP_DEPTH = 2.5e-5  # largest depth of ends that count as sharp (m)
 # depth of a rounding, over its radius, from which light may be lost (26 degrees); where ends bend
 # less, the sensor's field or the face is bent, or a driver that smooths bends a few by much more
-LEAST_SEEN = 0.1
-LARGEST_LOG_RATIO = 8.0  # largest log odds of one end against a shape
+MIN_SEEN = 0.1
+MAX_LOG_RATIO = 8.0  # largest log odds of one end against a shape
 SHAPE_STD = 0.2  # relative 1 sigma of a radius or a bevel's legs: it may be another curve
 ELLIPSE_RADIUS_STD = 0.1  # 1 sigma of the log radius of one end: an oblique laser sees an ellipse
 ELLIPSE_EDGE_STD = 0.03  # 1 sigma of an edge over the radius: an oblique laser sees an ellipse
 DEPTH_STD = 1.5e-5  # 1 sigma of the depth of an end (m)
-LEAST_DEPTH = 1e-6  # of the middle of an arc (m)
+MIN_DEPTH = 1e-6  # of the middle of an arc (m)
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
         weighted_median = depth[order][np.searchsorted(squares, squares[-1] / 2)]
         legs = float(np.median(depth[depth > weighted_median / 2]))
         shape = EdgeShape(legs, SHAPE_STD, is_round=False)
-    return shape if np.median(depth) > LEAST_SEEN * shape.size else EdgeShape()
+    return shape if np.median(depth) > MIN_SEEN * shape.size else EdgeShape()
 
 
 def _blurred(log_likelihoods: Array) -> Array:
@@ -85,7 +85,7 @@ def _blurred(log_likelihoods: Array) -> Array:
     kernel = -0.5 * ((log_radii[:, None] - log_radii) / ELLIPSE_RADIUS_STD) ** 2
     rounded = np.logaddexp.reduce(kernel + log_likelihoods[:-1], axis=1)
     rounded += log_likelihoods[:-1].max() - rounded.max()
-    return np.asarray(np.maximum(np.append(rounded, log_likelihoods[-1]), -LARGEST_LOG_RATIO))
+    return np.asarray(np.maximum(np.append(rounded, log_likelihoods[-1]), -MAX_LOG_RATIO))
 
 
 def _radius_and_std(log_likelihoods: Array) -> tuple[float, float]:
@@ -117,7 +117,7 @@ def _with_corrected_edge(feature: Feature, shape: EdgeShape) -> Feature:
     outwards, to_lowest, least_depth, std = 0.0, edge.to_lowest, DEPTH_STD, 0.0
     is_arc = shape.is_round and 0 < edge.rounding_std < size
     if is_arc:
-        least_depth, std = LEAST_DEPTH, edge.rounding_std
+        least_depth, std = MIN_DEPTH, edge.rounding_std
         outwards = float(edge.rounding_offset @ edge.direction)
         to_lowest = edge.rounding_offset - outwards * edge.direction
     depth = min(max(float(np.hypot(*to_lowest)), least_depth), size)

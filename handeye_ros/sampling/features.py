@@ -41,15 +41,15 @@ from handeye_ros.sampling.trajectory import trajectory_of
 import numpy as np
 from numpy.typing import NDArray
 
-LARGEST_DISAGREEMENT = 5e-4  # between profiles of a robot that stands still (m)
-SMALLEST_DISAGREEMENT = 1e-4  # the same for arcs, beyond their own scatter
+MAX_DISAGREEMENT = 5e-4  # between profiles of a robot that stands still (m)
+MIN_DISAGREEMENT = 1e-4  # the same for arcs, beyond their own scatter
 # smallest share of the profiles of a stop that show the target; more must show an edge or a bend
-LEAST_SHOWING = 0.5
-LEAST_AGREEING = 0.6  # of those that show it, smallest share that agree
+MIN_SHOWING_SHARE = 0.5
+MIN_AGREEING_SHARE = 0.6  # of those that show it, smallest share that agree
 ALONG_WEIGHT = 0.1  # weight of a distance along a surface against one across, to match lines
-MOST_INDEPENDENT = 4  # profiles of one stop count as at most this many for an edge
+MAX_INDEPENDENT = 4  # profiles of one stop count as at most this many for an edge
 FLIPPED_EVERY = 8  # every such profile of a pass tells whether the range counts the other way
-MOST_OF_PASS = 32  # profiles of a pass that are evaluated, twice as many if few show the target
+MAX_OF_PASS = 32  # profiles of a pass that are evaluated, twice as many if few show the target
 
 
 def result_of(stop: Stop, config: Config) -> Sample | Reject:
@@ -77,10 +77,10 @@ def _sample_of_pass(stop: Stop, config: Config) -> Sample:
     """Return the middle sample of a pass, with those of its profiles; raises FeatureError."""
     # of a stored pass some may lie beyond its poses, with another time_offset
     profiles = [p for p in stop.profiles if stop.start <= p.stamp <= stop.end]
-    for most in (MOST_OF_PASS, 2 * MOST_OF_PASS):
+    for most in (MAX_OF_PASS, 2 * MAX_OF_PASS):
         some = decoded(evenly_spaced(profiles, most), config)
         shown, reason = _features_by_profile(some, config)
-        if len(shown) >= LEAST_SHOWING * MOST_OF_PASS or len(profiles) <= most:
+        if len(shown) >= MIN_SHOWING_SHARE * MAX_OF_PASS or len(profiles) <= most:
             break
     if not shown:
         raise FeatureError(reason) if reason else _no_profiles_error(profiles, stop, config)
@@ -150,7 +150,7 @@ def combined_features(profiles: Sequence[Profile], config: Config
     Raises FeatureError when most do not show it, or do not agree.
     """
     shown, reason = _features_by_profile(profiles, config)
-    if not shown or len(shown) < LEAST_SHOWING * len(profiles):
+    if not shown or len(shown) < MIN_SHOWING_SHARE * len(profiles):
         raise FeatureError(reason)
     used, features_by_profile = zip(*shown, strict=True)
     return list(used), features_of_stop(features_by_profile, targets.target_for(config).face_count)
@@ -176,7 +176,7 @@ def features_of_stop(features_by_profile: Sequence[tuple[Feature, ...]], lines_p
     combined_edges = []
     for side in (-1.0, 1.0):
         of_side = [edge for edge in edges if np.sign(edge.direction[0]) == side]
-        if len(of_side) > LEAST_SHOWING * len(features_by_profile):
+        if len(of_side) > MIN_SHOWING_SHARE * len(features_by_profile):
             combined_edges.append(with_line_errors(_combined_edge(of_side), lines[0]))
     if edges and not combined_edges:
         raise _disagreement_error('where the edge is', [edge.point for edge in edges])
@@ -264,13 +264,13 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     scatter = float(along[agree].std(ddof=1)) if n > 1 else single_std
     # a robot that stands still repeats the rounding to a column, and mixed and lost points pull
     # the edge inwards in every profile: that does not average out
-    std = np.hypot(single_std, scatter / min(n, MOST_INDEPENDENT) ** 0.5)
+    std = np.hypot(single_std, scatter / min(n, MAX_INDEPENDENT) ** 0.5)
     combined = EdgePoint(points[agree].mean(axis=0), direction, float(std), std_across, ending,
                          np.median([edge.to_lowest for edge in edges], axis=0))
     bent = [edge for edge in edges if len(edge.shape_log_likelihoods)]
-    if len(bent) <= LEAST_SHOWING * n:
+    if len(bent) <= MIN_SHOWING_SHARE * n:
         return combined
-    independent = min(len(bent), MOST_INDEPENDENT)
+    independent = min(len(bent), MAX_INDEPENDENT)
     log_likelihoods = np.mean([edge.shape_log_likelihoods for edge in bent], axis=0) * independent
     arc_middle = np.mean([edge.point + edge.rounding_offset for edge in bent], axis=0)
     return replace(combined, shape_log_likelihoods=log_likelihoods - log_likelihoods.max(),
@@ -287,9 +287,9 @@ def _near_median(values: Array, scatters: float, least: float, what: str) -> NDA
     rest may move.
     """
     median = np.quantile(values, 0.5, method='lower')
-    limit = min(max(scatters * robust_std(values - median), least), LARGEST_DISAGREEMENT)
+    limit = min(max(scatters * robust_std(values - median), least), MAX_DISAGREEMENT)
     near = np.abs(values - median) <= limit
-    if near.sum() < LEAST_AGREEING * len(values):
+    if near.sum() < MIN_AGREEING_SHARE * len(values):
         raise _disagreement_error(what, values)
     return np.asarray(near)
 
@@ -301,9 +301,9 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     distance = np.array([rms(distances_from_circle(arc.measured, circle)) for arc in arcs])
     scatter = float(np.median([rms(distances_from_circle(arc.measured, arc.circle))
                                for arc in arcs]))
-    agree = distance < min(LARGEST_DISAGREEMENT,
-                           scatter + max(3.0 * scatter, SMALLEST_DISAGREEMENT))
-    if agree.sum() < LEAST_AGREEING * len(arcs):
+    agree = distance < min(MAX_DISAGREEMENT,
+                           scatter + max(3.0 * scatter, MIN_DISAGREEMENT))
+    if agree.sum() < MIN_AGREEING_SHARE * len(arcs):
         raise _disagreement_error('where the sphere is', [arc.centre for arc in arcs])
     combined = fitted_arc(np.concatenate([
         arc.measured for arc, agrees in zip(arcs, agree, strict=True) if agrees]))

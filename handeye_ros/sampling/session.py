@@ -34,9 +34,9 @@ import numpy as np
 
 POSES_MISSING_TIME = 0.25  # s without a pose, while profiles come: then the robot may be anywhere
 SAME_PLANE = 5e-4  # m: largest difference across the light plane between profiles of one plane
-FEWEST_TILTED, TILT_REST = 8, 0.03  # stops that show a tilted plane; what it leaves unexplained
-MOST_REPEATS = 20  # of one stamp in a row: its clock stands still
-FARTHEST_FLANGE = 50.0  # m: no flange is there, it is another unit
+MIN_TILTED, TILT_REST = 8, 0.03  # stops that show a tilted plane; what it leaves unexplained
+MAX_REPEATS = 20  # of one stamp in a row: its clock stands still
+MAX_FLANGE_DISTANCE = 50.0  # m: no flange is there, it is another unit
 # of a stop without any profile, before it is said that it gives no sample
 NO_PROFILE_PATIENCE = 2 * NS
 LATER_LOOK = 1.4  # ratio of the times after which a stop without a sample is tried again
@@ -214,11 +214,11 @@ class Session(Copyable):
     @property
     def unusable_poses_error(self) -> DataError | None:
         """Return the error of poses whose clock stands still, or in another unit, or None."""
-        if self._pose_stream.repeats >= MOST_REPEATS:
+        if self._pose_stream.repeats >= MAX_REPEATS:
             return DataError('all poses have the same stamp: the clock of their driver stands '
                              'still; with use_sim_time, /clock must be published',
                              reason='late_poses')
-        if self._reach > FARTHEST_FLANGE:
+        if self._reach > MAX_FLANGE_DISTANCE:
             return DataError(f'the flange is {self._reach:.0f} m from the base of the robot: the '
                              'positions seem to be in mm; publish them in metres',
                              reason='position_unit')
@@ -453,7 +453,7 @@ def _tilted_plane_error(centroids: Sequence[Array], axes: Sequence[str]) -> Inpu
     centroids: of the samples, see Sample. Of a tilted plane the distance across it follows from
     the other coordinates; an encoder's position does not.
     """
-    if len(centroids) < FEWEST_TILTED:
+    if len(centroids) < MIN_TILTED:
         return None
     across, along, distance = np.transpose(centroids)
     if np.ptp(across) < SAME_PLANE:

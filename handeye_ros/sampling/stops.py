@@ -33,17 +33,17 @@ from handeye_ros.sampling.stream import by_stamp, Copyable, LAST_STAMP, poses_ar
 import numpy as np
 
 MOTION_TIME = 3 * NS // 10  # time over which the speed is averaged
-LONGEST_STOP = 10 * NS  # of a stop; sampling.still_time and settle_time must fit into it
+MAX_STOP_TIME = 10 * NS  # of a stop; sampling.still_time and settle_time must fit into it
 PASS_TIME = 2 * NS  # of motion
 SHORT_REST = NS // 10  # a rest that was probably meant as a stop
-MOST_POSES = 20_000  # of one stop: stamps need not go on as time does
+MAX_POSES = 20_000  # of one stop: stamps need not go on as time does
 
 # Profiles of a sample, evenly spread. A robot at rest sees the same speckle, and 32 profiles
 # reduce the noise of single ones far below that of the poses. A stop keeps more: for other
 # settings, and for the test of the clocks (50 ms apart, see checks/clocks.py) in 3.75 s.
 PROFILES_OF_SAMPLE = 32
-KEPT_PER_SECOND, MOST_KEPT = 40, 150
-LEAST_SETTLED, LEAST_SETTLING = 64, 8  # kept of short times without and with vibration
+KEPT_PER_SECOND, MAX_KEPT = 40, 150
+MIN_SETTLED, MIN_SETTLING = 64, 8  # kept of short times without and with vibration
 
 NOT_EVALUATED = Reject(0, 'not evaluated yet')
 
@@ -112,9 +112,9 @@ class Stop:
         first_settled, last_settled = self._settled_span(config)
         begin = bisect_left(taken, first_settled, key=by_stamp)
         end = max(begin, bisect_right(taken, last_settled, key=by_stamp))
-        return replace(self, profiles=(*_thinned(taken[:begin], LEAST_SETTLING),
-                                       *_thinned(taken[begin:end], LEAST_SETTLED),
-                                       *_thinned(taken[end:], LEAST_SETTLING)))
+        return replace(self, profiles=(*_thinned(taken[:begin], MIN_SETTLING),
+                                       *_thinned(taken[begin:end], MIN_SETTLED),
+                                       *_thinned(taken[end:], MIN_SETTLING)))
 
     def settled_profiles(self, config: Config) -> list[AnyProfile]:
         """Return PROFILES_OF_SAMPLE of the time without vibration at most, not yet decoded."""
@@ -143,7 +143,7 @@ NO_STOP = Stop(0)
 def _thinned(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
     """Return a part of the profiles of a stop, evenly spread."""
     seconds = (profiles[-1].stamp - profiles[0].stamp) / NS if profiles else 0.0
-    most = min(MOST_KEPT, max(least, 1 + round(KEPT_PER_SECOND * seconds)))
+    most = min(MAX_KEPT, max(least, 1 + round(KEPT_PER_SECOND * seconds)))
     return evenly_spaced(profiles, most)
 
 
@@ -180,7 +180,7 @@ class StopFinder(Copyable):
         """Start with no poses."""
         self.sampling = sampling
         self._poses: deque[TimedPose] = deque()  # of the current stop
-        self._recent: deque[TimedPose] = deque(maxlen=MOST_POSES)  # of the last MOTION_TIME
+        self._recent: deque[TimedPose] = deque(maxlen=MAX_POSES)  # of the last MOTION_TIME
         self._rest: TimedPose | None = None  # first pose near which the robot still is
         self.stamp = -1
         self.longest_rest_ns = self.short_rest_count = 0
@@ -211,8 +211,8 @@ class StopFinder(Copyable):
         """Add a pose to the current stop; a long one keeps its first, on request its last ones."""
         self._poses.append(pose)
         forget = self._poses.pop if self.sampling.automatic else self._poses.popleft
-        while (self._poses[-1].stamp - self._poses[0].stamp > LONGEST_STOP
-               or len(self._poses) > MOST_POSES):
+        while (self._poses[-1].stamp - self._poses[0].stamp > MAX_STOP_TIME
+               or len(self._poses) > MAX_POSES):
             forget()
 
     def current(self) -> Stop | None:
@@ -239,7 +239,7 @@ class StopFinder(Copyable):
         if not self._poses:
             return 0, LAST_STAMP
         first = self._poses[0].stamp
-        return first, first + LONGEST_STOP if self.sampling.automatic else LAST_STAMP
+        return first, first + MAX_STOP_TIME if self.sampling.automatic else LAST_STAMP
 
     def _is_near(self, first: TimedPose, pose: TimedPose) -> bool:
         """Return whether the robot still is where it was."""

@@ -17,7 +17,7 @@ the three unknowns and, with them, the pose of each sample: a station of the sol
 
 The derivative of a condition by an unknown is its derivative by the pose of the flange times the
 twist of the flange: one more column each. They need no start value: some of the samples are fitted
-from several offsets until one is good, then all. However long a sweep is, MOST_SAMPLES of its
+from several offsets until one is good, then all. However long a sweep is, MAX_SAMPLES of its
 profiles make the answer.
 
 A sweep differs from stops in these places, found by Sample.moving, sampling.moving and the
@@ -79,9 +79,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 CLOCK_KEYS = TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT
-SHORTEST_SWEEP = 1.0  # s of a sweep: of less any cause may seem to explain what does not fit
+MIN_SWEEP = 1.0  # s of a sweep: of less any cause may seem to explain what does not fit
 NO_POSES = 'there are no poses of that time'
-MOST_SAMPLES, SEARCH_SAMPLES = 400, 60  # of a sweep; where some do: a start, a wrong convention
+MAX_SAMPLES, SEARCH_SAMPLES = 400, 60  # of a sweep; where some do: a start, a wrong convention
 
 
 def passes_expanded(samples: Sequence[Sample]) -> tuple[Sample, ...]:
@@ -185,13 +185,13 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> SyncedSa
     """
     Return samples of a moving robot with the poses at the most likely times.
 
-    Of a sweep with more than MOST_SAMPLES only so many remain, evenly chosen: the others are
+    Of a sweep with more than MAX_SAMPLES only so many remain, evenly chosen: the others are
     neither samples of the answer nor rejects. Raises DataError where too few have poses.
     """
     if not any(sample.moving for sample in samples):
         return SyncedSamples(list(samples), [])
-    samples = evenly_spaced(samples, MOST_SAMPLES)
-    if (seconds := (samples[-1].stamp - samples[0].stamp) * 1e-9) < SHORTEST_SWEEP:
+    samples = evenly_spaced(samples, MAX_SAMPLES)
+    if (seconds := (samples[-1].stamp - samples[0].stamp) * 1e-9) < MIN_SWEEP:
         raise DataError(f'the profiles that show the target are of {seconds:.1f} s, in which a '
                         'robot hardly turns: record a longer sweep', reason='few')
     clocked, problem = ClockedPoses(samples), problem_with_clocks(samples, config)

@@ -27,7 +27,7 @@ from scipy.sparse import csr_array, diags
 
 # spacings of knots that are tried (s)
 KNOT_SPACINGS = (0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018, 0.012)
-FEWEST_POSES = 8  # fewest poses of a piece
+MIN_POSES = 8  # fewest poses of a piece
 AT_ONCE = 500  # stamps of which the uncertainty is evaluated together
 STIFFNESS = 1e-8  # of the spline, where there are no poses
 OUTLIER_SCATTERS = 8.0  # residual, in robust scatters, above which a pose is an outlier
@@ -73,7 +73,7 @@ class Trajectory:
         ends = np.flatnonzero(np.diff(self.stamps) > self.longest_bridged * 1e9) + 1
         parts = zip(np.split(self.stamps, ends), np.split(self.values, ends), strict=True)
         return tuple(_piece_through(stamps, values) for stamps, values in parts
-                     if len(stamps) >= FEWEST_POSES)
+                     if len(stamps) >= MIN_POSES)
 
     def at(self, stamps: NDArray[np.int64], lag: float = 0.0) -> FlangeStates:
         """Return the flange at stamps (n,); lag: of the reported rotation (s)."""

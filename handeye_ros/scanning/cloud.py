@@ -25,7 +25,7 @@ PLY_TYPES = {'char': 'i1', 'uchar': 'u1', 'short': 'i2', 'ushort': 'u2', 'int': 
              'uint': 'u4', 'float': 'f4', 'double': 'f8', 'int8': 'i1', 'uint8': 'u1',
              'int16': 'i2', 'uint16': 'u2', 'int32': 'i4', 'uint32': 'u4', 'float32': 'f4',
              'float64': 'f8'}
-LONGEST_HEADER = 1 << 16
+MAX_HEADER_LENGTH = 1 << 16
 
 
 def require_suffix(path: Path) -> None:
@@ -80,7 +80,7 @@ def read_cloud(path: Path) -> Array:
     try:
         # loadtxt warns of a file without points, which is told below or by who needs them
         with path.open('rb') as stream, warnings.catch_warnings(action='ignore'):
-            length, lines = _header_lines(stream.read(LONGEST_HEADER))
+            length, lines = _header_lines(stream.read(MAX_HEADER_LENGTH))
             form, dtype, count = layout(lines)
             stream.seek(length)
             if form == 'ascii':

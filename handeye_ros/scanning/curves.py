@@ -23,7 +23,7 @@ PIECES_TRIED = 1, 2, 4  # number of pieces between these knots
 STIFF_ONLY = PIECES_TRIED[:1]
 CUBIC_ENOUGH = 4e-5  # m RMS between cubic and spline, up to which the cubic is used
 OUTLIER_SIGMAS = 3.5  # sigmas of points that are left out
-SMALLEST_SCATTER = 1e-6  # m: the smallest scatter assumed when outliers are removed
+MIN_SCATTER = 1e-6  # m: the smallest scatter assumed when outliers are removed
 LENGTH_POINTS = 2000  # points of a curve for its length
 
 
@@ -104,7 +104,7 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> C
         distance = np.linalg.norm(curve.position(t) - points, axis=1)
         # a flexible one would follow some wrong points in a row, which widen the mean square
         scatter = (robust_std if len(pieces) > len(STIFF_ONLY) else rms)(distance[inliers])
-        inliers = distance <= OUTLIER_SIGMAS * max(scatter, SMALLEST_SCATTER)
+        inliers = distance <= OUTLIER_SIGMAS * max(scatter, MIN_SCATTER)
     return curve
 
 

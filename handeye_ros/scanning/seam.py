@@ -31,12 +31,12 @@ SEAM_NAMES = {'v': 'V seam', 'butt': 'butt seam', 'lap': 'lap seam', 'fillet': '
 FRAME_COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'gap', 'mismatch', 'residual',
                  'std')
 NEARBY_LENGTH = 0.01  # m along the seam: sections within it give the residual at a frame
-WIDEST_SEAM = 0.012  # m between the edges of a seam
-MOST_CLOUD_POINTS = 400_000  # largest number of points of a cloud that are used
-FEWEST_POINTS = 500  # smallest number
+MAX_SEAM_WIDTH = 0.012  # m between the edges of a seam
+MAX_CLOUD_POINTS = 400_000  # largest number of points of a cloud that are used
+MIN_POINTS = 500  # smallest number
 # largest 1 sigma of position (m) and approach of an end frame
-LARGEST_FRAME_STD = 4e-5, np.deg2rad(0.4)
-LARGEST_SCATTER = 10.0  # largest scatter of the sections, in sigmas of the points, or one spacing
+MAX_FRAME_STD = 4e-5, np.deg2rad(0.4)
+MAX_SCATTER = 10.0  # largest scatter of the sections, in sigmas of the points, or one spacing
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ class ToolFrames:
     measures: Array
 
 
-def find_seam(points: Array, widest: float = WIDEST_SEAM,
+def find_seam(points: Array, widest: float = MAX_SEAM_WIDTH,
               towards: Sequence[float] = (0.0, 0.0, -1.0), line: str = 'auto',
               start: Sequence[float] | None = None) -> Seam:
     """
@@ -105,10 +105,10 @@ def find_seam(points: Array, widest: float = WIDEST_SEAM,
     Raises DataError where there is none, several, or one that is interrupted or not clear.
     """
     points = np.unique(points, axis=0)
-    points = points[::max(-(-len(points) // MOST_CLOUD_POINTS), 1)]
-    if len(points) < FEWEST_POINTS:
+    points = points[::max(-(-len(points) // MAX_CLOUD_POINTS), 1)]
+    if len(points) < MIN_POINTS:
         raise DataError(f'the cloud has {len(points)} different points, fewer than '
-                        f'{FEWEST_POINTS}: scan more densely, or widen --box')
+                        f'{MIN_POINTS}: scan more densely, or widen --box')
     up = -np.asarray(towards)
     sheets = sheets_of(points, up)
     rough = course(sheets, widest, up)
@@ -125,7 +125,7 @@ def find_seam(points: Array, widest: float = WIDEST_SEAM,
     seam = Seam(rough.kind, line, sections, curves, curves[line].simplified(),
                 spline(sections.lengths, sections.normals), np.linalg.norm(off_root, axis=1),
                 sheets.spacing, rough.other_count)
-    if seam.scatter > max(LARGEST_SCATTER * sheets.noise, sheets.spacing):
+    if seam.scatter > max(MAX_SCATTER * sheets.noise, sheets.spacing):
         raise DataError(f'the sections of the seam scatter by {mm(seam.scatter)}, and the points '
                         f'by {mm(sheets.noise)}: this is not a uniform seam; cut it out with '
                         '--box, or scan more densely')
@@ -147,7 +147,7 @@ def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, 
     """
     lengths, t = seam.curve.arc
     std = seam.std(t)
-    certain = lengths[(std <= LARGEST_FRAME_STD).all(axis=1)]
+    certain = lengths[(std <= MAX_FRAME_STD).all(axis=1)]
     if not len(certain):
         raise DataError('the position of the seam has a standard deviation of '
                         f'{mm(float(np.median(std[:, 0])))}, too much for a path: scan more '

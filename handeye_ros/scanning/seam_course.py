@@ -36,7 +36,7 @@ LINKED_NEIGHBOURS = 10  # neighbours, near and far, that are compared with a poi
 FLAT_RATIO = 1.35  # times the median thickness of a neighbourhood: a thicker one is no plane
 SAME_PLANE = 4.0  # sigmas from a sheet; 1.5 times that between joined neighbours
 SAME_NORMAL = 0.98  # cosine of the angle between neighbouring normals of a sheet
-SMALLEST_SHEET = 60  # points of a sheet
+MIN_SHEET = 60  # points of a sheet
 FREE_ANGLE = 2.2  # rad without neighbours: an edge
 CHUNK_POINTS = 20_000
 
@@ -46,10 +46,10 @@ OPPOSITE_COSINE, AHEAD_COSINE = -0.5, -0.3
 # cosine between one sheet's normal and the direction into the other: hollow corner
 INWARD_COSINE = 0.3
 NEXT_NEAREST = 1.15  # largest ratio of a partner's distance to that of the nearest partner
-LARGEST_LINK = 8.0  # largest distance of neighbouring pairs of one seam, in spacings
-SHORTEST_SEAM = 0.01  # m: smallest length of a seam
-HIGHEST_LAP = 8e-3  # m: of a higher step the root cannot be found without its wall
-NARROWEST_GAP = 4.0  # spacings: smallest gap
+MAX_LINK = 8.0  # largest distance of neighbouring pairs of one seam, in spacings
+MIN_SEAM = 0.01  # m: smallest length of a seam
+MAX_LAP_HEIGHT = 8e-3  # m: of a higher step the root cannot be found without its wall
+MIN_GAP_WIDTH = 4.0  # spacings: smallest gap
 CORNER_NOISE = 0.25  # spacings: noise up to which no corner looks round
 TOUCHING_GAP = 6.0  # spacings: largest distance between the edges of sheets in a visible corner
 V_AXIS_COSINE = 0.9  # cosine between the axis of a V and the normals of its plates
@@ -161,7 +161,7 @@ def _sheet_labels(points: Array, normals: Array, linked: NDArray[np.int32],
                         (i[same_sheet], j[same_sheet])), shape=(len(points), len(points)))
     label = connected_components(graph, directed=False)[1].astype(np.intp)
     size = np.bincount(label[in_plane], minlength=len(points) + 1)
-    return np.where(in_plane & (size[label] >= SMALLEST_SHEET), label, -1)
+    return np.where(in_plane & (size[label] >= MIN_SHEET), label, -1)
 
 
 def _rims(points: Array, near: NDArray[np.int32], label: Indices, normals: Array,
@@ -232,9 +232,9 @@ def course(sheets: Sheets, widest: float, up: Array) -> Course:
         raise DataError(
             f'no seam: nowhere do two edges face each other within {mm(widest)} (--widest). The '
             f'points are {mm(spacing)} apart, so a gap or step must be larger than '
-            f'{mm(NARROWEST_GAP * spacing)} to be seen, and their noise is {mm(sheets.noise)}, '
+            f'{mm(MIN_GAP_WIDTH * spacing)} to be seen, and their noise is {mm(sheets.noise)}, '
             f'which must be smaller than {mm(CORNER_NOISE * spacing)} for a corner: scan more '
-            f'densely, with less noise, a step of more than {mm(HIGHEST_LAP)} with the sensor '
+            f'densely, with less noise, a step of more than {mm(MAX_LAP_HEIGHT)} with the sensor '
             'tilted by 30 to 45 degrees towards its wall, or check what was scanned')
     if len(seams[kind]) > 1:
         middles = [sheets.points[part].mean(axis=1) for part, _ in seams[kind]]
@@ -285,7 +285,7 @@ def _chains(sheets: Sheets, pairs: Pairs) -> list[tuple[Pairs, Array]]:
     if not len(pairs):
         return []
     middle = sheets.points[pairs].mean(axis=1)
-    links = cKDTree(middle).query_pairs(LARGEST_LINK * sheets.spacing, output_type='ndarray')
+    links = cKDTree(middle).query_pairs(MAX_LINK * sheets.spacing, output_type='ndarray')
     length = np.linalg.norm(middle[links[:, 0]] - middle[links[:, 1]], axis=1)
     n = len(middle)
     graph = coo_matrix((np.maximum(length, 1e-9), links.T), shape=(n, n)).tocsr()
@@ -296,7 +296,7 @@ def _chains(sheets: Sheets, pairs: Pairs) -> list[tuple[Pairs, Array]]:
         inner = graph[rows][:, rows]
         end = int(np.argmax(dijkstra(inner, directed=False, indices=0)))
         along = dijkstra(inner, directed=False, indices=end)
-        if along.max() >= SHORTEST_SEAM:
+        if along.max() >= MIN_SEAM:
             order = np.argsort(along)
             chains.append((pairs[rows[order]], along[order]))
     return chains
@@ -316,13 +316,13 @@ def _kind(sheets: Sheets, pairs: Pairs, up: Array) -> str | None:
         distance = float(np.median(np.linalg.norm(offset, axis=1)))
         lateral = math.sqrt(max(distance ** 2 - height ** 2, 0.0))
         if height > 0.5 * lateral:
-            return 'lap' if height <= HIGHEST_LAP else None
-        if lateral <= NARROWEST_GAP * sheets.spacing:
+            return 'lap' if height <= MAX_LAP_HEIGHT else None
+        if lateral <= MIN_GAP_WIDTH * sheets.spacing:
             return None
         middle, normal = sheets.points[pairs].mean(axis=1), unit(normals[pairs].sum(axis=(0, 1)))
         project = np.eye(3) - np.outer(normal, normal)
         between = sheets.points[cKDTree(sheets.points @ project).query(middle @ project)[1]]
-        is_higher = (between - middle) @ normal > NARROWEST_GAP * sheets.spacing
+        is_higher = (between - middle) @ normal > MIN_GAP_WIDTH * sheets.spacing
         return None if is_higher.mean() > 0.5 else 'butt'  # what is higher is a rib
     inward = np.where(normals[i] @ up > normals[j] @ up,  # of an upright wall the normal may be -n
                       (normals[i] * outward[j]).sum(axis=1), (normals[j] * outward[i]).sum(axis=1))
@@ -340,7 +340,7 @@ def _is_v(sheets: Sheets, pairs: Pairs) -> bool:
     for sheet in np.unique(sheets.label[pairs]):
         rims = sheets.rims[label == sheet]
         upper = sheets.points[rims[sheets.outward[rims] @ axis > INWARD_COSINE]]
-        distance, nearest = tree.query(upper, distance_upper_bound=LARGEST_LINK * sheets.spacing)
+        distance, nearest = tree.query(upper, distance_upper_bound=MAX_LINK * sheets.spacing)
         steep = unit(sheets.normals[pairs[sheets.label[pairs] == sheet]].sum(axis=0))
         joined = rims[np.abs(sheets.normals[rims] @ steep) < PARALLEL_COSINE]  # by the noise
         plate = np.append(plates[nearest[np.isfinite(distance)]], joined)

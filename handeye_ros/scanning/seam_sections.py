@@ -16,7 +16,7 @@ from handeye_ros.errors import DataError, mm
 from handeye_ros.scanning.curves import Curve, spline, STIFF_ONLY
 from handeye_ros.scanning.seam_course import (
     Course,
-    NARROWEST_GAP,
+    MIN_GAP_WIDTH,
     position_text,
     SAME_PLANE,
     Sheets,
@@ -25,17 +25,17 @@ from handeye_ros.se3 import unit
 import numpy as np
 from scipy.signal import find_peaks
 
-FEWEST_OF_SIDE = 12  # points of a side of a section
+MIN_OF_SIDE = 12  # points of a side of a section
 INNER_WIDTH = 15.0  # spacings beside the seam within which the distance of columns is measured
 BIN_WIDTH = 0.05  # spacings: width of a bin of the points beside the seam
 FREQUENCIES = np.fft.rfftfreq(1024, BIN_WIDTH)  # of columns, per spacing
-LEAST_PERIODICITY = 0.25  # periodicity of columns, more than random points have
+MIN_PERIODICITY = 0.25  # periodicity of columns, more than random points have
 SECTION_WIDTH = 24.0  # spacings: width of a sheet's section, at least
-LEAST_SECTION_WIDTH = 6e-3  # m: the same
+MIN_SECTION_WIDTH = 6e-3  # m: the same
 END_MARGIN = 2.5  # spacings: the sheet ends within this distance of the rough edge
-LARGEST_END_OFFSET = 2e-3  # m: largest distance of the end from the rough edge
-WIDEST_LINE = 12.0  # spacings: largest width of the rough course
-LARGEST_MISSING_EDGE = 5e-3  # m: largest missing part of an edge
+MAX_END_OFFSET = 2e-3  # m: largest distance of the end from the rough edge
+MAX_LINE_WIDTH = 12.0  # spacings: largest width of the rough course
+MAX_MISSING_EDGE = 5e-3  # m: largest missing part of an edge
 ROUGH_EDGE_WINDOW = 5e-3  # m along the seam: pairs within it give the rough edges
 COURSE_OVERHANG = 8e-3  # m beyond the ends of the rough course where the seam may continue
 ROOT_GAP = 0.5  # spacings: a larger mean distance of the lower edges of a V is a root gap
@@ -78,7 +78,7 @@ def edges_of_seam(sheets: Sheets, rough: Course) -> SeamSections:
     curve = spline(rough.t, middle, STIFF_ONLY)
     distance = np.linalg.norm(curve.position(rough.t) - middle, axis=1)
     widest = float(np.quantile(distance, 0.95))
-    if widest > WIDEST_LINE * sheets.spacing:
+    if widest > MAX_LINE_WIDTH * sheets.spacing:
         place = position_text(middle[int(np.argmax(distance))])
         raise DataError(f'what looks like a seam is not a single open line: it is '
                         f'{mm(2 * widest)} wide at {place} (closed, or branching?): cut a part '
@@ -116,7 +116,7 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> SeamSections:
     lengths = np.array([*sections] or [first, last])
     missing = np.append(np.diff(lengths) - step, 0.0)
     worst = int(np.argmax(missing))
-    if missing[worst] > LARGEST_MISSING_EDGE:
+    if missing[worst] > MAX_MISSING_EDGE:
         place = position_text(curve.beyond(lengths[worst:worst + 2].mean())[0])
         raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
                         'there again, or cut one part out with --box')
@@ -129,7 +129,7 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> SeamSections:
     ends = ends[filled]
     end, outwards, normals = ends['end'], ends['outwards'], ends['normal']
     gap = np.median(_dot(np.diff(end, axis=1), unit(np.diff(-outwards, axis=1))))
-    meeting_of_v = NARROWEST_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)
+    meeting_of_v = MIN_GAP_WIDTH * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)
     meeting = {'lap': np.inf, 'fillet': np.inf, 'v': meeting_of_v, 'butt': 0.0}[rough.kind]
     # by how much the lines move with the ends of one side, and then of the other, 1 sigma further
     shift = outwards * ends['resolution'][..., None]
@@ -172,7 +172,7 @@ def _sheet_end(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float,
     inner = on_sheet & (inward > margin)
     # half the mean distance of points beyond the last one
     end = inward[on_sheet].min() - 0.5 * (inward[inner].max() - margin) / inner.sum()
-    if abs(end) > LARGEST_END_OFFSET:
+    if abs(end) > MAX_END_OFFSET:
         return None
     slope = np.polyval(np.polyder(sheet), end)
     mean_slope = np.polyfit(inward[inner], height[inner], 1)[0]
@@ -190,13 +190,13 @@ def _points_of_sheet(sheets: Sheets, this_edge: Indices, other_edge: Indices,
     axes: (3, 3) rows along the seam, into the sheet, out of its surface. None are beyond the
     middle between two edges of one sheet.
     """
-    width = max(SECTION_WIDTH * sheets.spacing, LEAST_SECTION_WIDTH)
+    width = max(SECTION_WIDTH * sheets.spacing, MIN_SECTION_WIDTH)
     rows = np.array(sheets.tree.query_ball_point(origin + 0.5 * width * axes[1], 0.8 * width),
                     dtype=int)
     labels, counts = np.unique(sheets.label[this_edge], return_counts=True)
     rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(this_edge)])]
     points = (sheets.points[rows] - origin) @ axes.T
-    beyond = LARGEST_END_OFFSET
+    beyond = MAX_END_OFFSET
     if np.isin(labels, sheets.label[other_edge]).any():  # one sheet on both sides
         apart = (sheets.points[this_edge] - sheets.points[other_edge]) @ axes[1]
         beyond = min(0.5 * abs(float(np.median(apart))), beyond)
@@ -226,7 +226,7 @@ def _sheet_through(inward: Array, height: Array, margin: float, degree: int
     sheet, noise = np.zeros(3), np.inf
     for cut in (np.inf, 3.0, 3.0):
         used = (inward > margin) & (np.abs(height - np.polyval(sheet, inward)) <= cut * noise)
-        if used.sum() < FEWEST_OF_SIDE or np.ptp(inward[used]) < margin:
+        if used.sum() < MIN_OF_SIDE or np.ptp(inward[used]) < margin:
             return None
         sheet = np.polyfit(inward[used], height[used], degree)
         noise = max(robust_std(height[used] - np.polyval(sheet, inward[used])), 1e-6)
@@ -246,8 +246,8 @@ def _column_resolution(inward: Array, spacing: float) -> float:
     periodic = np.abs(np.fft.rfft(counts, 1024)) / max(counts.sum(), 1)
     periodic[(FREQUENCIES < 0.5) | (FREQUENCIES > 5.0)] = 0.0  # not those of columns
     # the first, not a multiple of it
-    peaks, _ = find_peaks(periodic, height=max(LEAST_PERIODICITY, 0.8 * periodic.max()))
-    if counts.sum() < FEWEST_OF_SIDE or not len(peaks):
+    peaks, _ = find_peaks(periodic, height=max(MIN_PERIODICITY, 0.8 * periodic.max()))
+    if counts.sum() < MIN_OF_SIDE or not len(peaks):
         return 0.0
     return float(spacing / FREQUENCIES[peaks[0]] / np.sqrt(12))
 

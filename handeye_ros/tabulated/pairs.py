@@ -41,14 +41,14 @@ from handeye_ros.tabulated.problem import Misreading, TableAnswer, TableProblem
 import numpy as np
 from scipy.special import fdtri
 
-SHORTEST_REACH, LONGEST_REACH = 0.02, 50.0  # m: what a sensor or a robot reaches lies between them
+MIN_REACH, MAX_REACH = 0.02, 50.0  # m: what a sensor or a robot reaches lies between them
 REGION_PROBABILITY = 0.99  # probability of the region that a covariance from few rows is to hold
-SMALLEST_VARIANCE = 1e-18  # m^2 or rad^2: a smaller scatter is rounding
+MIN_VARIANCE = 1e-18  # m^2 or rad^2: a smaller scatter is rounding
 PRIOR_FREEDOM = 0.5  # degrees of freedom of the prior of each variance, about the typical one
 LIKELIHOOD_STEPS = 100
-SMALLEST_WIDTH_RATIO = 0.05  # of points: smallest spread across their line over that along it
+MIN_WIDTH_RATIO = 0.05  # of points: smallest spread across their line over that along it
 PAIR_COUNT = 2000  # of pairs of poses, drawn for the closed form
-LARGEST_SURE_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
+MAX_SURE_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,7 @@ class PairedRows(TableProblem):
             raise DataError(f'{len(repeated)} rows repeat others to the last digit, first row '
                             f'{repeated[0]}: the answer would seem more certain than it is; keep '
                             'each row once')
-        if max(self.reaches) < SHORTEST_REACH or min(self.reaches) > LONGEST_REACH:
+        if max(self.reaches) < MIN_REACH or min(self.reaches) > MAX_REACH:
             (seen, robot), (near, far) = self.prefixes, self.reaches
             raise DataError(
                 f'the positions of the {seen} are typically {near:.3g} m from the origin, those '
@@ -153,7 +153,7 @@ class PairedRows(TableProblem):
                 scaled = getattr(self, attribute).copy()
                 _positions(scaled)[:] *= factor
                 values = replace(self, **{attribute: scaled})
-                if SHORTEST_REACH < min(values.reaches) <= max(values.reaches) < LONGEST_REACH:
+                if MIN_REACH < min(values.reaches) <= max(values.reaches) < MAX_REACH:
                     yield Misreading(
                         f'the positions of the {prefix} 1000 times {words}', 'correct the unit in '
                         f'the header of {prefix}_x, {prefix}_y, {prefix}_z', values)
@@ -221,7 +221,7 @@ class PairedRows(TableProblem):
             squares = np.einsum('ni,cnij,nj->c', residuals, covariances, residuals)
             expected = np.einsum('nij,cnji->c', weight, covariances) - np.einsum(
                 'nia,cnij,nja->c', weighted_J @ C, covariances, weighted_J)
-            variances = np.maximum(SMALLEST_VARIANCE, variances * np.sqrt(
+            variances = np.maximum(MIN_VARIANCE, variances * np.sqrt(
                 (squares * variances + PRIOR_FREEDOM * typical / variances)
                 / (expected * variances + PRIOR_FREEDOM)))
         return variances
@@ -274,7 +274,7 @@ class PointPairs(PairedRows):
         require_count('the transform between two sets of points', self.fewest, 'points',
                       len(self))
         along, across = np.linalg.svd(self.robot - self.robot.mean(axis=0), compute_uv=False)[:2]
-        if across < SMALLEST_WIDTH_RATIO * along:
+        if across < MIN_WIDTH_RATIO * along:
             raise DataError('the points lie in one line, so a turn about it is free; put some of '
                             'them well outside it')
 
@@ -351,7 +351,7 @@ class PosePairs(PairedRows):
         T, seen = self.robot, self.seen
         i, j = np.random.default_rng(SEED).integers(len(T), size=(2, PAIR_COUNT))
         A, B = se3.inverse(T[j]) @ T[i], seen[j] @ se3.inverse(seen[i])
-        has_axis = se3.angle(np.stack([A, B])[..., :3, :3]).max(axis=0) < LARGEST_SURE_ANGLE
+        has_axis = se3.angle(np.stack([A, B])[..., :3, :3]).max(axis=0) < MAX_SURE_ANGLE
         return solve_motions(A[has_axis], B[has_axis])
 
     def state_of(self, X: Array) -> Array:

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 from handeye_ros import se3
 from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.refusals import (
-    LARGEST_DROPPED_SHARE,
+    MAX_DROPPED_SHARE,
     require_certain,
     require_predicted,
 )
@@ -30,7 +30,7 @@ from handeye_ros.results.truth import field_points, FIELD_TEXT
 import numpy as np
 from numpy.typing import NDArray
 
-LARGEST_RMS, LARGEST_ANGLE = 5e-3, 0.05  # of the residuals of values that agree (m, rad)
+MAX_RMS, MAX_ANGLE = 5e-3, 0.05  # of the residuals of values that agree (m, rad)
 MISREADING_RMS = 1e-3  # m: the same of values that are read otherwise, to be named as the cause
 
 
@@ -132,8 +132,8 @@ class TableAnswer:
     @property
     def agrees(self) -> bool:
         """Return whether few samples were dropped, and the others fit."""
-        return bool(1 - self.used.mean() <= LARGEST_DROPPED_SHARE
-                    and self.residual_rms <= LARGEST_RMS and self.angle_rms <= LARGEST_ANGLE)
+        return bool(1 - self.used.mean() <= MAX_DROPPED_SHARE
+                    and self.residual_rms <= MAX_RMS and self.angle_rms <= MAX_ANGLE)
 
     def require_trusted(self, problem: TableProblem) -> None:
         """Raise DataError for an answer of a problem that is beyond its limits."""

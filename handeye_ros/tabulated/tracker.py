@@ -41,22 +41,22 @@ from handeye_ros.tables import LENGTH, Table, TableError
 from handeye_ros.tabulated.problem import TableAnswer, TableProblem
 import numpy as np
 
-FEWEST_POINTS = {'arc': 6, 'line': 3, 'face_c': 3, 'face_d': 3, 'ball': 1}  # points in the file
+MIN_POINTS = {'arc': 6, 'line': 3, 'face_c': 3, 'face_d': 3, 'ball': 1}  # points in the file
 SWEPT_PARTS = ('swept_ball', 'swept_face_c', 'swept_face_d')
 PARTS = ('arc', 'line', 'face_c', 'face_d', *SWEPT_PARTS)  # the ball counts by its mean alone
 UNKNOWNS = 28  # number of unknowns in the fits to the points of these parts
-SMALLEST_FORWARD_SHARE = 0.9  # of the way along arc and line
-LARGEST_TURN = 0.35  # largest angle between the sweep (by the ball) and the line (rad)
-LARGEST_PART_RMS, LARGEST_ROW_RMS = 3.0, 10.0  # sigmas of the points of a part, of a row
+MIN_FORWARD_SHARE = 0.9  # of the way along arc and line
+MAX_TURN = 0.35  # largest angle between the sweep (by the ball) and the line (rad)
+MAX_PART_RMS, MAX_ROW_RMS = 3.0, 10.0  # sigmas of the points of a part, of a row
 NOISE_DRAWS = 100  # for the covariance
 # of the sweep
 RIDGE_ANGLE = 0.35  # smallest angle between two faces that meet (rad)
-LARGEST_SWEEP_TURN = 2e-3  # largest rotation of the flange during a sweep (rad)
-LARGEST_ASIDE = 2e-4  # largest deviation of the flange from its line (m, RMS)
-SMALLEST_TRAVEL = 0.02  # m: shortest travel of P3
-FEWEST_PROFILES = 5  # of the ball, and of the block
+MAX_SWEEP_TURN = 2e-3  # largest rotation of the flange during a sweep (rad)
+MAX_ASIDE = 2e-4  # largest deviation of the flange from its line (m, RMS)
+MIN_TRAVEL = 0.02  # m: shortest travel of P3
+MIN_PROFILES = 5  # of the ball, and of the block
 # consecutive profiles without two faces that do not end a run of block profiles
-MOST_MISSED_PROFILES = 3
+MAX_MISSED_PROFILES = 3
 
 
 class Piece(NamedTuple):
@@ -140,12 +140,12 @@ class TrackerProblem(TableProblem):
         for part, steps in (
                 ('arc', np.cross(arc[:-1] - centre, arc[1:] - centre) @ axis),
                 ('line', np.diff(line, axis=0) @ jing2020.fit_line(line))):
-            if steps.sum() < SMALLEST_FORWARD_SHARE * np.abs(steps).sum():
+            if steps.sum() < MIN_FORWARD_SHARE * np.abs(steps).sum():
                 raise DataError(f'the points of the {part} go back and forth; list them in the '
                                 'order measured')
         answer = self.published_answer(self.readings)
         turn = math.acos(min(1.0, float(answer.direction @ answer.T_flange_sensor[2, :3])))
-        if turn > LARGEST_TURN:
+        if turn > MAX_TURN:
             raise DataError(
                 f'the sweep runs {math.degrees(turn):.0f} degrees beside the line of the '
                 'reflector; check which face is which, tracker.direction, and that the line was '
@@ -174,9 +174,9 @@ class TrackerProblem(TableProblem):
             # the distance of a reflector from a swept face has the noise of both instruments
             noise = math.hypot(0.0 if is_swept else self.config.tracker.noise,
                                0.0 if part in ('arc', 'line') else self.config.noise.sensor)
-            part_is_off = rms(distances[part]) > LARGEST_PART_RMS * noise
+            part_is_off = rms(distances[part]) > MAX_PART_RMS * noise
             # one profile matters little
-            row_is_off = not is_swept and residual > LARGEST_ROW_RMS * noise
+            row_is_off = not is_swept and residual > MAX_ROW_RMS * noise
             if part_is_off or row_is_off:
                 contradicting.append(
                     (residual, f'{part} of {"profile" if is_swept else "row"} {sample}'))
@@ -238,15 +238,15 @@ def read_reflector_points(path: Path) -> dict[str, list[Piece]]:
     table = Table(path)
     kinds, points = table.texts('kind'), table.values('xyz', LENGTH)
     for row, kind in enumerate(kinds, 1):
-        if kind not in FEWEST_POINTS:
+        if kind not in MIN_POINTS:
             raise TableError(
-                path, f'row {row}: kind is "{kind}", expected {", ".join(FEWEST_POINTS)}')
-    for kind, fewest in FEWEST_POINTS.items():
+                path, f'row {row}: kind is "{kind}", expected {", ".join(MIN_POINTS)}')
+    for kind, fewest in MIN_POINTS.items():
         if kinds.count(kind) < fewest:
             raise TableError(path, f'holds {count_of(kinds.count(kind), "point")} of the kind '
                              f'{kind}; at least {fewest} are needed')
     return {kind: [Piece(row + 1, points[row:row + 1]) for row in range(len(kinds))
-                   if kinds[row] == kind] for kind in FEWEST_POINTS}
+                   if kinds[row] == kind] for kind in MIN_POINTS}
 
 
 def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], config: Config
@@ -271,13 +271,13 @@ def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], confi
                            for part, points in _parts_in(profile.read().points, config).items()}
     # two lines may also fit the rim of the ball: the block is the longest run of two faces
     corners = np.array([index for index in seen if len(seen[index]) == 2], dtype=int)
-    gaps = np.flatnonzero(np.diff(corners) > 1 + MOST_MISSED_PROFILES) + 1
+    gaps = np.flatnonzero(np.diff(corners) > 1 + MAX_MISSED_PROFILES) + 1
     block = max(np.split(corners, gaps), key=len).tolist()
     ball = [index for index in seen if len(seen[index]) == 1]
     for name, indices in (('ball', ball), ('block', block)):
-        if len(indices) < FEWEST_PROFILES:
+        if len(indices) < MIN_PROFILES:
             raise DataError(f'the {name} is in {count_of(len(indices), "profile")} only; sweep '
-                            f'over it slowly, at least {FEWEST_PROFILES} profiles')
+                            f'over it slowly, at least {MIN_PROFILES} profiles')
     pieces = {part: [seen[index][part] for index in (ball if part == 'swept_ball' else block)]
               for part in SWEPT_PARTS}
     return pieces, (q3.min() + q3.max()) / 2
@@ -292,7 +292,7 @@ def _travel(T: Array) -> Array:
     turn = float(np.max(se3.angle(T[:, :3, :3] @ T[0, :3, :3].T)))
     moved = (T[:, :3, 3] - T[0, :3, 3]) @ T[0, :3, :3]
     along, aside = np.ptp(moved[:, 2]), rms(np.linalg.norm(moved[:, :2], axis=1))
-    if turn > LARGEST_SWEEP_TURN or aside > LARGEST_ASIDE or along < SMALLEST_TRAVEL:
+    if turn > MAX_SWEEP_TURN or aside > MAX_ASIDE or along < MIN_TRAVEL:
         raise DataError(
             f'in the sweep the flange moves {along * 1e3:.1f} mm along its z and '
             f'{aside * 1e3:.2f} mm aside, and turns by {degrees(turn)}: move P3 alone, over ball '

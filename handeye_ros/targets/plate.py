@@ -51,8 +51,8 @@ EDGES = {P: Edge('p', 1, -1, P_FAR), Q: Edge('q', 0, -1, Q_FAR),
          P_FAR: Edge('p_far', 1, 1, P), Q_FAR: Edge('q_far', 0, 1, Q)}
 SIZE, ANGLE = slice(16, 18), 18  # of the target's state, after its pose
 GATE_RATIO = 10.0  # an edge point this many times further from its edge than most is not used
-SMALLEST_GATE = 1e-3
-SMALLEST_SIZE = 0.02  # of a plate: an end nearer to one of its edges is another object
+MIN_GATE = 1e-3
+MIN_SIZE = 0.02  # of a plate: an end nearer to one of its edges is another object
 SURE_SHARE = 0.3  # of the edge points are surely on an edge of the plate
 
 TRIED_TURNS = 240  # of the two edges in their plane, over a whole turn
@@ -191,7 +191,7 @@ class Plate(ProfileTarget):
         distance[steepness < np.sin(config.sampling.min_crossing_angle)] = np.inf
         nearest, smallest = kinds[np.argmin(distance, axis=0)], np.min(distance, axis=0)
         typical = np.quantile(smallest, SURE_SHARE, method='lower') if len(smallest) else 0.0
-        is_near = np.isfinite(smallest) & (smallest <= max(SMALLEST_GATE, GATE_RATIO * typical))
+        is_near = np.isfinite(smallest) & (smallest <= max(MIN_GATE, GATE_RATIO * typical))
         kind = observations.kind.copy()
         kind[rows] = np.where(is_near, nearest, UNUSED)
         return replace(observations, kind=kind)
@@ -218,10 +218,10 @@ class Plate(ProfileTarget):
             opposite = np.full(len(ends), edge.opposite)
             away = np.abs(self.conditions(ends, opposite, state, config).g)
             middle = float(np.median(away)) if len(away) else 0.0
-            count = int((np.abs(away - middle) < SMALLEST_GATE).sum())
+            count = int((np.abs(away - middle) < MIN_GATE).sum())
             if count > 1:
                 hint = (f', and not {size[edge.axis] * 1e3:.1f} mm as target.size has it' if size
-                        else ' (with target.size they could be used)' if middle > SMALLEST_SIZE
+                        else ' (with target.size they could be used)' if middle > MIN_SIZE
                         else '')
                 texts.append(f'{count} of them {middle * 1e3:.1f} mm from '
                              f'{EDGES[edge.opposite].name}{hint}')

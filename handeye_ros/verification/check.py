@@ -9,8 +9,8 @@ and the systematic ones of robot, sensor and target, as large as the calibration
 the noise that the calibration found, at least that which is configured. A move m of target or
 sensor adds D m; a changed robot adds an error of each pose, smooth over the poses or white. Each
 has a normal prior, averaged over MOVE_SCALES, so each cause has a marginal likelihood. A change is
-reported if the causes together are LEAST_EVIDENCE times as likely as none: by Markov's inequality
-the probability of a false alarm is at most 1 / LEAST_EVIDENCE (Wald 1945). If the stops do not
+reported if the causes together are MIN_EVIDENCE times as likely as none: by Markov's inequality
+the probability of a false alarm is at most 1 / MIN_EVIDENCE (Wald 1945). If the stops do not
 distinguish several causes, the sentence names these and their odds; if nothing changed, the
 smallest change that would have shown.
 """
@@ -65,15 +65,15 @@ import numpy as np
 from scipy.special import softmax
 
 FORMAT = 'handeye_ros/check/2'
-LEAST_EVIDENCE = 100.0
+MIN_EVIDENCE = 100.0
 SURE_CHANGE_SIGMAS = 4.0  # sigmas of a change of the time offset
-SMALLEST_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
+MIN_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
 MOVE_SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
 MOVE_TURN_LENGTH = 0.1  # m: a scale over it is that of a turn
-MOST_ITERATIONS = 6
-LARGEST_LOST_SHARE = 0.2  # of the stations: with edges far from those of the target
+MAX_ITERATIONS = 6
+MAX_LOST_SHARE = 0.2  # of the stations: with edges far from those of the target
 NAMED_FROM = 0.95  # probability with which one cause, or some together, are named
-MOST_OF_SWEEP = 30  # samples of a sweep: neighbours share the errors of the robot
+MAX_OF_SWEEP = 30  # samples of a sweep: neighbours share the errors of the robot
 UNSEEN_SHIFT = 0.01  # m: a shift that would show only from here on is called unseen
 NO_MOVE = np.zeros(6)
 MOVABLE = 'target', 'sensor'
@@ -156,7 +156,7 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
     offset, solution = answer.require_calibration().time_offset, answer.require_solution()
     used = [answer.samples[i] for i in solution.used_stations]
     fixed_pose_samples = [replace(sample, trajectory=None)
-                          for sample in evenly_spaced(used, MOST_OF_SWEEP)]
+                          for sample in evenly_spaced(used, MAX_OF_SWEEP)]
     result = check(fixed_pose_samples, cell, session.rejects,
                    [stop.stamp for stop in session.stops])
     before = calibration.time_offset
@@ -193,7 +193,7 @@ def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Rej
         prediction.residuals, prediction.errors)
     odds = dict(zip(sentences, softmax(log_likelihoods).tolist(), strict=True))
 
-    if log_evidence < math.log(LEAST_EVIDENCE):
+    if log_evidence < math.log(MIN_EVIDENCE):
         verdict, sentence = 'unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
             f'have shown from {_shifts_in_words(target.move, target_frame(config))} on, one of '
@@ -308,7 +308,7 @@ def _observed(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence
     # its face
     alone = labelled(observations.station)
     lost = has_unused_edges(alone, together)
-    return alone if lost.mean() > LARGEST_LOST_SHARE else together
+    return alone if lost.mean() > MAX_LOST_SHARE else together
 
 
 @dataclass(frozen=True, eq=False)
@@ -410,7 +410,7 @@ def _cause_of(prediction: _Prediction, name: str) -> _Cause:
     Gauss-Newton steps for the move; the scale of its prior is the likeliest of MOVE_SCALES.
     """
     move, sigmas = NO_MOVE, _move_sigmas(MOVE_SCALES[-1])
-    for _ in range(MOST_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         r, D, lever = prediction.undoing(name, move)
         r = r + D @ move  # of no move, in this linearisation
         x, C, _ = regularised_least_squares(np.hstack([prediction.errors, D * sigmas]), r)
@@ -452,7 +452,7 @@ def _smallest_shifts(prediction: _Prediction, name: str) -> tuple[list[float], l
     information = D.T @ (D - A @ np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T @ D))
     occam = np.linalg.slogdet(np.eye(6) + information * _move_sigmas(1e-3) ** 2)[1]
     # of the shift for the evidence, which takes several causes and scales; and with 95 %
-    sigmas = np.sqrt(2 * np.log(3 * len(MOVE_SCALES) * LEAST_EVIDENCE) + occam) + ONE_SIDED_95
+    sigmas = np.sqrt(2 * np.log(3 * len(MOVE_SCALES) * MIN_EVIDENCE) + occam) + ONE_SIDED_95
     values, axes = np.linalg.eigh(information[:3, :3])
     sizes = (sigmas / np.sqrt(np.maximum(values, 1e-300)))[::-1]
     return np.where(sizes < UNSEEN_SHIFT, sizes, np.nan).tolist(), axes.T[::-1].tolist()
@@ -473,7 +473,7 @@ def _with_offset(result: Check, offset: ClockEstimate, before: ClockEstimate) ->
     verdict = result.verdict
     words = f'{change * 1e3:+.2f} ms (1 sigma {std * 1e3:.2f})'
     sentence = f'The time offset is as it was: {words}'
-    if abs(change) > max(SURE_CHANGE_SIGMAS * std, SMALLEST_CHANGE):
+    if abs(change) > max(SURE_CHANGE_SIGMAS * std, MIN_CHANGE):
         verdict = 'clock' if verdict == 'unchanged' else f'{verdict} and clock'
         sentence = (f'The time offset has changed by {words}: the clock or the delay of sensor or '
                     f'robot is another; set time_offset to {offset.value:.5f}, or calibrate again')

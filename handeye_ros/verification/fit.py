@@ -60,16 +60,16 @@ DETECTION_SIGMAS = 1.96 + ONE_SIDED_95  # an error is seen with 95 % if false al
 COVERAGE_FACTOR = 2.0  # coverage factor of expanded uncertainties (GUM: about 95 %)
 DIFFERENCE_STEP = 1e-7  # of numeric derivatives (m, rad)
 REFIT_COUNT = 5  # iterations for the calibration's error
-LARGEST_SHIFT = 0.1  # m: no calibration error is larger
+MAX_SHIFT = 0.1  # m: no calibration error is larger
 ERROR_PRIOR_STDS = np.repeat([0.01, 0.1], 3)  # m, rad: of a calibration in use
 UNSEEN_CHANGE = 1e-6  # change of a value that no distance shows, per unit of an unknown
-LEAST_STATIONS = 4  # of a recording
+MIN_STATIONS = 4  # of a recording
 FREE_STD = 1e6  # 1 sigma of an unknown that may have any value, beside that by which it shows
 # share of the others in what a group nearly determines alone: extrapolated
 LEFT_BY_OTHERS_SHARE = 1e-3
 # without what differs of the distortion
 NOISE = NoiseScales(np.where(np.arange(5) == LOCAL_DISTORTION_FACTOR, 0.0, 1.0))
-LARGEST_OUTLIER_SHARE = 0.2  # of the groups: more are no outliers, but a disagreement
+MAX_OUTLIER_SHARE = 0.2  # of the groups: more are no outliers, but a disagreement
 
 Result = TypeVar('Result')
 
@@ -131,15 +131,15 @@ class StationSet:
 
 def require_stations(usable: Sequence[int], rejects: Sequence[Reject] = ()) -> None:
     """
-    Raise DataError where a recording has fewer than LEAST_STATIONS usable stations.
+    Raise DataError where a recording has fewer than MIN_STATIONS usable stations.
 
     usable: their number in each recording; rejects: the stops that gave no sample.
     """
     least = min(usable)
-    if least < LEAST_STATIONS:
+    if least < MIN_STATIONS:
         where = f' of recording {usable.index(least) + 1}' if len(usable) > 1 else ''
         raise DataError(
-            f'{count_of(least, "usable station")}{where}, fewer than {LEAST_STATIONS}'
+            f'{count_of(least, "usable station")}{where}, fewer than {MIN_STATIONS}'
             f'{f" (of the others: {rejects[0].reason})" if rejects else ""}: measure more, with '
             'the sensor turned differently at each')
 
@@ -462,7 +462,7 @@ def refit_shape(shape: Shape, X: Array, C: Array, smooth_std: float) -> ShapeFit
     """Return the fit with the calibration error estimated as well, for errors of any size."""
     for _ in range(REFIT_COUNT):
         _, fit = fit_shape(shape, X, C, smooth_std).result
-        if not fit.error.largest < LARGEST_SHIFT:
+        if not fit.error.largest < MAX_SHIFT:
             break
         X = se3.perturb(X, -fit.error.twist)
     return fit
@@ -485,7 +485,7 @@ def fit_without_outliers(groups: Indices, fit_groups: Callable[[Indices], GroupF
     fit_groups: of some of them. The p-value of a group left out is that of the last fit in which
     it took part. None is left out where it would be too many, or where too few would be left.
     """
-    p_values, most = dict[int, float](), int(LARGEST_OUTLIER_SHARE * len(groups))
+    p_values, most = dict[int, float](), int(MAX_OUTLIER_SHARE * len(groups))
 
     def of_groups(_: object, used: Indices, dropped: dict[int, float]
                   ) -> tuple[Result, Array, Indices, list[int]]:

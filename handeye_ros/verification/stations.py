@@ -37,7 +37,7 @@ from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.profile_target import edge_error_factor, ObservationRows
-from handeye_ros.verification.fit import LEAST_STATIONS, StationSet
+from handeye_ros.verification.fit import MIN_STATIONS, StationSet
 from handeye_ros.verification.routines import Routine
 import numpy as np
 
@@ -45,7 +45,7 @@ SWEEP_SAMPLES = 60  # samples of a sweep
 KNOWN_OFFSET_STD = 1e-3  # s: a time offset stated less exactly is none
 SAME_SURFACE_DISTANCE = 1.5e-3  # m: pieces this near to a plane are one surface, or
 FAR_RATIO = 4.0  # times the median distance of the stops' nearest pieces: the calibration is wrong
-LEAST_SEEN_SHARE = 0.5  # of the stops must see the nearest surface
+MIN_SEEN_SHARE = 0.5  # of the stops must see the nearest surface
 TRIAL_COUNT = 300  # pairs of features that define a trial point, line or plane
 PASS_PROFILES, POINTS_OF_PROFILE = 12, 80  # of a pass that are used, and of each of them
 
@@ -225,7 +225,7 @@ def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
     depth = range_sign * np.array([piece.centre[1] for piece in pieces])
     # one plane after the other, each of the pieces that are on none of those before
     left, surfaces = np.arange(len(pieces)), list[Indices]()
-    least = max(LEAST_SEEN_SHARE * len(np.unique(stop)), LEAST_STATIONS)
+    least = max(MIN_SEEN_SHARE * len(np.unique(stop)), MIN_STATIONS)
     while len(np.unique(stop[left])) >= least:
         distances, nearest = _distances_from_common(ends[left], stop[left], 2)
         on_plane = distances <= max(SAME_SURFACE_DISTANCE, FAR_RATIO * float(np.median(nearest)))

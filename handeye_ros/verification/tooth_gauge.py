@@ -27,11 +27,11 @@ OFF_ALL_FACES = 0.15  # of the height: a point further from all faces is on none
 BIN_WIDTH = 0.05  # of the pitch
 OUTLIER_SIGMAS = 4.0  # sigmas of the points of a face
 # of the sensor's noise: the smallest scatter assumed when outliers are removed
-SMALLEST_SCATTER = 0.1
-LEAST_SHARE_ON_GAUGE = 0.2  # of the points must be on the gauge
-LEAST_FACE_SHARE = 0.01  # of the points must be on tops and valleys, and on flanks
+MIN_SCATTER = 0.1
+MIN_SHARE_ON_GAUGE = 0.2  # of the points must be on the gauge
+MIN_FACE_SHARE = 0.01  # of the points must be on tops and valleys, and on flanks
 ROUND_COUNT = 6
-SMALLEST_COSINE = 0.05  # cosine of a face to the ray, at least
+MIN_COSINE = 0.05  # cosine of a face to the ray, at least
 
 
 def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
@@ -48,14 +48,14 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     for _ in range(ROUND_COUNT):
         rows, face, tooth = _faces(_local(p, frame, q), pitch, height, q)
         share = len(rows) / len(p)
-        if share < LEAST_SHARE_ON_GAUGE:
+        if share < MIN_SHARE_ON_GAUGE:
             break
         obs = replace(stations.observations.select(rows), kind=face)
         shape = _shape(stations.with_observations(obs), frame, pitch, height, tooth, q)
         q = shape.fit_unknowns(p[rows], iterations=1)
     top, valley, *flanks = np.bincount(face, minlength=4) / len(p)
     least = float(min(top + valley, sum(flanks)))
-    if share < LEAST_SHARE_ON_GAUGE or least < LEAST_FACE_SHARE:
+    if share < MIN_SHARE_ON_GAUGE or least < MIN_FACE_SHARE:
         raise DataError(
             f'this is not the gauge: {share:.0%} of the points lie on teeth of pitch '
             f'{mm(pitch)} and height {mm(height)}, and {least:.1%} on their flats or on their '
@@ -64,9 +64,9 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     rays = stations.problem.mounts_of_rows[0] @ X[:3, 2]
     wrt_range = np.abs((shape.wrt_point(p, q) * rays).sum(axis=1))
     good, noise = _without_outliers(
-        shape.distance(p, q), np.maximum(wrt_range, SMALLEST_COSINE),
+        shape.distance(p, q), np.maximum(wrt_range, MIN_COSINE),
         np.stack([stations.recording_of_point, face, tooth], axis=1),
-        SMALLEST_SCATTER * float(np.median(stations.observations.error_factor[:, 1, 0])))
+        MIN_SCATTER * float(np.median(stations.observations.error_factor[:, 1, 0])))
     obs = stations.observations.select(good)
     factor = np.zeros_like(obs.error_factor)
     factor[:, 1, 0] = np.maximum(obs.error_factor[:, 1, 0], noise[good])

@@ -356,7 +356,7 @@ def test_a_base_frame_unlike_that_of_the_poses_is_refused() -> None:
 
 
 def test_the_newest_stops_are_kept_and_others_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lives, 'MOST_STOPS', 5)
+    monkeypatch.setattr(lives, 'MAX_STOPS', 5)
     state, newest = state_of(fed()), SPHERE.poses[-1].stamp - 15 * 10**9
     assert sample_count(state) == 5, 'the newest that waited'
     assert min(s['stamp'] for s in state['samples']) > newest
