@@ -8,8 +8,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, TYPE_CHECKING
 
+from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Feature, rms, Sample
+from handeye_ros.data import Array, FaceLine, Feature, rms, Sample
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,12 +37,16 @@ class Target(ABC):
     """
     One target: what it shows, its conditions and its start; the solver is the same for all.
 
-    There are m observations of points p (..., m, 3) in the base, a state (..., s) of the target,
-    and k parameters of it. extract(points (n, 2), config): the features of one profile; raises
-    FeatureError without them.
+    There are m observations of points p (..., m, 3) in the base, and k parameters of the target.
+    Its state (..., 16 + j) is its pose (4, 4) in the base, followed by j measures. extract(points
+    (n, 2), config): the features of one profile; raises FeatureError without them.
 
+    required_features: types of the features that extract gives at least, one for each
     kinds: names of the conditions
-    parameter_names: names of the parameters
+    parameter_names: names of the parameters: of the pose, then of the measures
+    pose_axes: which of x y z rx ry rz, along and about its own axes, are parameters; the others
+        leave it the same
+    normals: (kinds, 3) by kind, of the surface through the origin on which its points lie
     required_edges: the conditions at edges, by their index in kinds; a station that shows edges
         must use one
     min_samples: fewest samples
@@ -50,18 +55,24 @@ class Target(ABC):
         some
     lost_with_one_axis: what rotations about one axis alone leave undetermined, in words
     face_count: how many of its faces, each a piece of the profile, one view has
+    several_in_view: whether a profile may show several surfaces, or pairs of them, of which one is
+        the target: a wrong estimate may fit well
     """
 
     name: str
     extract: ClassVar[staticmethod[[Array, Config], tuple[Feature, ...]]]
+    required_features: ClassVar[Sequence[type[Feature]]] = (FaceLine,)
     kinds: tuple[str, ...]
     parameter_names: tuple[str, ...]
+    pose_axes: ClassVar[Sequence[int]]
+    normals: ClassVar[Array]
     required_edges: tuple[int, ...] = ()
     min_samples = 6
     free_measure: ClassVar[Mapping[str, Any]] = {}
     free_lengths: ClassVar[Mapping[str, Any]] = {}
     lost_with_one_axis = 'the position along it is free'
     face_count = 1
+    several_in_view = False
 
     def half_turn_misfit(self, linear: Linearisation) -> tuple[str, float]:
         """
@@ -92,22 +103,48 @@ class Target(ABC):
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield estimates to start from, best first, computed on demand."""
 
-    @abstractmethod
+    def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
+                         ) -> tuple[Array, Array, Array]:
+        """
+        Return the conditions g (..., m) of points (..., m, 3) in the target's frame.
+
+        And their derivatives by the points, (..., m, 3), and by the measures, (..., m, j). Here
+        the distances from its surfaces, of a target without measures.
+        """
+        normals = self.normals[kind]
+        g = (local * normals).sum(axis=-1)
+        return g, np.broadcast_to(normals, local.shape), np.empty((*g.shape, 0))
+
+    def measures(self, state: Array) -> dict[str, float]:
+        """Return the measures by name, which stated_values may state too; state: (16 + j,)."""
+        names = self.parameter_names[len(self.pose_axes):]
+        return dict(zip(names, state[16:].tolist(), strict=True))
+
+    def axes(self, R: Array) -> Array:
+        """Return the axes (..., 3, 3), in the columns, of the moves of a target turned by R."""
+        return R
+
     def conditions(self, p: Array, kind: NDArray[np.intp], state: Array, config: Config
                    ) -> Conditions:
-        """
-        Return what should vanish for points p (..., m, 3) in the base, and its derivatives.
+        """Return what should vanish for points p (..., m, 3) of kinds (m,) in the base."""
+        T = state[..., :16].reshape(*state.shape[:-1], 4, 4)
+        R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
+        g, dg_dlocal, dg_dmeasures = self.local_conditions(offset @ R, kind, state[..., 16:])
+        dg_dp, axes = dg_dlocal @ np.swapaxes(R, -1, -2), self.axes(R)
+        wrt_pose = -dg_dp @ axes
+        if max(self.pose_axes) > 2:
+            wrt_pose = np.concatenate([wrt_pose, -np.cross(offset, dg_dp) @ axes], axis=-1)
+        return Conditions(g, dg_dp, np.concatenate(
+            [wrt_pose[..., list(self.pose_axes)], dg_dmeasures], axis=-1))
 
-        kind: (m,); state: (..., s).
-        """
-
-    @abstractmethod
     def retract(self, state: Array, delta: Array) -> Array:
-        """Return the state (..., s) after a step delta (..., k) in the parameters, m and rad."""
-
-    @abstractmethod
-    def measures(self, state: Array) -> dict[str, float]:
-        """Return the measures of a state (s,), which stated_values may state too, by name."""
+        """Return the state after a step delta (..., k) in the parameters, m and rad."""
+        T = state[..., :16].reshape(*state.shape[:-1], 4, 4)
+        twist, axes = np.zeros((*delta.shape[:-1], 6)), self.axes(T[..., :3, :3])
+        twist[..., list(self.pose_axes)] = delta[..., :len(self.pose_axes)]
+        step = axes[..., None, :, :] @ twist.reshape(*delta.shape[:-1], 2, 3, 1)
+        pose = se3.perturb(T, step.reshape(twist.shape)).reshape(*state.shape[:-1], 16)
+        return np.concatenate([pose, state[..., 16:] + delta[..., len(self.pose_axes):]], axis=-1)
 
     def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
         """Return value and 1 sigma of the parameters that are known, by name: no unknowns."""
@@ -122,9 +159,13 @@ class Target(ABC):
         p: (m, 3) in the base; state: (s,).
         """
 
-    @abstractmethod
+    def pieces(self, observations: Observations) -> NDArray[np.intp]:
+        """Return the number (m,) of the surface, or pair of surfaces, in its profile."""
+        return observations.feature // self.face_count
+
     def shows_several(self, observations: Observations) -> bool:
-        """Return whether they may be of alike surfaces, so that a wrong estimate may fit well."""
+        """Return whether a station shows several surfaces or pairs of them."""
+        return self.several_in_view and bool(self.pieces(observations).any())
 
     @abstractmethod
     def describe(self, state: Array, std: Array) -> dict[str, Any]:

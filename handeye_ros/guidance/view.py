@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Sample
 from handeye_ros.estimation.basis import grid_over
-from handeye_ros.targets.profile_target import ProfileTarget
+from handeye_ros.estimation.target import Target
 import numpy as np
 
 LEVERS_ALONG = 13  # points along each side of the view whose error is told
@@ -143,12 +143,12 @@ class AdvisedMove:
     beside: float = 0.0
 
 
-def seen_feature_noun(target: ProfileTarget) -> str:
+def seen_feature_noun(target: Target) -> str:
     """Return the feature that the laser line must show, in words."""
     return 'edge' if target.required_edges else target.name
 
 
-def next_move(taken: int, target: ProfileTarget, config: Config, view: View) -> AdvisedMove:
+def next_move(taken: int, target: Target, config: Config, view: View) -> AdvisedMove:
     """Return the move after a number of samples (at least one)."""
     is_round, two_edges = Arc in target.required_features, len(target.required_edges) > 1
     moves = SPHERE_MOVES if is_round else TWO_EDGES_MOVES if two_edges else ONE_EDGE_MOVES
@@ -170,7 +170,7 @@ def next_move(taken: int, target: ProfileTarget, config: Config, view: View) -> 
                        float(beside))
 
 
-def _in_words(target: ProfileTarget, turn: float, tilt: Array, place: Array, edge: int,
+def _in_words(target: Target, turn: float, tilt: Array, place: Array, edge: int,
               beside: float) -> str:
     where = ('at the other edge, that meets the first one in the corner, ' if edge else
              'at the same edge, ' if len(target.required_edges) > 1 else '')

@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-What targets share.
+What targets share beyond their geometry (estimation/target.py).
 
 A new target is a subclass of ProfileTarget in a file of its own, listed in __init__.py; plane.py
 is the smallest. It states
@@ -13,23 +13,21 @@ is the smallest. It states
 - starts: estimates to search from (starts.py), and reassign where a profile may show other things
 - describe: what was estimated, as plain values
 
-Here are its observations, what all targets do with their pose, and the systematic errors that
-those of faces have in common: set-back of faces, shapes of edges, flatness, range at grazing
-incidence.
+Here are its observations, and the systematic errors that targets of faces have in common: set-back
+of faces, shapes of edges, flatness, range at grazing incidence.
 """
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Any
 
-from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, EdgePoint, ENDINGS, FaceLine, Feature, Sample
+from handeye_ros.data import Arc, Array, EdgePoint, ENDINGS, FaceLine, Sample
 from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.problem import Linearisation, Observations, UNUSED
-from handeye_ros.estimation.target import Conditions, Target
+from handeye_ros.estimation.target import Target
 from handeye_ros.targets.starts import of_nearest_piece
 import numpy as np
 from numpy.typing import NDArray
@@ -100,22 +98,12 @@ def xyz(point: Array) -> dict[str, float]:
 
 class ProfileTarget(Target):
     """
-    A target that profiles show: a pose, followed by measures in its state (..., 16 + j).
+    A target that profiles show by faces, arcs and edge points.
 
-    pose_axes: which of x y z rx ry rz, along and about its own axes, are parameters; the others
-        leave it the same. The measures are parameters after them.
-    normals: (kinds, 3) by kind, of the surface through the origin on which its points lie
-    required_features: types of the features that extract gives at least, one for each
     edge_kinds: the kinds of the conditions that one edge point gives, before it is reassigned
-    several_in_view: whether a profile may show several surfaces, or pairs of them, of which one is
-        the target
     """
 
-    pose_axes: ClassVar[Sequence[int]]
-    normals: ClassVar[Array]
-    required_features: ClassVar[Sequence[type[Feature]]] = (FaceLine,)
     edge_kinds: tuple[int, ...] = ()
-    several_in_view = False
 
     def observe(self, samples: Sequence[Sample]) -> Observations:
         """Return the conditions of the features of samples; labels are assigned later."""
@@ -135,57 +123,6 @@ class ProfileTarget(Target):
     def edge_place(self, edge: EdgePoint) -> Array:
         """Return the point (2,) that is on the edge."""
         return edge.point
-
-    def pieces(self, observations: Observations) -> NDArray[np.intp]:
-        """Return the number (m,) of the surface, or pair of surfaces, in its profile."""
-        return observations.feature // self.face_count
-
-    def shows_several(self, observations: Observations) -> bool:
-        """Return whether a station shows several surfaces or pairs of them."""
-        return self.several_in_view and bool(self.pieces(observations).any())
-
-    def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
-                         ) -> tuple[Array, Array, Array]:
-        """
-        Return the conditions g (..., m) of points (..., m, 3) in the target's frame.
-
-        And their derivatives by the points, (..., m, 3), and by the measures, (..., m, j). Here
-        the distances from its surfaces, of a target without measures.
-        """
-        normals = self.normals[kind]
-        g = (local * normals).sum(axis=-1)
-        return g, np.broadcast_to(normals, local.shape), np.empty((*g.shape, 0))
-
-    def measures(self, state: Array) -> dict[str, float]:
-        """Return the measures by their names, where each is a number of the state (16 + j,)."""
-        names = self.parameter_names[len(self.pose_axes):]
-        return dict(zip(names, state[16:].tolist(), strict=True))
-
-    def axes(self, R: Array) -> Array:
-        """Return the axes (..., 3, 3), in the columns, of the moves of a target turned by R."""
-        return R
-
-    def conditions(self, p: Array, kind: NDArray[np.intp], state: Array, config: Config
-                   ) -> Conditions:
-        """Return the conditions of points (..., m, 3) in base for targets (..., 16 + j)."""
-        T = state[..., :16].reshape(*state.shape[:-1], 4, 4)
-        R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
-        g, dg_dlocal, dg_dmeasures = self.local_conditions(offset @ R, kind, state[..., 16:])
-        dg_dp, axes = dg_dlocal @ np.swapaxes(R, -1, -2), self.axes(R)
-        wrt_pose = -dg_dp @ axes
-        if max(self.pose_axes) > 2:
-            wrt_pose = np.concatenate([wrt_pose, -np.cross(offset, dg_dp) @ axes], axis=-1)
-        return Conditions(g, dg_dp, np.concatenate(
-            [wrt_pose[..., list(self.pose_axes)], dg_dmeasures], axis=-1))
-
-    def retract(self, state: Array, delta: Array) -> Array:
-        """Return targets (..., 16 + j) after a step of pose and measures."""
-        T = state[..., :16].reshape(*state.shape[:-1], 4, 4)
-        twist, axes = np.zeros((*delta.shape[:-1], 6)), self.axes(T[..., :3, :3])
-        twist[..., list(self.pose_axes)] = delta[..., :len(self.pose_axes)]
-        step = axes[..., None, :, :] @ twist.reshape(*delta.shape[:-1], 2, 3, 1)
-        pose = se3.perturb(T, step.reshape(twist.shape)).reshape(*state.shape[:-1], 16)
-        return np.concatenate([pose, state[..., 16:] + delta[..., len(self.pose_axes):]], axis=-1)
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:
