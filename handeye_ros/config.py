@@ -442,7 +442,7 @@ class Config(Section):
         return self.robot_base_frame or BASE_FRAME
 
     @property
-    def pose_origin(self) -> tuple[str, str]:
+    def pose_topic_and_keys(self) -> tuple[str, str]:
         """Return the topic that the flange poses come from, and the keys that decide that."""
         if self.kinematics:
             return self.joint_topic, 'joint_topic'
@@ -620,12 +620,12 @@ def in_si(text: str, unit: str) -> str:
                          if match[2] in factors else match[0], text)
 
 
-def parse_length(text: str, option: str, usual: float, least: float = -math.inf) -> float:
+def parse_length(text: str, option: str, largest_plain: float, least: float = -math.inf) -> float:
     """
     Return a length in metres; raises BadValueError.
 
-    option: for the message; usual: a larger number without a unit is refused, as it was probably
-    meant in millimetres; least: -inf also allows inf and -inf, no limit.
+    option: for the message; largest_plain: a larger number without a unit is refused, as it was
+    probably meant in millimetres; least: -inf also allows inf and -inf, no limit.
     """
     plain = in_si(text, 'm')
     try:
@@ -634,7 +634,7 @@ def parse_length(text: str, option: str, usual: float, least: float = -math.inf)
         metres = math.nan
     if math.isnan(metres) or math.isinf(metres) and least > -math.inf:
         raise BadValueError(option, text, 'a length: 0.3mm, or metres (0.0003)')
-    if plain == text and usual < abs(metres) < math.inf:
+    if plain == text and largest_plain < abs(metres) < math.inf:
         raise BadValueError(option, text, f'{text}mm, or {text}m if you mean metres (plain '
                             f'numbers are metres, so this is {1e3 * metres:g} mm)')
     if metres < least:

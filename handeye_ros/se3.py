@@ -193,7 +193,7 @@ def turns_from_mean(T: Array) -> Array:
     return cast(Array, (rotations.mean().inv() * rotations).as_rotvec())
 
 
-def worst_translation(covariance: Array) -> tuple[float, Array]:
+def worst_direction(covariance: Array) -> tuple[float, Array]:
     """
     Return the largest 1 sigma of the translation (m) and its direction in the parent frame.
 
@@ -205,4 +205,4 @@ def worst_translation(covariance: Array) -> tuple[float, Array]:
 
 def worst_rotation(covariance: Array) -> tuple[float, Array]:
     """Return the largest 1 sigma of the rotation (rad) and its axis, by a covariance (6, 6)."""
-    return worst_translation(covariance[3:, 3:])
+    return worst_direction(covariance[3:, 3:])

@@ -23,8 +23,8 @@ from handeye_ros.frames import axes_across, direction_in_words, mount_frame
 from handeye_ros.se3 import (
     mapped_covariance,
     turns_from_mean,
+    worst_direction,
     worst_rotation,
-    worst_translation,
 )
 import numpy as np
 
@@ -205,10 +205,10 @@ def require_certain(covariance: Array, config: Config, advice: str, seen: Array 
     make up for each other there are no uncertainty of what the sensor measures.
     """
     errors = [('rotation about', 'rotation', degrees, worst_rotation(covariance)),
-              ('position along', 'translation', mm, worst_translation(covariance))]
+              ('position along', 'translation', mm, worst_direction(covariance))]
     if seen is not None:
         errors.append(('place of the points that the samples show, along', 'points', mm,
-                       worst_translation(mapped_covariance(seen, covariance))))
+                       worst_direction(mapped_covariance(seen, covariance))))
     for what, key, with_unit, (std, direction) in errors:
         limit = getattr(config.limits, key)
         if not std <= limit:
@@ -222,8 +222,8 @@ def missing_motion(solution: Solution, config: Config) -> str:
     """Return in words the motion that the samples lack, or that a corrected arm limits them."""
     covariance = solution.transform_covariance
     of_arm = solution.added_covariances.get(CORRECTED_ARM)
-    if of_arm is not None and (worst_translation(covariance - of_arm)[0]
-                               < worst_translation(covariance)[0] / 2):
+    if of_arm is not None and (worst_direction(covariance - of_arm)[0]
+                               < worst_direction(covariance)[0] / 2):
         return ('most of that comes from the corrected arm: correct it again with more samples '
                 '(handeye kinematics), in configurations like those of these')
     problem, frame = solution.problem, mount_frame(config)

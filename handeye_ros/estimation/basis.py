@@ -212,11 +212,11 @@ def plane_motions(X: Array) -> Array:
     return np.column_stack([np.append(x, none), np.append(z, none), np.append(none, y)])
 
 
-def motions_by_poses(poses: Array, X: Array, field: Array, in_hand: bool) -> Array:
+def motions_by_poses(poses: Array, X: Array, view_points: Array, in_hand: bool) -> Array:
     """
     Return the derivatives (6, n, 6) of the best-fit transform by the errors of the poses.
 
-    poses: (n, 4, 4), inverted unless in_hand; field: (k, 2) points of the sensor plane over which
+    poses: (n, 4, 4), inverted unless in_hand; view_points: (k, 2) of the sensor plane, over which
     the transform fits best. The error of a pose is as in Linearisation.wrt_pose: in the robot's
     frame, its rotation about the flange.
 
@@ -225,7 +225,7 @@ def motions_by_poses(poses: Array, X: Array, field: Array, in_hand: bool) -> Arr
     squares; returned is x by each e_i.
     """
     R, origin = poses[:, None, :3, :3], poses[:, None, :3, 3]
-    lever = field @ X[:3, [0, 2]].T  # from the sensor, then from the mount
+    lever = view_points @ X[:3, [0, 2]].T  # from the sensor, then from the mount
     in_mount = lever + X[:3, 3]
     in_base = se3.apply(poses, in_mount)
     mount = R @ se3.perturbation_jacobian(lever)

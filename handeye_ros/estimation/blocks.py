@@ -128,28 +128,28 @@ def robot_scale(linear: Linearisation) -> Blocks:
                          reported_as='scale', origin=1.0)
 
 
-def wrt_smooth(wrt_pose: Array, smooth: Array, axes: Array = ROBOT_AXES) -> Array:
+def wrt_smooth(wrt_pose: Array, basis: Array, axes: Array = ROBOT_AXES) -> Array:
     """
     Return derivatives (m, a k) by a smooth error of the robot, of unit size.
 
-    wrt_pose: (m, 6) by pose errors; smooth: (m, k) the basis functions at the pose of each; axes:
+    wrt_pose: (m, 6) by pose errors; basis: (m, k) the basis functions at the pose of each; axes:
     (6, a) the errors that each of them makes.
     """
-    derivatives = (wrt_pose @ axes)[:, :, None] * smooth[:, None]
+    derivatives = (wrt_pose @ axes)[:, :, None] * basis[:, None]
     return np.asarray(derivatives.reshape(len(wrt_pose), -1))
 
 
-def smooth_errors(name: str, linear: Linearisation, smooth: Array, std: float,
+def smooth_errors(name: str, linear: Linearisation, basis: Array, std: float,
                   axes: Array = ROBOT_AXES,
                   best_fit: Callable[[Linearisation], Array] | None = None, reported_as: str = ''
                   ) -> ParameterBlock:
     """
     Return the block of smooth errors of the poses, one parameter for each axis and function.
 
-    smooth: (n, k) the functions at the poses; axes: see wrt_smooth; std: of each error (m).
+    basis: (n, k) the functions at the poses; axes: see wrt_smooth; std: of each error (m).
     """
-    columns = wrt_smooth(linear.wrt_pose, smooth[linear.problem.observations.station], axes)
-    twists = np.einsum('xa,nk->nxak', axes, smooth).reshape(len(smooth), 6, -1)
+    columns = wrt_smooth(linear.wrt_pose, basis[linear.problem.observations.station], axes)
+    twists = np.einsum('xa,nk->nxak', axes, basis).reshape(len(basis), 6, -1)
     return ParameterBlock(name, columns * std, std, twists, best_fit, reported_as=reported_as)
 
 

@@ -79,11 +79,11 @@ class LeastSquares(Generic[S]):
     item: NDArray[np.intp]
 
     def minimised(self, start: S, weights: Array | None = None, iterations: int = 50,
-                  converged: float = 1e-8) -> S:
+                  tolerance: float = 1e-8) -> S:
         """
         Return the state with the least squared whitened residuals.
 
-        weights: (n,) on the squared residuals of the items; converged: the iteration ends when a
+        weights: (n,) on the squared residuals of the items; tolerance: the iteration ends when a
         step changes the residuals by less than this (sigmas).
         """
         root_weights = np.ones(len(self.item)) if weights is None else np.sqrt(weights)[self.item]
@@ -105,7 +105,7 @@ class LeastSquares(Generic[S]):
                 damping *= DAMPING_FACTOR
                 continue
             state = moved
-            if (np.linalg.norm(J @ step) < converged * (1 + np.sqrt(cost))
+            if (np.linalg.norm(J @ step) < tolerance * (1 + np.sqrt(cost))
                     or cost_moved >= cost * (1 - 1e-14)):  # only rounding of the derivatives left
                 break
             damping = max(damping / DAMPING_FACTOR ** 2, 1e-14)
@@ -114,7 +114,7 @@ class LeastSquares(Generic[S]):
 
     def few_weighted_steps(self, state: S, weights: Array) -> S:
         """Return the state after a few steps to the least squares, with weights (n,) of items."""
-        return self.minimised(state, weights, iterations=4, converged=1e-3)
+        return self.minimised(state, weights, iterations=4, tolerance=1e-3)
 
 
 def many_least_squares(linear: Callable[[States], tuple[Array, Array]],

@@ -24,7 +24,7 @@ from handeye_ros.guidance.view import (
     view_levers,
 )
 from handeye_ros.pipeline import Answer
-from handeye_ros.se3 import mapped_std, worst_rotation, worst_translation
+from handeye_ros.se3 import mapped_std, worst_direction, worst_rotation
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -159,7 +159,7 @@ def sigma_table(covariance: Array, levers: Array, config: Config) -> tuple[Uncer
     """
     limits, frame, accuracy = config.limits, mount_frame(config), config.guidance.accuracy
     std = np.sqrt(np.diag(covariance))
-    shift, along = worst_translation(covariance)
+    shift, along = worst_direction(covariance)
     turn, about = worst_rotation(covariance)
     return (*(Uncertainty(f'position {axis}', float(s), limits.translation)
               for axis, s in zip('xyz', std[:3], strict=True)),

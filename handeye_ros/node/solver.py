@@ -209,7 +209,7 @@ class LiveSolver:
         calibration = answer.require_calibration()
         if is_newest:  # else the answer is the one that was requested later
             sources = [{'topic': live.config.profile_topic},
-                       {'topic': live.config.pose_origin[0]}, {'session': live.path}]
+                       {'topic': live.config.pose_topic_and_keys[0]}, {'session': live.path}]
             self.calibration = calibration_file.dated(replace(
                 calibration, provenance={**calibration.provenance, 'inputs': sources}))
             self.solved_session, self.why_missing, self.saved = session, '', ''

@@ -135,7 +135,7 @@ class LiveVerification:
         live = self._live
         name = f'verification_{result.routine}.yaml'
         self.content = content = plain_values(
-            result, (live.config.profile_topic, live.config.pose_origin[0]),
+            result, (live.config.profile_topic, live.config.pose_topic_and_keys[0]),
             Path(file).expanduser() if file else None)
         folder = live.folders.locked_folder(live.config)
         saved = exports.write({name: yaml_text(content)}, folder, {name})

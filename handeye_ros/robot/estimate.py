@@ -266,7 +266,7 @@ class ArmFit:
 
     def solved(self) -> ArmFit:
         """Return the least-squares estimate with these weights, near this one."""
-        return self.system.minimised(self, iterations=20, converged=1e-4)
+        return self.system.minimised(self, iterations=20, tolerance=1e-4)
 
 
 def noise_and_variances(fit: ArmFit, conservative: bool = False) -> tuple[Array, Array]:

@@ -228,7 +228,7 @@ class Session(Copyable):
         if self.unusable_poses_error:
             raise self.unusable_poses_error
         if self._pose_stream.frame is None:  # one that is held was received too
-            topic, keys = self.config.pose_origin
+            topic, keys = self.config.pose_topic_and_keys
             raise DataError(f'no flange pose was received on {topic}: start the robot driver, or '
                             f'set {keys}', reason='no_poses')
 
