@@ -59,7 +59,7 @@ from handeye_ros.simulate.scenes import SCENES as TARGET_SCENES
 from handeye_ros.simulate.sensor import lift
 from handeye_ros.verification.check import CalibratedCell, Check, check
 from handeye_ros.verification.fit import StationSet
-from handeye_ros.verification.routines import Routine, ROUTINES, settings_for
+from handeye_ros.verification.routines import Routine, ROUTINES
 from handeye_ros.verification.stations import stations_of, stations_of_passes
 from handeye_ros.verification.verify import Verification, verify_stations
 import numpy as np
@@ -286,7 +286,7 @@ def stops_of(routine: Routine, made: Artefact, config: Config
     """Return the samples of each bag, where the robot stops."""
     if not made.passes:
         return list(made.bags)
-    settings = settings_for(routine, config, len(made.passes))
+    settings = routine.settings(config, len(made.passes))
     return [pipeline.gather(part.profiles, part.poses, settings).samples for part in made.passes]
 
 

@@ -249,8 +249,7 @@ def read_urdf(path: Path, base: str = '', flange: str = '') -> tuple[str, Arm]:
     try:
         text = path.read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, 'strerror', None) or str(error)
-        raise InputError(f'{path}: cannot be read: {reason}') from error
+        raise unusable_file(path, getattr(error, 'strerror', None) or str(error)) from error
     return text, arm_of(text, base, flange, path)
 
 

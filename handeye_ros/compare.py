@@ -299,30 +299,29 @@ def _comparison(target: str, solve_own: Callable[[], OwnAnswer], count: int,
     start = time.perf_counter()
     data, X_own, refusal = solve_own()
 
-    def row(estimator: Estimator, X: Array, seconds: float) -> EstimatorResult:
-        every = np.arange(len(data))
-        figures = {'residual_rms': rms(data.residuals(X, every, every))}
+    def row(estimator: Estimator, outcome: Array | Exception, start: float
+            ) -> EstimatorResult:
+        seconds, every = time.perf_counter() - start, np.arange(len(data))
+        if isinstance(outcome, Exception):
+            return EstimatorResult(estimator.name, {'seconds': seconds}, failure=str(outcome))
+        figures = {'residual_rms': rms(data.residuals(outcome, every, every))}
         if folds and estimator.refit:
             figures |= _left_out(data, estimator, min(folds, len(data)), progress)
         if T_true is not None:
-            errors = errors_against(X, T_true @ data.T_sensor_plane, data.field())
+            errors = errors_against(outcome, T_true @ data.T_sensor_plane, data.field())
             figures |= {f'error_{name}': value for name, value in asdict(errors).items()}
         return EstimatorResult(estimator.name, {**figures, 'seconds': seconds},
-                               X @ se3.inverse(data.T_sensor_plane))
+                               outcome @ se3.inverse(data.T_sensor_plane))
 
-    seconds = time.perf_counter() - start
-    rows = [EstimatorResult(own_method.name, {'seconds': seconds}, failure=str(refusal))
-            if refusal else row(own_method, X_own, seconds)]
+    rows = [row(own_method, refusal or X_own, start)]
     for estimator in others:
         progress(estimator.name)
         start = time.perf_counter()
         try:
-            X = estimator.fit(data)
+            outcome: Array | Exception = estimator.fit(data)
         except ESTIMATOR_FAILURES as error:
-            rows.append(EstimatorResult(estimator.name, {'seconds': time.perf_counter() - start},
-                                        failure=str(error)))
-        else:
-            rows.append(row(estimator, X, time.perf_counter() - start))
+            outcome = error
+        rows.append(row(estimator, outcome, start))
     return Comparison(tuple(rows), len(data), count - len(data), refusal, data.field_text)
 
 

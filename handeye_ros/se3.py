@@ -138,10 +138,15 @@ def mapped_covariance(levers: Array, covariance: Array) -> Array:
     return np.asarray(np.einsum('kij,jl,kml->im', J, covariance, J) / len(J))
 
 
+def mean_square_form(levers: Array) -> Array:
+    """Return M (6, 6): a perturbation d moves points at levers (k, 3) by d' M d, mean square."""
+    J = perturbation_jacobian(levers).reshape(-1, 6)
+    return J.T @ J / len(levers)
+
+
 def mapped_std(levers: Array, covariance: Array) -> Array:
     """Return the RMS errors (...) of points at levers (k, 3), for covariances (..., 6, 6)."""
-    J = perturbation_jacobian(levers).reshape(-1, 6)
-    return np.asarray(np.sqrt(np.einsum('...ij,ij->...', covariance, J.T @ J / len(levers))))
+    return np.asarray(np.sqrt(np.einsum('...ij,ij->...', covariance, mean_square_form(levers))))
 
 
 def difference(T: Array, T_reference: Array) -> Array:

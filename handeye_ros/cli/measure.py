@@ -74,14 +74,14 @@ def verify(
     from handeye_ros.output import require_html_name, write_atomically
     from handeye_ros.results.calibration_file import file_of
     from handeye_ros.verification import result_file
-    from handeye_ros.verification.routines import routine_of, settings_for
+    from handeye_ros.verification.routines import routine_of
     from handeye_ros.verification.stations import stations_of_passes
     from handeye_ros.verification.verify import verify_stations, verify_stops
     if protocol:
         require_html_name(protocol)
     routine = routine_of(name)
     calibration, settings = open_calibration(calibration_file, config, assignments, kinematics)
-    settings = settings_for(routine, settings, len(bags))
+    settings = routine.settings(settings, len(bags))
     if routine.in_passes:
         scanned = stations_of_passes(_passes(bags, calibration, settings), settings)
         result = verify_stations(routine, scanned, calibration)

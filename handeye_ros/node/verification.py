@@ -20,7 +20,7 @@ from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.table import sample_summary
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.verification.result_file import plain_values, sentence
-from handeye_ros.verification.routines import Routine, routine_of, settings_for
+from handeye_ros.verification.routines import Routine, routine_of
 from handeye_ros.verification.verify import Verification, verify_stops
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ class LiveVerification:
         return live.run_job(VERIFYING, partial(self._accept, self._parts, file), verify_stops,
                             self.routine, [[*part.values()] for part in self._parts],
                             self._calibration(),
-                            settings_for(self.routine, live.config, len(self._parts)))
+                            self.routine.settings(live.config, len(self._parts)))
 
     def _accept(self, parts: Sequence[object], file: str, result: Verification) -> str:
         """

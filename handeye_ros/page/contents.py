@@ -227,7 +227,7 @@ def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
         'next': as_rows(next_pose),
         'aim': None if pose is None or next_pose is None else _motion_to(pose, next_pose),
         'move': advice.first_move and _advised_move(advice.first_move),
-        **(_target(answer, config) if solution else {'edges': [], 'outline': []})}
+        **(_target(answer, config) if solution else {'edges': [], 'outline': [], 'spots': []})}
 
 
 def _motion_to(T_base_flange: Array, T_base_next: Array) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import warnings
 
 from handeye_ros.data import Array
-from handeye_ros.errors import InputError
+from handeye_ros.errors import InputError, unusable_file
 from handeye_ros.output import atomic_file
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +92,7 @@ def read_cloud(path: Path) -> Array:
                 rows = np.fromfile(stream, dtype)[:count]
                 points = np.column_stack([rows[axis] for axis in 'xyz']).astype(float)
     except OSError as error:
-        raise InputError(f'{path}: cannot be read: {error.strerror or error}') from error
+        raise unusable_file(path, error.strerror or str(error)) from error
     except (IndexError, KeyError, TypeError, ValueError) as error:
         raise InputError(f'{path}: is damaged, or no cloud with x, y and z in ASCII or binary '
                          '(little-endian, not compressed) form') from error

@@ -433,10 +433,9 @@ def _measured(shape: Shape, q: Array, J: Array, gain: Array, E: Array, claim: Ar
 
 def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, float]:
     """Return the largest displacement (m) by a move (6,) of covariance C, and its 1 sigma."""
-    wrt_move = se3.perturbation_jacobian(lever)
-    sizes = np.linalg.norm(wrt_move @ move, axis=1)
-    worst = wrt_move[np.argmax(sizes)]
-    return float(sizes.max()), float(np.sqrt(np.trace(worst @ C @ worst.T)))
+    sizes = np.linalg.norm(se3.perturbation_jacobian(lever) @ move, axis=1)
+    worst = np.argmax(sizes)
+    return float(sizes[worst]), float(se3.mapped_std(lever[worst, None], C))
 
 
 def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
@@ -445,9 +444,7 @@ def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
 
     covariance (6, 6): of the calibration's error, in its mount; lever (m, 3): from the sensor.
     """
-    wrt_move = se3.perturbation_jacobian(lever)
-    # x' mean_square x: the mean square displacement of the points by a move x
-    mean_square = np.einsum('mik,mil->kl', wrt_move, wrt_move) / len(lever)
+    mean_square = se3.mean_square_form(lever)
     mean_square += 1e-12 * np.trace(mean_square) * np.eye(6)
     power, directions = scipy.linalg.eigh(np.linalg.inv(covariance), mean_square)
     worst = directions[:, 0]  # displaces the points by 1 m RMS

@@ -165,8 +165,17 @@ class Routine:
             raise InputError(f'{self.name} needs {counts} (verify.lengths), and got {lengths}')
         return self.recording_counts[lengths]
 
-    def settings(self, config: Config) -> Config:
-        """Return the settings that extract its features."""
+    def settings(self, config: Config, recordings: int | None = None) -> Config:
+        """
+        Return the settings that extract its features.
+
+        recordings: how many there are, once all are; raises InputError for a wrong number.
+        """
+        if recordings is not None:
+            possible = self.recordings_for(len(config.verify.lengths))
+            if recordings not in possible:
+                raise InputError(
+                    f'{self.name} needs {_in_words(possible, "bag")}, and got {recordings}')
         return config if self.in_passes else with_values(config, {
             'target.type': self.target, 'method': 'auto', 'target.radius': config.verify.radius})
 
@@ -214,18 +223,6 @@ def routine_of(name: str) -> Routine:
     if name not in ROUTINES:
         raise UnknownNameError('routine', name, list(ROUTINES))
     return ROUTINES[name]
-
-
-def settings_for(routine: Routine, config: Config, count: int) -> Config:
-    """
-    Return the settings that extract the features of a routine; raises InputError.
-
-    count: of the recordings.
-    """
-    possible = routine.recordings_for(len(config.verify.lengths))
-    if count not in possible:
-        raise InputError(f'{routine.name} needs {_in_words(possible, "bag")}, and got {count}')
-    return routine.settings(config)
 
 
 def _in_words(numbers: Sequence[int], what: str) -> str:

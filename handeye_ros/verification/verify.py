@@ -152,7 +152,7 @@ def verify_stops(routine: Routine, recordings: Sequence[Sequence[Sample | Reject
     """
     Return the result of a routine by what the stops of each recording, a face or ball, gave.
 
-    config: the settings_for the routine. Raises as verify_stations does.
+    config: Routine.settings. Raises as verify_stations does.
     """
     samples = [[stop for stop in stops if isinstance(stop, Sample)] for stops in recordings]
     rejects = [stop for stops in recordings for stop in stops if isinstance(stop, Reject)]

@@ -15,7 +15,7 @@ from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.simulate import SCENARIOS, settings, simulate
 from handeye_ros.simulate.scenario import Sweep
 from handeye_ros.verification import result_file
-from handeye_ros.verification.routines import ROUTINES, settings_for
+from handeye_ros.verification.routines import ROUTINES
 from handeye_ros.verification.stations import stations_of
 from handeye_ros.verification.verify import verify_stations
 import numpy as np
@@ -111,7 +111,7 @@ def sweep(target, calibrated, knot, delay, **values):
     scenario = replace(base, stations=(8, 0), sweep=Sweep(knot=knot), **values,
                        sensor=replace(base.sensor, columns=320, delay=delay))
     recording = simulate(scenario, np.random.default_rng(5))
-    config = settings_for(routine, with_values(Config(), settings(scenario) | {
+    config = routine.settings(with_values(Config(), settings(scenario) | {
         'sampling.mode': 'moving', 'time_offset': calibrated,
         'verify.radius': float(getattr(scenario.target, 'radius', 0.0))}, 'a test'), 1)
     calibration = bench_calibration(recording.truth.T_flange_sensor, target,

@@ -100,7 +100,7 @@ function showNow(state) {
 
 // What is left to do until the next pose, while the robot is jogged.
 function showAim({ scene, poses }) {
-  const aim = flows(poses) && !(latest.guidance && latest.guidance.enough) && scene.aim;
+  const aim = flows(poses) && !latest.guidance.enough && scene.aim;
   $('togo').hidden = !aim;
   if (!aim) {
     text('axes', '');
@@ -118,14 +118,13 @@ function showAim({ scene, poses }) {
 
 function showGuidance(guidance) {
   const list = $('advice');
-  const sentences = guidance ? [...guidance.sentences] : [];
-  if (guidance && guidance.sample < lastTaken(latest)) {
+  const sentences = [...guidance.sentences], sigmas = guidance.sigmas;
+  if (guidance.sample < lastTaken(latest)) {
     sentences.push(`this knows of sample ${guidance.sample}; the next is being worked in`);
   }
   list.replaceChildren(...sentences.map(s => element('li', s)));
-  $('enough').hidden = !guidance || !guidance.enough;
-  text('enough', guidance && guidance.enough ? 'Enough samples' : '');
-  const sigmas = guidance ? guidance.sigmas : [];
+  $('enough').hidden = !guidance.enough;
+  text('enough', guidance.enough ? 'Enough samples' : '');
   showHeadline(sigmas);
   $('sigmas').replaceChildren(...(sigmas.length ? [...sigmas].reverse().map(bar) :
     [element('p', 'Nothing yet.', 'small')]));
@@ -188,7 +187,7 @@ function showSteps(state) {
     .map(stream => (stream === state.poses ? 'No poses' : 'No profiles'));
   const done = {
     connect: [!missing.length, missing.join(', ') || [state.profiles, state.poses].map(rate).join(', ')],
-    samples: [Boolean(state.guidance && state.guidance.enough), String(taken(state).length)],
+    samples: [state.guidance.enough, String(taken(state).length)],
     answer: [c.state === 'current', STATES[c.state].split(':')[0]],
     verify: [verdict === 'pass', running || verdict || 'if you like'],
     save: [Boolean(c.saved), c.saved ? 'saved' : 'not yet'],

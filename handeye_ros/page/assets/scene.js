@@ -4,6 +4,11 @@
 
 const SENSOR = [0.012, 0.02, 0.025];  // m: half sizes of the body that is drawn
 
+// Return the outline of the field of view, a usual one while none is known.
+function viewOf({ view, range_sign: sign }) {
+  return view.length ? view : [[-0.03, 0.15 * sign], [0.03, 0.15 * sign]];
+}
+
 function drawSensor(drawing, T, scene, name, ghost = false) {
   const sign = scene.range_sign, [a, b, c] = SENSOR;
   const corner = (i, j, k) => at(T, [a * i, b * j, c * sign * (k - 1)]);
@@ -15,8 +20,7 @@ function drawSensor(drawing, T, scene, name, ghost = false) {
     [[-1, 1, -1], [1, 1, -1], [1, 1, 1], [-1, 1, 1]]];
   sides.forEach((side, i) => drawing.face(side.map(p => corner(...p)), name,
     ghost ? 0.14 : [0.3, 0.5, 0.35, 0.35, 0.4, 0.4][i]));
-  const view = scene.view.length ? scene.view : [[-0.03, 0.15 * sign], [0.03, 0.15 * sign]];
-  const xs = view.map(p => p[0]), zs = view.map(p => p[1] * sign);
+  const view = viewOf(scene), xs = view.map(p => p[0]), zs = view.map(p => p[1] * sign);
   const far = Math.max(...zs) * sign;
   const fan = [[0, 0], [Math.min(...xs), far], [Math.max(...xs), far]]
     .map(([x, z]) => at(T, [x, 0, z]));
@@ -25,8 +29,8 @@ function drawSensor(drawing, T, scene, name, ghost = false) {
 }
 
 function reachOf(T, scene) {
-  const far = scene.view.length ? scene.view : [[0, 0.15 * scene.range_sign]];
-  return [at(T, [0, 0, -2 * SENSOR[2] * scene.range_sign]), ...far.map(([x, z]) => at(T, [x, 0, z]))];
+  const behind = at(T, [0, 0, -2 * SENSOR[2] * scene.range_sign]);
+  return [behind, ...viewOf(scene).map(([x, z]) => at(T, [x, 0, z]))];
 }
 
 // state: scene, samples (by number: used, out or unused), profile, and the words of the aim
@@ -34,7 +38,7 @@ function drawScene(canvas, scene, samples, profile, words) {
   const made = board(canvas), { pen, width, height } = made;
   if (!scene.known && (scene.move || !scene.stations.length)) return drawMove(made, scene);
   const points = [...scene.stations.map(s => column(s.T, 3)), ...scene.edges.flat(),
-    ...scene.outline.flat(), ...(scene.spots || [])];
+    ...scene.outline.flat(), ...scene.spots];
   if (scene.known && scene.live) points.push(...reachOf(scene.live, scene));
   if (scene.known && scene.next) points.push(...reachOf(scene.next, scene));
   const drawing = new Drawing(pen, camera(points, width, height), width, height);
@@ -48,7 +52,7 @@ function drawScene(canvas, scene, samples, profile, words) {
     drawing.face([o, p, add(p, add(q, o, -1)), q], 'good', 0.12, false);
   }
   for (const line of scene.edges) drawing.line(line, 'good', 4);
-  for (const spot of scene.spots || []) drawing.mark(spot, 'good', 'dot');
+  for (const spot of scene.spots) drawing.mark(spot, 'good', 'dot');
   if (scene.known && scene.next) {
     drawSensor(drawing, scene.next, scene, 'aim', true);
     drawing.words(column(scene.next, 3), words, 'aim', 'bold');
@@ -74,7 +78,7 @@ const signed = v => (v < 0 ? '−' : '+') + degrees(Math.abs(v), 0) + '°';
 // The first moves, in the frame of the first sample: the sensor turned about what it sees.
 function drawMove({ pen, width, height }, scene) {
   const sign = scene.range_sign;
-  const view = scene.view.length ? box(scene.view) : { low: [-0.03, 0.1 * sign], high: [0.03, 0.2 * sign] };
+  const view = box(viewOf(scene));
   const middle = [(view.low[0] + view.high[0]) / 2, 0, (view.low[1] + view.high[1]) / 2];
   const { R, place, turn, tilt } = scene.move || { R: [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
     place: [middle[0], middle[2]], turn: 0, tilt: [0, 0] };
