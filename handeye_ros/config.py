@@ -45,6 +45,8 @@ SIGNED_AXES = ('x', 'y', 'z', '-x', '-y', '-z')
 # FORMATS of results/exports.py says how each is written; test_exports.py compares the two.
 SAVE_FORMATS = ('yaml', 'urdf', 'launch', 'easy_handeye2', 'matrix', 'json', 'kuka',
                 'fanuc', 'abb', 'ur', 'staubli', 'yaskawa')
+# values of target.type that are solved from files: FILE_TARGETS in tabulated/
+SOLVED_FROM_FILES = ('points', 'hand_eye', 'tracker')
 # The usual names of record.* in a form for acceptance; others are allowed.
 RECORD_NAMES = ('operator', 'sensor_serial', 'robot_serial', 'artefact', 'temperature', 'note')
 RECORD_PREFIX = 'record.'
@@ -430,6 +432,11 @@ class Config(Section):
     def in_hand(self) -> bool:
         """Return whether the sensor is on the flange, else beside the robot."""
         return self.calibration_type == 'eye_in_hand'
+
+    @property
+    def other_calibration_type(self) -> str:
+        """Return the calibration type that is not set."""
+        return 'eye_on_base' if self.in_hand else 'eye_in_hand'
 
     @property
     def offset_ns(self) -> int:

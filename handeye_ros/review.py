@@ -12,11 +12,11 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from handeye_ros import pipeline, se3, tabulated
+from handeye_ros import pipeline, se3
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.session_files import is_session, read_session
 from handeye_ros.calibration import measured_points, residuals_and_left_out, rms_by
-from handeye_ros.config import Config
+from handeye_ros.config import Config, SOLVED_FROM_FILES
 from handeye_ros.data import Array, Calibration, ClockValues, Sample
 from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.estimation.search import reassigned
@@ -46,7 +46,7 @@ def solved_recording(calibration: Calibration, bag: Path | None, folder: Path = 
     Raises InputError for an unreadable bag, DataError for one without stops.
     """
     config = config_of(calibration)
-    if tabulated.is_solved_from_files(config):
+    if config.target.type in SOLVED_FROM_FILES:
         return SolvedRecording(missing='stops are shown of recordings; this was solved from files')
     if bag is None:
         try:
@@ -84,16 +84,18 @@ def recording_of(calibration: Calibration, folder: Path) -> Path:
     folder: of the calibration's file; a relative path is looked for from here, from there and
     from the folders above it.
     """
+    absolute, found = folder.absolute(), []
     for item in calibration.provenance.get('inputs', ()):
         if name := item.get('path') or item.get('session'):
-            absolute = folder.absolute()
             places = (place / str(name) for place in (Path(), absolute, *absolute.parents))
             path = next(filter(Path.exists, places), None)
             if path is None:
                 raise InputError(f'{name} is not there')
             if path.is_file() and input_provenance(path)['sha256'] != item.get('sha256'):
                 raise InputError(f'{path} has changed since it was solved')
-            return path
+            found.append(path)
+    if found:  # of a recording in several files, their folder
+        return found[0].parent if found[0].parent in [p.parent for p in found[1:]] else found[0]
     raise InputError('the calibration names no recording')
 
 

@@ -14,8 +14,9 @@ import xml.etree.ElementTree as ElementTree
 import handeye_ros
 from handeye_ros import config as configs
 from handeye_ros.cli import command
+from handeye_ros.config import SOLVED_FROM_FILES
 from handeye_ros.tabulated import FILE_TARGETS
-from handeye_ros.targets import SOLVED_FROM_FILES, TARGETS
+from handeye_ros.targets import TARGETS
 import pytest
 import typer.main
 import yaml

@@ -37,7 +37,6 @@ def convention_hypotheses(samples: Sequence[Sample], problem: Problem, baseline:
     are searched anew, as those that were found are of the wrong poses; some stations are enough.
     """
     config, poses = problem.config, problem.robot_poses
-    other_mounting = 'eye_on_base' if config.in_hand else 'eye_in_hand'
     trajectory = next((sample.trajectory for sample in samples if sample.moving), None)
     if trajectory:
         samples = evenly_spaced(samples, SEARCH_SAMPLES)
@@ -54,10 +53,10 @@ def convention_hypotheses(samples: Sequence[Sample], problem: Problem, baseline:
     for name, undone, advice in CONVENTION_ERRORS:
         for explanation in map(explained_with, undone(poses)):
             comparison = explanation.comparison_in_words(
-                baseline, f'{name} undone'.format(other=other_mounting))
+                baseline, f'{name} undone'.format(other=config.other_calibration_type))
             yield Hypothesis(explanation, DataError(
                 f'the poses contradict the samples: {comparison}; '
-                f'{advice.format(other=other_mounting)}', reason='convention'))
+                f'{advice.format(other=config.other_calibration_type)}', reason='convention'))
 
 
 def orientations_scatter(poses: Array) -> bool:

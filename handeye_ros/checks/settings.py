@@ -117,7 +117,7 @@ def _likely_changes(config: Config) -> list[Values]:
     profile = config.profile
     sign = (RANGE_SIGN, str(-profile.range_sign))
     unit = ('profile.unit', {'m': 'mm', 'mm': 'm'}[profile.unit])
-    mounting = ('calibration_type', 'eye_on_base' if config.in_hand else 'eye_in_hand')
+    mounting = ('calibration_type', config.other_calibration_type)
     types = [(TARGET_TYPE, name) for name in targets.TARGETS if name != config.target.type]
     axes = [('profile.axes', f'[{a}, {b}]') for a, b in permutations('xyz', 2)
             if (a, b) != tuple(profile.axes)]

@@ -82,8 +82,8 @@ def open_input(path: Path, config: Path | None, assignments: list[str], angles: 
     angles: the notation of a table of poses; kinematics: as of `configuration`. Raises InputError,
     DataError.
     """
-    from handeye_ros import tabulated
     from handeye_ros.bags.session_files import is_session, read_session
+    from handeye_ros.config import SOLVED_FROM_FILES
     stored = read_session(path) if is_session(path) else None
     by_angles = [f'target.angles={angles}'] if angles else []
     settings = configuration(config, [*by_angles, *assignments], stored.config if stored else None,
@@ -91,14 +91,15 @@ def open_input(path: Path, config: Path | None, assignments: list[str], angles: 
     if angles and settings.target.type != 'hand_eye':
         raise InputError('--angles is for a table of poses, and target.type is '
                          f'{settings.target.type}: set it to hand_eye, or leave --angles out')
-    if is_table(path) or tabulated.is_solved_from_files(settings):
+    if is_table(path) or settings.target.type in SOLVED_FROM_FILES:
+        from handeye_ros import tabulated
         with progress_bar('reading the files'):
             table = tabulated.read(path, settings)
         warn(*table.warnings)
         return OpenedInput(settings, table.inputs, table=table)
     if stored:
         return OpenedInput(settings, [{'path': str(path.absolute())}], stored.session(settings))
-    recording = read_bag(path, settings)
+    recording = read_bag_shown(path, settings)
     return OpenedInput(settings, list(recording.inputs), collect_samples(recording, settings),
                        recording.warnings)
 
@@ -136,7 +137,7 @@ def is_table(path: Path) -> bool:
     return path.suffix == '.csv' and path.is_file()
 
 
-def read_bag(bag: Path, settings: 'Config', arm: 'Arm | None' = None) -> 'Recording':
+def read_bag_shown(bag: Path, settings: 'Config', arm: 'Arm | None' = None) -> 'Recording':
     """Return the messages of a bag, the poses those of an arm if given; print its warnings."""
     with progress_bar('reading the recording') as progress:
         from handeye_ros.bags.bag import read

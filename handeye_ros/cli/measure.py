@@ -21,7 +21,7 @@ from handeye_ros.cli.common import (
     OptionalPath,
     OutFile,
     progress_bar,
-    read_bag,
+    read_bag_shown,
     require_choice,
     show,
     stream_recording,
@@ -111,7 +111,7 @@ def _passes(bags: list[Path], calibration: 'Calibration', config: 'Config'
 def _stops(bag: Path, calibration: 'Calibration', config: 'Config'
            ) -> 'list[Sample | Reject]':
     """Return what the stops of a recording gave; print warnings."""
-    recording = read_bag(bag, config)
+    recording = read_bag_shown(bag, config)
     warn_of_frame(recording, calibration)
     session = collect_samples(recording, config)
     samples = session.samples
@@ -152,7 +152,7 @@ def check(
     checks: list[tuple[str, Check]] = []
     since: Path | None = None  # the first of the latest recordings, if these are changed
     for bag in bags:
-        recording = read_bag(bag, settings)
+        recording = read_bag_shown(bag, settings)
         warn_of_frame(recording, calibration)
         with progress_bar('comparing'):
             result = check_recording(recording.profiles, recording.poses, calibration, settings)

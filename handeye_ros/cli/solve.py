@@ -47,7 +47,7 @@ def solve(
     """Find the transform from a recording or a file."""
     from handeye_ros.output import folder_name
     from handeye_ros.results import exports, table
-    from handeye_ros.results.truth import errors_against, true_transform
+    from handeye_ros.results.truth import errors_against, FIELD_TEXT, true_transform
     opened = open_input(path, config, assignments, angles, kinematics)
     settings = opened.settings
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
@@ -80,7 +80,7 @@ def solve(
         if opened.warnings:
             provenance['warnings'] = [*opened.warnings, *warnings]
         calibration = replace(calibration, provenance=provenance)
-        T_plane, field, field_text = T_sensor_plane(settings), None, 'the field of view'
+        T_plane, field, field_text = T_sensor_plane(settings), None, FIELD_TEXT
     saved = exports.save_all(calibration, folder, settings.save.formats)
     show(table.table(calibration))
     if causes:

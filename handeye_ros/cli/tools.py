@@ -20,7 +20,7 @@ from handeye_ros.cli.common import (
     INTERRUPTED_EXIT_CODE,
     is_table,
     progress_bar,
-    read_bag,
+    read_bag_shown,
     require_choice,
     show,
     warn,
@@ -76,7 +76,7 @@ def kinematics(
             stored = read_session(path) if is_session(path) else None
             read_with = replace(configuration(
                 config, assignments, stored.config if stored else None), kinematics='')
-            recording = read_bag(path, read_with, arm)
+            recording = read_bag_shown(path, read_with, arm)
             measured.append(source_of(
                 stored.session(read_with) if stored else collect_samples(recording, read_with),
                 recording, arm, read_with,
@@ -119,7 +119,7 @@ def batch(
     from handeye_ros import batch as batches
     from handeye_ros.output import write_errors_for
     words = batches.words_of(args, config, assignments)
-    jobs = batches.jobs_of(sources, batches.Job('', '', verb, words))
+    jobs = batches.jobs_of(sources, verb, words)
     out = out.absolute()
     if all(job.words == words for job in jobs):  # an error in them concerns all jobs
         configuration(config, assignments)

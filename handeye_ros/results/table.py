@@ -20,7 +20,7 @@ from handeye_ros.data import (
 )
 from handeye_ros.errors import count_of, without_numbers
 from handeye_ros.frames import weakest_position
-from handeye_ros.results.truth import TransformErrors
+from handeye_ros.results.truth import FIELD_TEXT, TransformErrors
 import numpy as np
 from rich import box
 from rich.console import Group, RenderableType
@@ -180,7 +180,7 @@ def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield name, str(value)
 
 
-def error_sentence(errors: TransformErrors, region: str = 'the field of view') -> str:
+def error_sentence(errors: TransformErrors, region: str = FIELD_TEXT) -> str:
     """Return the errors against the truth in words; region: the points that are mapped."""
     return (f'error against truth.yaml: translation {errors.translation * 1e3:.3f} mm, rotation '
             f'{math.degrees(errors.rotation):.4f} degrees, mapped points '

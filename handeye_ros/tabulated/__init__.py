@@ -15,29 +15,22 @@ FILE_TARGETS: dict[str, type[TableProblem]] = {
     problem.name: problem for problem in (PointPairs, PosePairs, TrackerProblem)}
 
 
-def is_solved_from_files(config: Config) -> bool:
+def read(path: Path, config: Config) -> TableProblem:
     """
-    Return whether a configuration is of a target that is solved from files.
+    Return what a file holds of the configuration's target.
 
-    Raises BadValueError for a method or a calibration type that it cannot be of.
+    Raises BadValueError for a method or a calibration type that the target does not have, and
+    InputError, DataError.
     """
     name = config.target.type
     if name not in FILE_TARGETS:
-        return False
-    for key, value, fitting in (('method', config.method, ('auto', name)),
+        fitting = list(FILE_TARGETS)
+        raise InputError(f'{path} is a table of measured values, and target.type {name} is not '
+                         f'solved from one: set target.type to {" or ".join(fitting)}, as in '
+                         f'--set target.type={fitting[0]}')
+    for key, value, choices in (('method', config.method, ('auto', name)),
                                 ('calibration_type', config.calibration_type,
                                  FILE_TARGETS[name].calibration_types)):
-        if value not in fitting:
-            raise BadValueError(key, value, f'{" or ".join(fitting)} with target.type {name}')
-    return True
-
-
-def read(path: Path, config: Config) -> TableProblem:
-    """Return what a file holds of the configuration's target; raises InputError, DataError."""
-    if not is_solved_from_files(config):
-        fitting = list(FILE_TARGETS)
-        raise InputError(f'{path} is a table of measured values, and target.type '
-                         f'{config.target.type} is not solved from one: set '
-                         f'target.type to {" or ".join(fitting)}, as in --set '
-                         f'target.type={fitting[0]}')
-    return FILE_TARGETS[config.target.type].read(path, config)
+        if value not in choices:
+            raise BadValueError(key, value, f'{" or ".join(choices)} with target.type {name}')
+    return FILE_TARGETS[name].read(path, config)

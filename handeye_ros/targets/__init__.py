@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from handeye_ros.config import Config
+from handeye_ros.config import Config, SOLVED_FROM_FILES
 from handeye_ros.data import Sample
 from handeye_ros.errors import BadValueError, InputError
 from handeye_ros.estimation.problem import Problem
@@ -19,7 +19,6 @@ from handeye_ros.targets.wedge import WEDGE
 
 TARGETS: dict[str, ProfileTarget] = {
     target.name: target for target in (PLATE, LINE, PLANE, SPHERE, WEDGE)}
-SOLVED_FROM_FILES = ('points', 'hand_eye', 'tracker')  # see tabulated/
 
 
 def target_for(config: Config) -> ProfileTarget:

@@ -11,12 +11,14 @@ from typing import Any
 
 from command import chromium, handeye, PLATE, ROOT, succeeds
 from handeye_ros import config, se3
+from handeye_ros.bags.bag import read
 from handeye_ros.data import Calibration
 from handeye_ros.results import calibration_file, report
 from handeye_ros.results.report import SolvedRecording, std_of_points, verdict
 from handeye_ros.review import solved_recording
 import numpy as np
 import pytest
+from recordings import rewrite, scan
 
 BAG = ROOT / 'bags' / 'plate'
 PAINTED = """
@@ -162,6 +164,17 @@ def test_a_moved_recording_is_found_and_a_changed_one_is_refused(
     (tmp_path / 'plate.mcap').write_text('another')
     changed = solved_recording(named(str(tmp_path / 'plate.mcap')), None)
     assert 'has changed since it was solved' in changed.missing
+
+
+def test_a_recording_in_several_files_is_shown_whole(calibration: Calibration, tmp_path: Path
+                                                     ) -> None:
+    _, messages = scan(BAG)
+    for k in range(3):
+        rewrite(BAG, tmp_path / f'plate_{k}.mcap', messages[k * 1100:(k + 1) * 1100])
+    inputs = read(tmp_path, config.load(PLATE)).inputs
+    named = replace(calibration, provenance={**calibration.provenance, 'inputs': inputs})
+    recording = solved_recording(named, None)
+    assert len(inputs) == 3 and len(recording.stops) == len(calibration.samples)
 
 
 def test_a_calibration_from_files_has_a_report_too(calibration: Calibration) -> None:
