@@ -6,8 +6,9 @@ From profiles and poses to the hand-eye transform: the algorithm on one page.
 `gather` turns a recording into samples (what each stop of the robot shows), `answer_samples` the
 samples into an `Answer` in ten steps: a calibration, or a refusal. The command line, the node, the
 review of samples, the guidance and the report all read that answer. A function `require_...`
-raises a refusal (DataError) where what it names is missing, and else does nothing; `with_...`
-returns a changed value, and may refuse too (`with_estimated_clocks`, `with_possible_move`).
+raises a refusal where what it names is missing (DataError; InputError where an argument or a
+setting is wrong), and else does nothing. `with_...` returns its argument with what it names, and
+may refuse too.
 """
 from __future__ import annotations
 
@@ -52,7 +53,7 @@ from handeye_ros.data import (
     SEED,
     TimedPose,
 )
-from handeye_ros.errors import DataError, require_type
+from handeye_ros.errors import DataError, InputError, require_type
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.search import robust_solution, with_systematic_errors
 from handeye_ros.estimation.solution import Solution
@@ -112,8 +113,8 @@ def gather(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: C
     """
     Return the samples and rejects of a recording, its messages in the order of their stamps.
 
-    Raises DataError when it holds no stops, InputError for other arguments, and for numbers that
-    are no pose.
+    Raises DataError when it holds no stops, InputError for other arguments, for numbers that are
+    no pose, and for messages that contradict the settings.
     """
     require_type('config', config, Config)
     session = Session(config)
@@ -134,8 +135,9 @@ def calibrate_session(session: Session, config: Config) -> Calibration:
 
 def answer_session(session: Session, config: Config) -> Answer:
     """
-    Return the answer of a session; raises DataError when it holds no stops.
+    Return the answer of a session.
 
+    Raises DataError when it holds no stops, InputError for messages that contradict the settings.
     config: the one of the session, which made its samples.
     """
     session.require_any_stop()
@@ -149,11 +151,19 @@ def solve(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, 
     Return the calibration from samples, in any order.
 
     rejects: stops that gave no sample, for the report; frame_id: of the profiles.
-    Raises DataError when the samples cannot carry an answer, InputError for other arguments.
+    Raises DataError when the samples cannot carry an answer, InputError for other arguments and
+    for numbers that are not finite.
     """
     require_type('config', config, Config)
     require_type('frame_id', frame_id, str)
-    samples = [*require_each('samples', samples, Sample)]
+    samples, target = [*require_each('samples', samples, Sample)], targets.target_for(config)
+    for sample in samples:
+        for station in sample.station_samples:
+            seen = target.observe([station])
+            if not all(np.isfinite(values).all() for values in (
+                    station.T_base_flange, seen.points, seen.error_factor)):
+                raise InputError(f'the sample of stamp {sample.stamp} holds numbers that are not '
+                                 'finite')
     rejects = [*require_each('rejects', rejects, Reject)]
     return answer_samples(samples, rejects, config, frame_id).require_calibration()
 

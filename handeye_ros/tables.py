@@ -164,7 +164,7 @@ class Table:
 def _number(text: str) -> float:
     """Return the number of a text, NaN for any other text."""
     try:
-        return float(text)
+        return math.nan if '_' in text else float(text)  # Python's 1_000 is no number of a table
     except ValueError:
         return math.nan
 

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
-from cells import Recorded, recorded, squared_error
-from handeye_ros import Config, gather, se3
+from cells import Recorded, recorded, settings_of, squared_error
+from handeye_ros import Config, gather, se3, solve
 from handeye_ros.config import ProfileConfig, TargetConfig
-from handeye_ros.data import Calibration, Profile, TimedPose
+from handeye_ros.data import Calibration, EdgePoint, Profile, TimedPose
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings
+from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings, simulate_samples
 from handeye_ros.simulate.scenario import PlateTarget
 import numpy as np
 import pytest
@@ -236,3 +236,25 @@ def test_wrong_input_is_refused_by_name(make: Callable[[], object], named: str) 
 
 def test_integers_of_numpy_are_stamps() -> None:
     assert TimedPose(np.int64(3), ORIGIN, NO_TURN).stamp == 3  # type: ignore[arg-type]
+
+
+def test_samples_that_carry_no_answer_are_refused_as_such() -> None:
+    config = settings_of(SCENARIOS['line'])
+    samples, _ = simulate_samples(SCENARIOS['line'], np.random.default_rng(0))
+    lost = replace(samples[3], T_base_flange=np.full((4, 4), np.nan))
+    with pytest.raises(InputError, match=f'stamp {samples[3].stamp} holds numbers that are not'):
+        solve([*samples[:3], lost, *samples[4:]], [], config, 'laser')
+    seen_in_the_middle = [replace(sample, features=tuple(
+        replace(feature, point=feature.point * [0, 1]) if isinstance(feature, EdgePoint)
+        else feature for feature in sample.features)) for sample in samples]
+    with pytest.raises(DataError):
+        solve(seen_in_the_middle, [], config, 'laser')
+
+
+@pytest.mark.parametrize('slash', ['', '/'])
+def test_the_frame_of_the_robot_is_none_of_the_profiles(slash: str) -> None:
+    samples, _ = simulate_samples(SCENARIOS['plate'], np.random.default_rng(0))
+    config = replace(settings_of(SCENARIOS['plate']), robot_effector_frame=f'{slash}flange')
+    for frame_id in ('flange', '/flange'):
+        with pytest.raises(DataError, match='robot_effector_frame is the same frame'):
+            solve(samples, [], config, frame_id)

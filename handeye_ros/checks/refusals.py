@@ -16,7 +16,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import count_of, DataError, degrees, mm
 from handeye_ros.estimation.covariance import CORRECTED_ARM
-from handeye_ros.estimation.noise import EDGE_FACTOR
+from handeye_ros.estimation.noise import EDGE_INDEX
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import axes_across, direction_in_words, mount_frame
@@ -33,11 +33,11 @@ MIN_REDUNDANT = 3  # redundant conditions needed, and as many for each dropped s
 MAX_P_WRONG = 0.1  # largest probability that one of few samples is wrong
 # the same where several stations were dropped and similar surfaces may be confused
 SURELY_WRONG_P = 0.99
-STRAY_EDGES = 9.0  # variance factor of edges (3 sigma) above which they are of something else
+STRAY_EDGES_CHI2 = 9.0  # of edges (3 sigma): above which they are of something else
 MIN_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
 # rad RMS about the second axis: tilts by 12 degrees to both sides; less may look like a move
 SMALL_SECOND_TURN = 0.12
-MISFIT_FACTOR, MISFIT_TIMES = 40.0, 4.0  # of a misfit: variance factor, residuals over the noise
+MISFIT_CHI2, MISFIT_TIMES = 40.0, 4.0  # of a misfit: reduced chi-squared, residuals over the noise
 # residuals of a sensor turned by half, over those of the answer, that surely tell them apart
 TWIN_RATIO = 5.0
 SHOW_ALL_OF_THE_VIEW = (
@@ -55,8 +55,9 @@ def require_distinct_frame(frame_id: str, config: Config) -> None:
 
     frame_id: of the profiles. The answer would relate a frame to itself.
     """
-    key = {config.base_frame: 'robot_base_frame',
-           config.robot_effector_frame: 'robot_effector_frame'}.get(frame_id.lstrip('/'))
+    key = {config.base_frame.lstrip('/'): 'robot_base_frame',
+           config.robot_effector_frame.lstrip('/'): 'robot_effector_frame',
+           }.get(frame_id.lstrip('/'))
     if key:
         raise DataError(
             f'the profiles have the frame_id "{frame_id}", and {key} is the same frame, so the '
@@ -142,7 +143,7 @@ def misfit_refusal(solution: Solution) -> UnexplainedError | None:
             'target', reason='misfit')
     times = rms / solution.posterior.expected_rms
     if times > limits.scatter or (
-            solution.posterior.reduced_chi_squared > MISFIT_FACTOR and times > MISFIT_TIMES):
+            solution.posterior.reduced_chi_squared > MISFIT_CHI2 and times > MISFIT_TIMES):
         beyond = f' (limits.scatter is {limits.scatter:g})' if times > limits.scatter else ''
         return UnexplainedError(
             f'the residuals of {mm(rms)} RMS are {times:.1f} times what the configured noise '
@@ -249,10 +250,10 @@ def require_edges(solution: Solution) -> None:
     target = solution.full_problem.target
     if not target.required_edges:
         return
-    posterior, at_rest = solution.posterior, not solution.problem.is_sweep
-    factor = posterior.noise.variance_factors[EDGE_FACTOR]
+    posterior, at_rest = solution.posterior, not solution.problem.has_pose_model
+    factor = posterior.noise.variance_factors[EDGE_INDEX]
     # a robot on its way has errors of its own
-    if at_rest and factor > STRAY_EDGES and posterior.residual_rms > posterior.expected_rms:
+    if at_rest and factor > STRAY_EDGES_CHI2 and posterior.residual_rms > posterior.expected_rms:
         raise UnexplainedError(
             f'the edges of the target scatter {factor ** 0.5:.1f} times more than the profiles '
             'allow: check that the laser crosses the target alone, and no clamp, bar or second '

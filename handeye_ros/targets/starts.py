@@ -13,6 +13,7 @@ from dataclasses import replace
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.estimation.least_squares import means_by
 from handeye_ros.estimation.problem import Estimate, Observations, Problem, UNUSED
 from handeye_ros.estimation.search import distinct
 import numpy as np
@@ -60,8 +61,7 @@ def _typical_distance(problem: Problem, estimate: Estimate) -> float:
     used, n = kind != UNUSED, len(problem.poses)
     squares = target.conditions(p[used], kind[used], estimate.state, problem.config).g ** 2
     station = problem.observations.station[used]
-    mean = np.bincount(station, squares, n) / np.maximum(np.bincount(station, minlength=n), 1)
-    return float(np.quantile(mean, FITTING_SHARE) ** 0.5)
+    return float(np.quantile(means_by(station, squares, n), FITTING_SHARE) ** 0.5)
 
 
 def with_one_piece(problem: Problem, piece: NDArray[np.intp], choices: Iterable[Array]
@@ -158,6 +158,7 @@ def linear_solutions(problem: Problem, axes: list[int], across: slice, count: in
     transposed = np.swapaxes(A, 1, 2)
     N = transposed @ A
     scale = np.sqrt(np.einsum('kii->ki', N))[..., None]
+    scale[scale == 0] = 1.0
     scaled = N / scale / np.swapaxes(scale, 1, 2) + 1e-12 * np.eye(9 + q)
     solved = np.linalg.solve(scaled, transposed @ b / scale) / scale
     rms = np.sqrt(((A @ solved - b) ** 2).mean(axis=(1, 2)))
