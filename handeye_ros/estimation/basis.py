@@ -182,9 +182,9 @@ def _kernel_root(vectors: Array, chosen: list[int], long_errors: bool = False) -
     """
     squared = ((vectors[:, None] - vectors[chosen]) ** 2).sum(axis=2)
     correlations = np.exp2(-squared) if long_errors else 1.0 / (1.0 + squared)
-    values, vectors = eigen(correlations[chosen])
+    values, axes = eigen(correlations[chosen])
     keep = values > 1e-6 * values[-1]
-    return np.asarray(correlations @ (vectors[:, keep] / np.sqrt(values[keep])))
+    return np.asarray(correlations @ (axes[:, keep] / np.sqrt(values[keep])))
 
 
 def farthest_points(vectors: Array, most: int) -> list[int]:

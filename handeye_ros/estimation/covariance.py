@@ -17,7 +17,7 @@ from handeye_ros.data import Array, BudgetTerm
 from handeye_ros.estimation.basis import grid_over
 from handeye_ros.estimation.blocks import blocks_with_columns
 from handeye_ros.estimation.least_squares import chi2_sf
-from handeye_ros.estimation.noise import covariance_parts, NoiseScales, POSE_FACTOR
+from handeye_ros.estimation.noise import covariance_parts, NoiseScales, POSE_INDEX
 from handeye_ros.estimation.posterior import Posterior, posterior_at
 from handeye_ros.estimation.solution import Solution
 import numpy as np
@@ -126,7 +126,7 @@ def _parts_of_noise(reported: Posterior) -> dict[str, Array]:
         V = V * reported.noise.variance_factors[:len(V), None, None, None]
         A = reported.jacobian[group.rows]
         gain = (A @ reported.covariance[:, :6]).swapaxes(1, 2) @ root  # of residuals in m
-        for name, V_parts in zip(parts, np.split(V, [POSE_FACTOR]), strict=True):
+        for name, V_parts in zip(parts, np.split(V, [POSE_INDEX]), strict=True):
             parts[name] += (gain @ V_parts.sum(axis=0) @ gain.swapaxes(1, 2)).sum(axis=0)
     return parts
 

@@ -197,6 +197,12 @@ def rows_by_count(item: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
     return tuple(first[count == c, None] + np.arange(c) for c in np.unique(count))
 
 
+def means_by(item: NDArray[np.intp], values: Array, n: int) -> Array:
+    """Return the mean (n,) of the values (m,) of each item, 0 of one without any."""
+    count = np.bincount(item, minlength=n)
+    return np.asarray(np.bincount(item, values, minlength=n) / np.maximum(count, 1))
+
+
 def leave_one_out(whitened: Array, jacobian: Array, covariance: Array, item: NDArray[np.intp]
                   ) -> Array:
     """

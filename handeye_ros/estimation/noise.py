@@ -4,7 +4,8 @@
 Covariances of the residuals, (3), whitening, and the scales of priors, (6).
 
 Blocks are unknowns of the solution, common to all stations (see posterior.py). During the search
-they count as independent errors of each station. The scale of a block is the standard deviation of
+distortion, smooth error and set-back count as independent errors of each station, and the others
+are left out. The scale of a block is the standard deviation of
 its parameters over the configured one; it has a half-t prior (Gelman 2006, Bayesian Analysis
 1:515). Its most likely value is 0 if few parameters happen to be small, so it is averaged over.
 """
@@ -42,9 +43,9 @@ LOG_SINGLE_REPORT_PRIOR = _log_half_t(2.0, 0.8)
 # For the estimate: near 0, unless the data show something.
 LOG_MAP_PRIOR = _log_half_t(1.0, 0.01)
 
-# Places of the variance factors: of the own errors of faces and arcs, and of edges; of distortion
+# Indices of the variance factors: of the own errors of faces and arcs, and of edges; of distortion
 # that differs between stations; of the poses; of the white errors of pose values, such as time.
-FACE_FACTOR, EDGE_FACTOR, LOCAL_DISTORTION_FACTOR, POSE_FACTOR, POSE_PARAMETER_FACTOR = range(5)
+FACE_INDEX, EDGE_INDEX, LOCAL_DISTORTION_INDEX, POSE_INDEX, POSE_PARAMETER_INDEX = range(5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +53,7 @@ class NoiseScales:
     """
     Factors on the configured variances in (3), and the scales of blocks.
 
-    variance_factors: (5,), see FACE_FACTOR
+    variance_factors: (5,), see FACE_INDEX
     block_variances: tau^2 of blocks by name; 1 of those not named
     blocks_as_noise: whether blocks count as errors of each station
     """

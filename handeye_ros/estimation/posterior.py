@@ -23,6 +23,7 @@ from handeye_ros.estimation.least_squares import (
     bounded_inverse,
     covariance_of,
     left_out_residuals,
+    means_by,
 )
 from handeye_ros.estimation.noise import (
     BLOCKS_AS_NOISE,
@@ -300,13 +301,13 @@ class Posterior:
         of freedom it is chi-squared distributed when the station is good. All points of a station
         share one pose, which has 6 degrees of freedom.
         """
-        observations, e = self.problem.observations, self.postfit_residuals
-        products = np.empty_like(e)
-        for rows in (group.rows for group in observations.station_groups):
-            products[rows] = e[rows] * left_out_residuals(self.predicted_covariance(rows), e[rows])
-        sums, count = (np.bincount(observations.station, weights, len(self.problem.poses))
-                       for weights in (products, None))
-        return sums / np.maximum(count, 1), np.clip(count, 1, 6)
+        station, e, n = self.problem.observations.station, self.postfit_residuals, len(
+            self.problem.poses)
+        left_out = np.empty_like(e)
+        for rows in (group.rows for group in self.problem.observations.station_groups):
+            left_out[rows] = left_out_residuals(self.predicted_covariance(rows), e[rows])
+        return (means_by(station, e * left_out, n),
+                np.clip(np.bincount(station, minlength=n), 1, 6))
 
     @property
     def is_determined(self) -> bool:

@@ -8,7 +8,7 @@ satisfy a condition g(p) = 0. The numbers are those of docs/estimator.md.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Self, TYPE_CHECKING
@@ -75,6 +75,12 @@ class Observations:
     ending: NDArray[np.intp]
     outward: Array
     shape_std: Array
+
+    @classmethod
+    def concatenated(cls, parts: Sequence[Observations]) -> Self:
+        """Return the observations of one or more parts, in order."""
+        return cls(*(np.concatenate([getattr(part, f.name) for part in parts])
+                     for f in fields(cls)))
 
     def __len__(self) -> int:
         """Return the number of conditions."""
@@ -194,8 +200,8 @@ class Problem:
         return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
 
     @property
-    def is_sweep(self) -> bool:
-        """Return whether the poses depend on clocks: those of a moving robot."""
+    def has_pose_model(self) -> bool:
+        """Return whether the poses depend on parameters, as on the clocks of a moving robot."""
         return self.pose_model is not None
 
     @property
@@ -239,7 +245,7 @@ class Problem:
     @property
     def noise_station_count(self) -> int:
         """Return the number of stations that tell noise and scales."""
-        return ENOUGH_PROFILES if self.is_sweep else ENOUGH_STATIONS
+        return ENOUGH_PROFILES if self.has_pose_model else ENOUGH_STATIONS
 
     @property
     def is_large(self) -> bool:
@@ -350,7 +356,8 @@ def linearise(problem: Problem, estimate: Estimate) -> Linearisation:
     """
     Return residuals and derivatives r, J at an estimate, (2).
 
-    Or at several estimates at once, X (n, 4, 4) and state (n, s); of a plate only at one.
+    Or at several estimates at once, X (n, 4, 4) and state (n, s), where the target can be mapped
+    at several.
     """
     obs, X = problem.observations, estimate.X
     R, a = problem.mounts_of_rows

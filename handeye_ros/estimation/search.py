@@ -31,6 +31,7 @@ from handeye_ros.estimation.least_squares import (
     GROSS_SQUARE,
     LeastSquares,
     many_least_squares,
+    means_by,
     Rows,
     shared_variance_factor,
     States,
@@ -253,8 +254,7 @@ def mean_squares(linear: Linearisation) -> Array:
     """Return the mean squared whitened residuals (n,) of the stations, blocks as noise."""
     station, n = linear.problem.observations.station, len(linear.problem.poses)
     whitened = whitening(linear, BLOCKS_AS_NOISE)(linear.residuals)
-    squares = np.bincount(station, whitened ** 2, minlength=n)
-    return np.asarray(squares / np.maximum(np.bincount(station, minlength=n), 1))
+    return means_by(station, whitened ** 2, n)
 
 
 def _least_squares_of(problem: Problem, noise: NoiseScales = BLOCKS_AS_NOISE

@@ -21,7 +21,7 @@ from handeye_ros.estimation.blocks import (
     ParameterBlock,
 )
 from handeye_ros.estimation.least_squares import FREE_DIRECTION
-from handeye_ros.estimation.noise import LOCAL_DISTORTION_FACTOR, NoiseScales
+from handeye_ros.estimation.noise import LOCAL_DISTORTION_INDEX, NoiseScales
 from handeye_ros.estimation.posterior import Posterior, posterior_at
 from handeye_ros.estimation.problem import (
     Estimate,
@@ -40,7 +40,7 @@ FULL_STEPS = 5  # in which the scales change in full, later by half
 LAST_STEPS = 3  # of variance factors and scales, after the last of the unknowns
 LEFT_BY_OTHERS = 1e-6  # share of a variance; a station that leaves less to the others is needed
 # prior variance factors for the estimate: no distortion that differs, unless the data show some
-MAP_PRIOR_FACTORS = np.where(np.arange(5) == LOCAL_DISTORTION_FACTOR, 1e-4, 1.0)
+MAP_PRIOR_FACTORS = np.where(np.arange(5) == LOCAL_DISTORTION_INDEX, 1e-4, 1.0)
 
 
 @dataclass(frozen=True, eq=False)

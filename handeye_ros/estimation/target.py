@@ -50,8 +50,8 @@ class Target(ABC):
     required_edges: the conditions at edges, by their index in kinds; a station that shows edges
         must use one
     min_samples: fewest samples
-    free_measure: settings of the target with which its last measure is unknown, where it has one
-    free_lengths: settings of the target with which its stated lengths may be wrong, where it has
+    freed_measure: settings of the target with which its last measure is unknown, where it has one
+    freed_lengths: settings of the target with which its stated lengths may be wrong, where it has
         some
     lost_with_one_axis: what rotations about one axis alone leave undetermined, in words
     face_count: how many of its faces, each a piece of the profile, one view has
@@ -68,8 +68,8 @@ class Target(ABC):
     normals: ClassVar[Array]
     required_edges: tuple[int, ...] = ()
     min_samples = 6
-    free_measure: ClassVar[Mapping[str, Any]] = {}
-    free_lengths: ClassVar[Mapping[str, Any]] = {}
+    freed_measure: ClassVar[Mapping[str, Any]] = {}
+    freed_lengths: ClassVar[Mapping[str, Any]] = {}
     lost_with_one_axis = 'the position along it is free'
     face_count = 1
     several_in_view = False

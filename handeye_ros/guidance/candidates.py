@@ -13,7 +13,7 @@ too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 import math
 
 from handeye_ros import se3
@@ -291,10 +291,8 @@ def std_with_one_more(solution: Solution, levers: Array, added: Problem) -> floa
     problem = reported.problem
     further = replace(added.observations,
                       station=added.observations.station + len(problem.poses))
-    observations = map(np.concatenate, zip(
-        astuple(problem.observations), astuple(further), strict=True))
     with_added = replace(problem, poses=np.concatenate([problem.poses, added.poses]),
-                         observations=Observations(*observations))
+                         observations=Observations.concatenated([problem.observations, further]))
     posterior = posterior_at(with_added, reported.estimate, reported.noise)
     now, before, after = (float(se3.mapped_std(levers, covariance[:6, :6])) for covariance in (
         solution.transform_covariance, reported.covariance, posterior.covariance))

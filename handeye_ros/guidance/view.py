@@ -40,7 +40,7 @@ SPHERE_MOVES = np.array([
     [1.0, -0.77, -0.55, -0.47, 0.7, 0.6],
     [-1.0, 0.95, 0.0, -0.7, 0.7, 0.6],
 ])
-ONE_EDGE_MOVES = np.array([
+OTHER_MOVES = np.array([
     [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
     [-1.0, 0.67, -0.67, -0.7, 0.7, 0.0],
     [-0.7, 0.0, -0.95, 0.7, -0.7, 0.0],
@@ -151,7 +151,7 @@ def seen_feature_noun(target: Target) -> str:
 def next_move(taken: int, target: Target, config: Config, view: View) -> AdvisedMove:
     """Return the move after a number of samples (at least one)."""
     is_round, two_edges = Arc in target.required_features, len(target.required_edges) > 1
-    moves = SPHERE_MOVES if is_round else TWO_EDGES_MOVES if two_edges else ONE_EDGE_MOVES
+    moves = SPHERE_MOVES if is_round else TWO_EDGES_MOVES if two_edges else OTHER_MOVES
     turn, *shares, beside = moves[taken % len(moves)]
     tilt = np.round(np.array(shares[:2]) * config.guidance.tilt, 3)
     inner = view.inner()

@@ -129,8 +129,8 @@ class Plate(ProfileTarget):
     extract = staticmethod(face_features)
     required_features = (FaceLine, EdgePoint)
     required_edges = tuple(EDGES)
-    free_measure = {'edge_angle_free': True}
-    free_lengths = {'size_std': 3e-3}
+    freed_measure = {'edge_angle_free': True}
+    freed_lengths = {'size_std': 3e-3}
     edge_kinds = (P,)  # until an edge is found for it
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:

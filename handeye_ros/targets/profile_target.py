@@ -19,8 +19,7 @@ of faces, shapes of edges, flatness, range at grazing incidence.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, EdgePoint, ENDINGS, FaceLine, Sample
@@ -30,7 +29,6 @@ from handeye_ros.estimation.problem import Linearisation, Observations, UNUSED
 from handeye_ros.estimation.target import Target
 from handeye_ros.targets.starts import of_nearest_piece
 import numpy as np
-from numpy.typing import NDArray
 
 FACE = 0  # the kind of a condition on a face, in every target that has them
 # share of the RMS of each degree: the first are the largest
@@ -42,35 +40,23 @@ GRAZING_COSINE = 0.64  # cosine of the incidence below which the range of a face
 STEEPNESS_EXPONENTS = np.array([8, 16, 32])
 
 
-@dataclass
-class ObservationRows:
+def observations_at(station: int, points: Array, kind: int, error_factor: Array, feature: int = 0,
+                    edge: EdgePoint | None = None) -> Observations:
     """
-    Collects the conditions of a target, feature by feature.
+    Return a condition for each of points (k, 2), with factors (k, 2, 2); see Observations.
 
-    parts: the values of Observations, in order, of one feature each
+    edge: that the points are on, or None.
     """
+    n = len(points)
+    ending, outward, shape_std = (
+        (1 + ENDINGS.index(edge.ending), edge.direction, edge.shape_std) if edge else
+        (0, np.zeros(2), 0.0))
+    return Observations(np.full(n, station), points, np.full(n, kind), error_factor,
+                        np.full(n, feature), np.full(n, ending), np.tile(outward, (n, 1)),
+                        np.full(n, shape_std))
 
-    parts: list[tuple[NDArray[Any], ...]] = field(default_factory=list)
 
-    def add(self, station: int, points: Array, kind: int, factor: Array, feature: int = 0,
-            edge: EdgePoint | None = None) -> None:
-        """
-        Append a condition for each of points (k, 2), with factors (k, 2, 2); see Observations.
-
-        edge: that the points are on, or None.
-        """
-        n = len(points)
-        ending, outward, shape_std = (
-            (1 + ENDINGS.index(edge.ending), edge.direction, edge.shape_std) if edge else
-            (0, np.zeros(2), 0.0))
-        self.parts.append((np.full(n, station), points, np.full(n, kind), factor,
-                           np.full(n, feature), np.full(n, ending),
-                           np.tile(outward, (n, 1)), np.full(n, shape_std)))
-
-    def observations(self) -> Observations:
-        """Return the observations collected."""
-        self.add(0, np.empty((0, 2)), 0, np.empty((0, 2, 2)))  # concatenate needs one part
-        return Observations(*map(np.concatenate, zip(*self.parts, strict=True)))
+NO_OBSERVATIONS = observations_at(0, np.empty((0, 2)), 0, np.empty((0, 2, 2)))
 
 
 def edge_error_factor(edge: EdgePoint) -> Array:
@@ -107,18 +93,20 @@ class ProfileTarget(Target):
 
     def observe(self, samples: Sequence[Sample]) -> Observations:
         """Return the conditions of the features of samples; labels are assigned later."""
-        rows = ObservationRows()
+        parts = [NO_OBSERVATIONS]
         for station, sample in enumerate(samples):
             for number, feature in enumerate(sample.features):
                 if isinstance(feature, EdgePoint):
                     for kind in self.edge_kinds:
-                        rows.add(station, self.edge_place(feature)[None], kind,
-                                 edge_error_factor(feature)[None], number, feature)
+                        parts.append(observations_at(
+                            station, self.edge_place(feature)[None], kind,
+                            edge_error_factor(feature)[None], number, feature))
                 else:
                     points, across = _normal_points(feature)
-                    rows.add(station, points, number % self.face_count,
-                             np.stack([across, np.zeros_like(across)], axis=-1), number)
-        return rows.observations()
+                    parts.append(observations_at(
+                        station, points, number % self.face_count,
+                        np.stack([across, np.zeros_like(across)], axis=-1), number))
+        return Observations.concatenated(parts)
 
     def edge_place(self, edge: EdgePoint) -> Array:
         """Return the point (2,) that is on the edge."""

@@ -72,7 +72,7 @@ class Sphere(ProfileTarget):
     name = 'sphere'
     kinds = ('arc',)
     parameter_names, pose_axes = ('x', 'y', 'z', 'radius'), (0, 1, 2)
-    free_measure = {'radius': 0.0}
+    freed_measure = {'radius': 0.0}
     extract = staticmethod(arc_features)
     required_features = (Arc,)
 

@@ -20,7 +20,7 @@ from handeye_ros.data import Array, FaceLine
 from handeye_ros.estimation.problem import Estimate, Observations, Problem
 from handeye_ros.profiles.faces import face_pair_features
 from handeye_ros.targets.line import EDGE_Y, EDGE_Z, LINE, line_starts
-from handeye_ros.targets.profile_target import ObservationRows, ProfileTarget, xyz
+from handeye_ros.targets.profile_target import observations_at, ProfileTarget, xyz
 from handeye_ros.targets.starts import (
     best_fitting_first,
     lines_of_pieces,
@@ -72,11 +72,12 @@ def corners(observations: Observations, pair: NDArray[np.intp]) -> tuple[Array, 
 
 def _starts(problem: Problem) -> list[Estimate]:
     """Return starts by the crossing of the two lines of each station: these lie on one edge."""
-    rows, obs = ObservationRows(), problem.observations
-    for station, corner in enumerate(corners(obs, np.zeros_like(obs.kind))[0]):
-        for kind in (EDGE_Y, EDGE_Z):
-            rows.add(station, corner, kind, CORNER_STD * np.eye(2)[None])
-    edges = replace(problem, target=LINE, observations=rows.observations())
+    obs, factor = problem.observations, CORNER_STD * np.eye(2)[None]
+    crossings = Observations.concatenated([
+        observations_at(station, corner, kind, factor)
+        for station, corner in enumerate(corners(obs, np.zeros_like(obs.kind))[0])
+        for kind in (EDGE_Y, EDGE_Z)])
+    edges = replace(problem, target=LINE, observations=crossings)
     return [_with_faces(problem, edge) for edge in line_starts(edges)]
 
 

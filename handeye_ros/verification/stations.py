@@ -36,7 +36,7 @@ from handeye_ros.frames import mount_poses, mount_poses_of, T_sensor_plane
 from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
-from handeye_ros.targets.profile_target import edge_error_factor, ObservationRows
+from handeye_ros.targets.profile_target import edge_error_factor, NO_OBSERVATIONS, observations_at
 from handeye_ros.verification.fit import MIN_STATIONS, StationSet
 from handeye_ros.verification.routines import Routine
 import numpy as np
@@ -60,7 +60,7 @@ def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibr
     Of several surfaces in sight the nearest one takes part; verify.near limits the region.
     """
     X = calibration.T_flange_sensor @ T_sensor_plane(config)
-    shown, choices = zip(*(_of_artefact(routine, recorded, X, calibration, config)
+    shown, choices = zip(*(_select_artefact(routine, recorded, X, calibration, config)
                            for recorded in recordings), strict=True)
     samples = [sample for recorded in shown for sample in recorded]
     poses = mount_poses_of(samples, config)
@@ -87,8 +87,8 @@ def _problem(target: Target, poses: Array, observations: Observations, config: C
     return Problem(target, poses, observations, replace(config, noise=noise), long_errors=True)
 
 
-def _of_artefact(routine: Routine, samples: Sequence[Sample], X: Array, calibration: Calibration,
-                 config: Config) -> tuple[Sequence[Sample], str]:
+def _select_artefact(routine: Routine, samples: Sequence[Sample], X: Array,
+                     calibration: Calibration, config: Config) -> tuple[Sequence[Sample], str]:
     """Return what of a recording shows the artefact, and in words how it was chosen."""
     if any(sample.moving for sample in samples):
         samples = _at_calibrated_time(samples, calibration, config)
@@ -107,7 +107,7 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
 
     The robot's error is taken to be one for the whole pass.
     """
-    rows, noise = ObservationRows(), np.array([[0.0, 0.0], [config.noise.sensor, 0.0]])
+    parts, noise = [NO_OBSERVATIONS], np.array([[0.0, 0.0], [config.noise.sensor, 0.0]])
     poses, stamps, counts = list[Array](), list[int](), list[int]()
     offset = config.offset_ns
     for profiles, trajectory in passes:
@@ -117,12 +117,13 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
         for number, index in enumerate(usable.tolist(), len(stamps)):
             valid = profiles[index].points[np.isfinite(profiles[index].points).all(axis=1)]
             points = valid[even_indices(len(valid), POINTS_OF_PROFILE)]
-            rows.add(number, points, 0, np.repeat(noise[None], len(points), axis=0), number)
+            parts.append(observations_at(
+                number, points, 0, np.repeat(noise[None], len(points), axis=0), number))
         poses.append(flange.T_base_flange[usable])
         stamps += [profiles[index].stamp for index in usable.tolist()]
         counts.append(len(usable))
     problem = _problem(TARGETS['plane'], mount_poses(np.concatenate(poses), config),
-                       rows.observations(), config, is_face=False)
+                       Observations.concatenated(parts), config, is_face=False)
     return StationSet(problem, np.array(stamps, dtype=np.int64), tuple(counts),
                       np.repeat(np.arange(len(counts)), counts))
 
@@ -138,12 +139,13 @@ def _observations(routine: Routine, samples: Sequence[Sample], T: Array) -> Obse
         return TARGETS[routine.target].observe(samples)
     stop, edges, ends = _features_with_stops(samples, T, EdgePoint)
     distances, _ = _distances_from_common(ends, stop, 3 - routine.edge_distances)
-    rows = ObservationRows()
+    parts = [NO_OBSERVATIONS]
     for number in np.unique(stop).tolist():
         edge = edges[min(np.flatnonzero(stop == number), key=distances.__getitem__)]
         for direction in range(routine.edge_distances):
-            rows.add(number, edge.point[None], direction, edge_error_factor(edge)[None])
-    return rows.observations()
+            parts.append(observations_at(
+                number, edge.point[None], direction, edge_error_factor(edge)[None]))
+    return Observations.concatenated(parts)
 
 
 def _features_with_stops(samples: Sequence[Sample], T: Array, kind: type[FeatureKind]
