@@ -94,7 +94,7 @@ class World:
                                         for side in (-1, 1)]))
 
     def facing(self, edge: int) -> np.ndarray:
-        """Return T_target_sensor (3, 3) of a sensor that looks squarely."""
+        """Return R_target_sensor (3, 3) of a sensor that looks squarely."""
         if self.scenario.scene == 'sphere':
             return np.diag([1.0, -1.0, -1.0])
         if isinstance(self.scenario.target, WedgeTarget):

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 import io
 import json
@@ -84,9 +84,9 @@ def files_below(path: Path) -> list[Path]:
     return sorted(files)
 
 
-def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
+def jobs_of(sources: Sequence[str], verb: str, words: tuple[str, ...] = ()) -> list[Job]:
     """
-    Return the jobs of bags, folders of bags, and CSV lists; base: the common command.
+    Return the jobs of bags, folders of bags, and CSV lists; verb, words: of all of them.
 
     Raises InputError for a list that cannot be read and for labels that are no folders of their
     own, and without a recording.
@@ -96,9 +96,9 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
         if not source.exists():
             raise InputError(f'{source} is not there: give bags, folders of bags, or a CSV list')
         if source.suffix == '.csv' and source.is_file():
-            jobs += _jobs_of_list(source, base)
+            jobs += _jobs_of_list(source, verb, words)
         else:
-            jobs += [replace(base, bag=str(bag.absolute()), label=label)
+            jobs += [Job(str(bag.absolute()), label, verb, words)
                      for bag, label in _bags_in(source, several=len(sources) > 1)]
     if not jobs:
         raise InputError(f'no recording in {" ".join(sources)}: give bags, folders of bags, or a '
@@ -129,8 +129,7 @@ def _bags_in(source: Path, several: bool) -> Iterator[tuple[Path, str]]:
 
 def _label_of(bag: Path) -> str:
     """Return the name of a bag, of a file without its suffix."""
-    suffix = next((s for s in reversed(SUFFIXES) if bag.name.endswith(s)), '')
-    return bag.name.removesuffix(suffix)
+    return bag.stem if bag.suffix in SUFFIXES else bag.name
 
 
 def words_of(args: str, config: Path | str | None, settings: Iterable[str],
@@ -151,7 +150,7 @@ def words_of(args: str, config: Path | str | None, settings: Iterable[str],
     return (*words, *files)
 
 
-def _jobs_of_list(path: Path, base: Job) -> Iterator[Job]:
+def _jobs_of_list(path: Path, verb: str, words: tuple[str, ...]) -> Iterator[Job]:
     """Yield the jobs of a list, whose paths are relative to it."""
     table, folder = Table(path), path.absolute().parent
     if not LIST_COLUMNS.issuperset(table.columns) or '' in table.texts('bag'):
@@ -161,8 +160,8 @@ def _jobs_of_list(path: Path, base: Job) -> Iterator[Job]:
         row = dict(zip(table.columns, values, strict=True))
         further = words_of(row.get('args', ''), row.get('config'), row.get('settings', '').split(),
                            folder)
-        yield replace(base, bag=str(folder / row['bag']), words=(*base.words, *further),
-                      label=row.get('label') or _label_of(Path(row['bag'])))
+        label = row.get('label') or _label_of(Path(row['bag']))
+        yield Job(str(folder / row['bag']), label, verb, (*words, *further))
 
 
 @contextmanager

@@ -59,7 +59,7 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
     used = [samples[i] for i in solution.used_stations]
     measured, residuals, left_out = residuals_and_left_out(used, solution)
     rms_of_samples = rms_by(measured.station, residuals, len(used)).tolist()
-    reports = [SampleReport(sample.stamp, True, edges, rms_of_sample,
+    reports = [SampleReport(sample.stamp, True, ', '.join(edges), rms_of_sample,
                             ONLY_FACE if problem.target.required_edges and not edges else '')
                for sample, edges, rms_of_sample in zip(
                    used, edges_used(problem), rms_of_samples, strict=True)]
@@ -127,10 +127,10 @@ def _joint_covariance(solution: Solution) -> dict[str, Any]:
             'variance_factors': solution.report_posterior.noise.variance_factors.tolist()}
 
 
-def edges_used(problem: Problem) -> list[str]:
-    """Return for each station the edges of the target that it shows, in words."""
+def edges_used(problem: Problem) -> list[tuple[str, ...]]:
+    """Return for each station the edges of the target that it shows."""
     obs, target = problem.observations, problem.target
-    return [', '.join(dict.fromkeys(  # each once, in the order of the points
+    return [tuple(dict.fromkeys(  # each once, in the order of the points
         target.kinds[k] for k in obs.kind[obs.station == station] if k in target.required_edges))
         for station in range(len(problem.poses))]
 

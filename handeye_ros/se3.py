@@ -179,7 +179,7 @@ def nearest_rotation(M: Array) -> Array:
     return cast(Array, (U * flip) @ V_transposed)
 
 
-def best_fit(points: Array, reference: Array) -> Array:
+def align_points(points: Array, reference: Array) -> Array:
     """Return the transform (4, 4) of points (n, 3) that brings them nearest to others (n, 3)."""
     mean, reference_mean = points.mean(axis=0), reference.mean(axis=0)
     R = Rotation.align_vectors(reference - reference_mean, points - mean)[0].as_matrix()

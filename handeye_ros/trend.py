@@ -26,9 +26,10 @@ class TrendEntry:
     One calibration of a trend.
 
     recorded: time of its first sample, or of its solution where that is unknown
-    difference: (6,) from the first calibration, as x y z rx ry rz (m, rad)
+    difference: (6,) from the reference, as x y z rx ry rz (m, rad)
     std: (6,) 1 sigma of it, by both covariances
-    p_first, p_before: p-values of the differences from the first and from the previous one
+    p_first, p_before: p-values of the differences from the reference (the first, or that of
+        --against) and from the previous one, of the first from the reference
     residual: RMS (m)
     """
 
@@ -110,21 +111,21 @@ def table(entries: Sequence[TrendEntry]) -> Table:
             'CHANGED' if least < CHANGED_P else 'watch' if least < WATCH_P else '',
             str(entry.path.parent)))
     return figures_table(
-        'recorded', 'x\n[mm]', 'y\n[mm]', 'z\n[mm]', 'rotation\n[degrees]', 'p to the\nfirst',
+        'recorded', 'x\n[mm]', 'y\n[mm]', 'z\n[mm]', 'rotation\n[degrees]', 'p to the\nreference',
         'p to the\nprevious', '', 'folder', rows=rows, right=range(1, 7),
-        title='differences from the first')
+        title='differences from the reference')
 
 
 def since_when(entries: Sequence[TrendEntry]) -> str:
-    """Return a sentence on the first change, else on the first difference from the first one."""
+    """Return a sentence on the first change, else on the first difference from the reference."""
     for entry in entries:
         if entry.p_before < CHANGED_P:
-            return (f'the calibration changed between {entry.recorded or entry.path} and the '
-                    'previous one')
+            other = 'the reference' if entry is entries[0] else 'the previous one'
+            return f'the calibration changed between {entry.recorded or entry.path} and {other}'
     for entry in entries:
         if entry.p_first < CHANGED_P:
             return (f'the calibration drifted: {entry.recorded or entry.path} differs from the '
-                    'first, and none from its previous one')
+                    'reference, and none from its previous one')
     return 'no calibration differs from the previous one by more than their uncertainties explain'
 
 

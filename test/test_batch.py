@@ -29,7 +29,6 @@ import numpy as np
 import pytest
 
 pytest.importorskip('distributed', reason='needs distributed')
-SOLVE = Job('', '', 'solve')
 
 
 def pretended(words: list[str]) -> int:
@@ -63,7 +62,7 @@ def test_each_job_costs_itself_and_is_computed_once(tmp_path):
               'misused': 'misuse', 'doubtful': 'doubt'}
     for name, text in texts.items():
         (tmp_path / f'{name}.mcap').write_text(text)
-    out, jobs = tmp_path / 'out', jobs_of([str(tmp_path)], SOLVE)
+    out, jobs = tmp_path / 'out', jobs_of([str(tmp_path)], 'solve')
     assert [job.label for job in jobs] == sorted(texts)
     rows = {row['label']: row for row in job_rows(jobs, out, pretended)}
     assert {name: row['exit_code'] for name, row in rows.items() if row['exit_code']} == {
@@ -94,7 +93,7 @@ def test_links_to_recordings_are_followed(tmp_path):
     (tmp_path / 'cell').mkdir()
     (tmp_path / 'cell/monday').symlink_to(tmp_path / 'store/night')
     (tmp_path / 'cell/tuesday.mcap').symlink_to(tmp_path / 'store/single.mcap')
-    jobs = jobs_of([str(tmp_path / 'cell')], SOLVE)
+    jobs = jobs_of([str(tmp_path / 'cell')], 'solve')
     assert [job.label for job in jobs] == ['monday', 'tuesday']
     state = jobs[0].fingerprint()
     (tmp_path / 'store/night/metadata.yaml').write_text('changed')
@@ -108,7 +107,7 @@ def test_lists_name_their_recordings_relative_to_them(tmp_path):
     for folder in ('sphere', 'cal'):
         (tmp_path / folder).mkdir()
     (tmp_path / 'arm.yaml').touch()
-    jobs = jobs_of([str(tmp_path / 'jobs.csv')], replace(SOLVE, words=('--config', 'c')))
+    jobs = jobs_of([str(tmp_path / 'jobs.csv')], 'solve', ('--config', 'c'))
     assert [job.label for job in jobs] == ['first', 'b', 'second']
     assert jobs[0].words == ('--config', 'c', '--set', 'target.radius=0.02', '--set',
                              f'kinematics={tmp_path}/arm.yaml')
@@ -123,11 +122,11 @@ def test_lists_name_their_recordings_relative_to_them(tmp_path):
             ('label,bag\na,b\nc,\n', 'a value in each row'), ('label\na\n', 'no column bag')):
         (tmp_path / 'jobs.csv').write_text(text)
         with pytest.raises(InputError, match=sentence):
-            jobs_of([str(tmp_path / 'jobs.csv')], SOLVE)
+            jobs_of([str(tmp_path / 'jobs.csv')], 'solve')
     (tmp_path / 'empty').mkdir()
     for name, sentence in ('empty', 'no recording'), ('missing.csv', 'is not there'):
         with pytest.raises(InputError, match=sentence):
-            jobs_of([str(tmp_path / name)], SOLVE)
+            jobs_of([str(tmp_path / name)], 'solve')
 
 
 def test_recordings_and_foreign_files_are_never_replaced_by_results(tmp_path, monkeypatch):
@@ -135,7 +134,7 @@ def test_recordings_and_foreign_files_are_never_replaced_by_results(tmp_path, mo
     (tmp_path / 'nights/plate.mcap').write_text('laser 1.0')
     (tmp_path / 'nights/plate').mkdir()
     (tmp_path / 'nights/plate/notes.txt').write_text('kept')
-    jobs = jobs_of([str(tmp_path / 'nights')], SOLVE)
+    jobs = jobs_of([str(tmp_path / 'nights')], 'solve')
     with pytest.raises(InputError, match='holds no result of batch'):
         list(job_rows(jobs, tmp_path / 'nights', pretended))
     assert (tmp_path / 'nights/plate/notes.txt').read_text() == 'kept'
@@ -144,17 +143,18 @@ def test_recordings_and_foreign_files_are_never_replaced_by_results(tmp_path, mo
     with pytest.raises(InputError, match='out/a/b would be inside the result '):
         list(job_rows([replace(jobs[0], label='a/b')], out, pretended))
     monkeypatch.chdir(tmp_path / 'nights')
-    assert [job.label for job in jobs_of(['.'], SOLVE)] == ['plate']
+    assert [job.label for job in jobs_of(['.'], 'solve')] == ['plate']
     (tmp_path / 'nights/metadata.yaml').touch()
-    assert [job.label for job in jobs_of(['.'], SOLVE)] == ['nights']
+    assert [job.label for job in jobs_of(['.'], 'solve')] == ['nights']
     for folder in ('cells/cell.1', 'cells/cell.2'):
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / 'metadata.yaml').touch()
-    assert [job.label for job in jobs_of([str(tmp_path / 'cells')], SOLVE)] == ['cell.1', 'cell.2']
+    jobs = jobs_of([str(tmp_path / 'cells')], 'solve')
+    assert [job.label for job in jobs] == ['cell.1', 'cell.2']
     for labels in (('../keep',), ('.',), (str(tmp_path),), ('a', 'a/b'), ('a', 'a')):
         (tmp_path / 'jobs.csv').write_text('bag,label\n' + ''.join(f'x,{a}\n' for a in labels))
         with pytest.raises(InputError, match='no folder of its own'):
-            jobs_of([str(tmp_path / 'jobs.csv')], SOLVE)
+            jobs_of([str(tmp_path / 'jobs.csv')], 'solve')
 
 
 @pytest.mark.thorough

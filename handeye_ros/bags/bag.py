@@ -117,20 +117,21 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     follower = FlangeFollower(config.base_frame, config.robot_effector_frame)
     sources = {full_name(source.name): source for source in pose_topics(config, follower, arm)}
     *_, required = sources.values()
-    cloud_topic = _Topic(config.profile_topic, 'profile_topic', CLOUD_TYPE,
-                         lambda raw: [profile_reader.take(raw.data, raw.fetch)])
-    pose_topic = _Topic(required.name, required.key or 'pose_source', required.message_type,
-                        lambda raw: sources[raw.topic].read(raw.data))
-    reader = Reader(path, (cloud_topic.name, *sources), progress)
+    clouds = _RecordedTopic(config.profile_topic, 'profile_topic', CLOUD_TYPE,
+                            lambda raw: [profile_reader.take(raw.data, raw.fetch)])
+    pose_topic = _RecordedTopic(
+        required.name, required.key or 'pose_source', required.message_type,
+        lambda raw: sources[raw.topic].read(raw.data))
+    reader = Reader(path, (clouds.name, *sources), progress)
     for raw in _tf_last(reader.messages()):
         # if two settings name one topic, that is the profiles'; its type refuses the poses
-        (cloud_topic if raw.topic == cloud_topic.name else pose_topic).add(raw)
+        (clouds if raw.topic == clouds.name else pose_topic).add(raw)
     profiles, previous_stamp = list[RawProfile](), None
-    for message in _of_one_frame('profile', cloud_topic.ordered(reader), 'frame_id', reader):
+    for message in _keep_majority_frame('profile', clouds.ordered(reader), 'frame_id', reader):
         profiles += profiles_of(message, previous_stamp)
         previous_stamp = message.stamp
     if not profiles:
-        raise InputError(f'{path}: the only message on {cloud_topic.name} holds several profiles, '
+        raise InputError(f'{path}: the only message on {clouds.name} holds several profiles, '
                          'and does not say when each was taken: set profile.period')
     poses = pose_topic.ordered(reader)
     reader.warnings += follower.warnings
@@ -139,7 +140,7 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
                          f'{follower.missing_reason() or "they share no time"}; set '
                          'robot_base_frame and '
                          'robot_effector_frame')
-    poses = _of_one_frame('pose', poses, 'parent_frame', reader)
+    poses = _keep_majority_frame('pose', poses, 'parent_frame', reader)
     joints = np.array([pose.joints for pose in poses if isinstance(pose, ArmPose)])
     if offset := config.offset_ns:
         profiles = [replace(p, stamp=p.stamp + offset) for p in profiles]
@@ -168,7 +169,7 @@ def _tf_last(messages: Iterable[RecordedMessage]) -> Iterator[RecordedMessage]:
     yield from moving
 
 
-class _Topic:
+class _RecordedTopic:
     """A topic of a recording, and the profiles or poses in its messages, in recording order."""
 
     def __init__(self, name: str, key: str, message_type: str,
@@ -240,7 +241,7 @@ class _Topic:
         return sorted(compress(self._items, in_order), key=by_stamp)
 
 
-def _of_one_frame(kind: str, items: list[Any], frame: str, reader: Reader) -> list[Any]:
+def _keep_majority_frame(kind: str, items: list[Any], frame: str, reader: Reader) -> list[Any]:
     """
     Return the items of the frame of most; a few others are left out, with a warning.
 

@@ -355,7 +355,7 @@ def profiles_of(raw: RawProfile, previous_stamp: int | None) -> list[RawProfile]
     Return the profiles of a message, in the order of their stamps.
 
     With profile.period (s), the stamps of its rows are known. Without, they were taken at some
-    time between two messages, which their `reach` holds: such a profile counts if the robot stood
+    time between two messages (time_margins): such a profile counts if the robot stood
     still during all of this time.
     previous_stamp: of the previous message (ns), None for the first, which without a period is
     left out, as its duration is unknown.

@@ -192,7 +192,7 @@ def lock_folder(folder: Path, refusal: str) -> int:
     """
     Lock a folder until the process ends; return the file descriptor that holds the lock.
 
-    Raises InputError with the refusal if another process has lock_folder it, OSError.
+    Raises InputError with the refusal if another process has locked it, OSError.
     """
     lock = os.open(folder / LOCK_FILE, os.O_RDONLY | os.O_CREAT, 0o644)
     try:

@@ -39,9 +39,9 @@ from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.sampling.session import Session
 
-# variance factors, blocks as noise, above which the other range sign is tried; and (3 sigma) other
-# conventions, though the samples do not contradict the solution
-SIGN_TRIAL_FACTOR, CONVENTION_TRIAL_FACTOR = 0.6, 9.0
+# reduced chi-squared, blocks as noise: above the first the other range sign is tried, above the
+# second (3 sigma) other conventions, though the samples do not contradict the solution
+SIGN_TRIAL_CHI2, CONVENTION_TRIAL_CHI2 = 0.6, 9.0
 
 
 def require_agreement(samples: Sequence[Sample], solution: Solution, baseline: Explanation
@@ -56,11 +56,11 @@ def require_agreement(samples: Sequence[Sample], solution: Solution, baseline: E
     doubt = math.inf if refusal else solution.posterior.reduced_chi_squared
     # the opposite sign of the range, and known errors in the conventions of the poses
     hypotheses = list[Hypothesis]()
-    if doubt > SIGN_TRIAL_FACTOR or solution.fully_used_count < len(poses):
+    if doubt > SIGN_TRIAL_CHI2 or solution.fully_used_count < len(poses):
         hypotheses.append(sign_hypothesis(samples, config, baseline, clocks=refusal is not None))
-    if doubt >= CONVENTION_TRIAL_FACTOR:
+    if doubt >= CONVENTION_TRIAL_CHI2:
         hypotheses += convention_hypotheses(samples, problem, baseline)
-    tried = MANY_TRIED if doubt >= CONVENTION_TRIAL_FACTOR else 1
+    tried = MANY_TRIED if doubt >= CONVENTION_TRIAL_CHI2 else 1
     refuse_by_best(baseline, hypotheses, tried)
     # orientations or a lack of rotation that would look like a move
     if refusal and orientations_scatter(poses):

@@ -44,8 +44,8 @@ FALSE_CAUSE_PROBABILITY = 1e-5  # probability of naming a wrong cause
 # twice the log of a Bayes factor of these odds
 DECISIVE_EVIDENCE = -2 * math.log(FALSE_CAUSE_PROBABILITY)
 MANY_TRIED = 40  # assumptions that may be tried in all where nothing fits
-# variance factors: of a stop that is not explained, the least
-UNEXPLAINED_FACTOR, MIN_FACTOR = 64.0, 0.01
+# reduced chi-squared: of a stop that is not explained, the least
+UNEXPLAINED_CHI2, MIN_CHI2 = 64.0, 0.01
 MIN_REDUNDANCY = 6  # smallest redundancy of a fit that is believed
 # smallest number of explained stops, as a share of those explained as configured: fewer may fit by
 # chance
@@ -197,10 +197,10 @@ def explain_samples(samples: Sequence[Sample], config: Config, stamps: Sequence[
 def stops_deviance(q: Array, conditions: int) -> float:
     """Return the deviance of a fit, (13); q: (n,) of its stops, inf: not explained."""
     explained = q[np.isfinite(q)]
-    v = float(np.clip(explained.mean() if len(explained) else UNEXPLAINED_FACTOR,
-                      MIN_FACTOR, UNEXPLAINED_FACTOR))
+    v = float(np.clip(explained.mean() if len(explained) else UNEXPLAINED_CHI2,
+                      MIN_CHI2, UNEXPLAINED_CHI2))
     return float(
-        conditions * np.minimum(math.log(v) + q / v, math.log(UNEXPLAINED_FACTOR) + 1).sum())
+        conditions * np.minimum(math.log(v) + q / v, math.log(UNEXPLAINED_CHI2) + 1).sum())
 
 
 @dataclass(frozen=True, eq=False)

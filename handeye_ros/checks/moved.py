@@ -4,7 +4,7 @@
 Whether sensor or target moved in the middle of a recording.
 
 If the samples fit no answer, each hypothesis is two parts of the recording, fitted separately. If
-they do, a move after station i is two more blocks of nuisance parameters, linearised at the
+they do, a move before station i is two more blocks of nuisance parameters, linearised at the
 answer, (14); the steps are those of "A small move" in section 6 of docs/estimator.md. It must be
 larger than the smooth error of the robot, and two tests must agree. The Bayes factor: noise and
 scales are estimated again with and without the move, since they absorb part of it otherwise. A
@@ -137,7 +137,7 @@ def outliers_at_one_end(solution: Solution) -> str:
     """
     n, used = len(solution.full_problem.poses), solution.used_stations
     dropped = n - len(used)
-    if solution.problem.is_sweep or math.comb(n, dropped) < 2 / PARTED_P:
+    if solution.problem.has_pose_model or math.comb(n, dropped) < 2 / PARTED_P:
         return ''
     which, side = {0: ('last', 'before'), dropped: ('first', 'after')}.get(int(used[0]), ('', ''))
     if not which or np.ptp(used) >= n - dropped:
@@ -205,7 +205,7 @@ class _Move:
     def evidence(self) -> float:
         """Return 2 log B against no move and, of a sweep, wrong times (step 3)."""
         alternatives = [self.unmoved]
-        if self.solution.problem.is_sweep:
+        if self.solution.problem.has_pose_model:
             near = self.station + _margin(self.solution) * np.arange(-2, 3)
             reported = self.solution.report_posterior
             alternatives.append(
@@ -233,7 +233,7 @@ class _Move:
                           if block.name == 'robot_smooth'), default=0.0)
                      for each in (self.moved, self.unmoved))
         smallest = MIN_MOVE_SIGMAS * smooth
-        if self.solution.problem.is_sweep:  # its error is smooth in time, as a move is
+        if self.solution.problem.has_pose_model:  # its error is smooth in time, as a move is
             smallest = max(smallest, self.solution.full_problem.config.noise.robot_smooth)
         return rms(np.linalg.norm(shifts, axis=1)) < smallest
 
@@ -269,7 +269,7 @@ def _likeliest_move(solution: Solution) -> _Move | None:
     if n < problem.target.min_samples + 4:  # too few to tell a move from an outlier
         return None
     posteriors = [reported]
-    if not problem.is_sweep:
+    if not problem.has_pose_model:
         # of a few stations, estimated noise absorbs a move; configured may be too large
         posteriors.append(posterior_at(problem, solution.estimate, NoiseScales()))
     change_points = _change_points(solution, CHANGE_POINTS_TRIED)
@@ -296,7 +296,7 @@ def _likeliest_move(solution: Solution) -> _Move | None:
 def _margin(solution: Solution) -> int:
     """Return the fewest stations before and after a move."""
     return (max(2, len(solution.used_stations) // PARTS_EXCHANGED)
-            if solution.problem.is_sweep else 2)
+            if solution.problem.has_pose_model else 2)
 
 
 def _change_points(solution: Solution, count: int) -> NDArray[np.intp]:

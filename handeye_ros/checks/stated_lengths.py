@@ -40,7 +40,7 @@ def with_free_measure_if_needed(problem: Problem, solution: Solution, rng: np.ra
     one to use, if given.
     """
     target, config = problem.target, problem.config
-    free_config = replace(config, target=replace(config.target, **target.free_measure))
+    free_config = replace(config, target=replace(config.target, **target.freed_measure))
     fits = not (solution.dropped_squares or len(solution.stations_with_unused_edges)
                 or solution.posterior.reduced_chi_squared > CONVINCING_SQUARE)
     if fits or free_config == config:
@@ -67,7 +67,7 @@ def with_free_lengths_if_needed(solution: Solution) -> Solution:
     are estimated too where such a scale is seen with the stated lengths alone.
     """
     target, config = solution.problem.target, solution.full_problem.config
-    free_config = replace(config, target=replace(config.target, **target.free_lengths))
+    free_config = replace(config, target=replace(config.target, **target.freed_lengths))
     stated, loose = map(target.stated_values, (config, free_config))
     lengths = [name for name, (_, std) in loose.items() if std > stated[name][1]]
     if not lengths:

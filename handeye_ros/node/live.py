@@ -433,9 +433,10 @@ class LiveSession:
         """
         Take a sample at the current stop; return what it shows.
 
-        On return the stop is on the disk: a file of its own, synced, with all its profiles and
-        poses, joint values, result and the settings (SessionFiles.add_event). If it is taken
-        again, both files stay, and the later one counts. During a verification nothing is stored.
+        On return the stop is on the disk: a file of its own, synced, with its profiles (of many
+        some), poses, joint values, result and the settings (SessionFiles.add_event). If it is
+        taken again, both files stay, and the later one counts. During a verification nothing is
+        stored.
         Raises DataError where there is no sample, InputError where it cannot be stored.
         """
         poses, profiles = self.message_counts['pose'], self.message_counts['profile']

@@ -78,7 +78,7 @@ def review_of(session: Session, config: Config, view: Array, with_cause: bool) -
     in_order = sorted(session.samples, key=lambda sample: sample.stamp)
     answer = pipeline.answer_samples(in_order, session.rejects, config, session.frame_id,
                                      session if with_cause else None)
-    failed = [stop.pose for stop in session.stops if stop.poses and not stop.sample]
+    failed = [stop.T_base_flange for stop in session.stops if stop.poses and not stop.sample]
     return Review(advise(in_order, config, answer, view, failed), answer,
                   agreements(session, answer, config),
                   max((stop.number for stop in session.stops if stop.sample), default=0))

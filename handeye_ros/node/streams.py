@@ -67,7 +67,7 @@ class UnexecutedGroup(MutuallyExclusiveCallbackGroup):
 
 
 @dataclass(eq=False)
-class _Topic:
+class _Subscribed:
     """
     A topic that is read.
 
@@ -122,28 +122,28 @@ class Streams:
         self._thread = threading.Thread(target=self._read_until_end, name='drain', daemon=True)
         self._thread.start()
 
-    def _configured_topics(self, config: Config) -> list[_Topic]:
+    def _configured_topics(self, config: Config) -> list[_Subscribed]:
         """Return the topics that settings name; raises InputError."""
         poses = MessageCount('pose')
-        topics = [_Topic(MessageCount('profile'), CLOUD_TYPE, config.profile_topic,
-                         self._on_profile, RELIABLE_QOS, 'profile_topic')]
+        topics = [_Subscribed(MessageCount('profile'), CLOUD_TYPE, config.profile_topic,
+                              self._on_profile, RELIABLE_QOS, 'profile_topic')]
         if self._add_joints and not config.kinematics:
-            topics.append(_Topic(MessageCount('joint state'), JOINTS_TYPE, config.joint_topic,
-                                 partial(self._on_joints, self._add_joints), BEST_EFFORT_QOS))
+            topics.append(_Subscribed(MessageCount('joint state'), JOINTS_TYPE, config.joint_topic,
+                                      partial(self._on_joints, self._add_joints), BEST_EFFORT_QOS))
         for source in pose_topics(config, self._follower):
             if source.message_type == TF_TYPE and not TFMessage:
                 raise InputError('pose_source is tf, but tf2_msgs is not installed: '
                                  f'{INSTALL_TF2}; or publish the poses on pose_topic')
             qos = {'/tf': BEST_EFFORT_QOS, '/tf_static': STATIC_TF_QOS}.get(source.name,
                                                                             RELIABLE_QOS)
-            topics.append(_Topic(poses, source.message_type, source.name,
-                                 partial(self._on_poses, source.read), qos, source.key))
+            topics.append(_Subscribed(poses, source.message_type, source.name,
+                                      partial(self._on_poses, source.read), qos, source.key))
         if len({self._full_name(topic.name) for topic in topics}) < len(topics):
             raise InputError('two of profile_topic, pose_topic and joint_topic are the same: each '
                              'needs its own')
         return topics
 
-    def _subscribe(self, topic: _Topic) -> None:
+    def _subscribe(self, topic: _Subscribed) -> None:
         topic.subscription = self._node.create_subscription(
             MESSAGES[topic.message_type], topic.name, topic.on_message, topic.qos, raw=True,
             callback_group=self._group, event_callbacks=NO_CALLBACKS)
@@ -199,7 +199,7 @@ class Streams:
                     time.sleep(READ_PERIOD)
 
     def _look_at_publishers(self) -> None:
-        """Note the publishers; subscribe again where they are not as reliable as those before."""
+        """Note the publishers; subscribe again where their reliability is another than before."""
         for topic in [topic for topic in self._topics if topic.key]:
             topic.publishers = self._node.get_publishers_info_by_topic(topic.name)
             offered = {info.qos_profile.reliability for info in topic.publishers}
@@ -210,7 +210,7 @@ class Streams:
                 self._subscribe(topic)
                 self._node.destroy_subscription(old_subscription)
 
-    def _read_messages(self, topic: _Topic) -> int:
+    def _read_messages(self, topic: _Subscribed) -> int:
         """Read at most MAX_AT_ONCE messages of a topic; return how many."""
         handle, message_type = topic.subscription.handle, MESSAGES[topic.message_type]
         with handle:
@@ -288,7 +288,7 @@ class Streams:
         note = ['one that was killed is listed for 20 s more'] if sentences else []
         return {**troubles, 'session': '; '.join(sentences + note)}
 
-    def _trouble_of(self, topic: _Topic) -> str:
+    def _trouble_of(self, topic: _Subscribed) -> str:
         """Return why no messages may arrive on a topic, '' if nothing is known against it."""
         name, expected = self._full_name(topic.name), topic.message_type
         offered = {info.topic_type for info in topic.publishers}

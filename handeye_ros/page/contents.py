@@ -186,7 +186,7 @@ def _picture(snapshot: StopSnapshot) -> dict[str, Any]:
 
 
 def _edges(live: LiveSession) -> dict[int, str]:
-    """Return the edges of the target that each used sample shows, by its number."""
+    """Return the edges of the target that each used sample shows, a pass all of its profiles'."""
     answer = live.solver.review.answer
     if answer.solution is None:
         return {}
@@ -194,9 +194,11 @@ def _edges(live: LiveSession) -> dict[int, str]:
                        for stop in live.session_copy().stops if stop.sample
                        for sample in stop.sample.station_samples}
     used = answer.solution.used_stations.tolist()
-    edges_of_used = edges_used(answer.solution.problem)
-    return {number_by_stamp.get(answer.samples[station].stamp, 0): edges
-            for station, edges in zip(used, edges_of_used, strict=True)}
+    edges: dict[int, dict[str, None]] = {}  # each once, in the order of the points
+    for station, shown in zip(used, edges_used(answer.solution.problem), strict=True):
+        number = number_by_stamp.get(answer.samples[station].stamp, 0)
+        edges.setdefault(number, {}).update(dict.fromkeys(shown))
+    return {number: ', '.join(shown) for number, shown in edges.items()}
 
 
 def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:

@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 
 EVENT_RATE = 5.0  # events a second, at most
 WORKER_COUNT = 8  # requests that wait for the node at the same time
-MAX_BODY = 1024  # bytes
+MAX_BODY_BYTES = 1024
 CLIENT_TIMEOUT = 10.0  # s until a client must accept an event
-MAX_BODY_LENGTH = 5.0  # s until the body of a request must be there
+BODY_TIMEOUT = 5.0  # s until the body of a request must be there
 COOKIE_AGE = 30 * 86400  # s
 TOKEN_BYTES = 18
 ASSET_FILES = ('page.css', 'page.js', 'viewer.js', 'scene.js', 'profile.js', 'cell.js')
@@ -110,7 +110,7 @@ class PageServer:
         return f'http://{f"[{name}]" if ":" in name else name}:{self.port}/'
 
     def _app(self) -> web.Application:
-        app = web.Application(middlewares=[self._guarded], client_max_size=MAX_BODY)
+        app = web.Application(middlewares=[self._guarded], client_max_size=MAX_BODY_BYTES)
         app.on_response_prepare.append(_add_headers)
         app.router.add_get('/', self._index)
         app.router.add_get('/events', self._events)
@@ -196,7 +196,7 @@ class PageServer:
         if request.content_type != 'application/json':
             return _sentence(415, 'expected application/json')
         try:
-            values = json.loads(await asyncio.wait_for(request.read(), MAX_BODY_LENGTH) or b'{}')
+            values = json.loads(await asyncio.wait_for(request.read(), BODY_TIMEOUT) or b'{}')
         except TimeoutError:
             return _sentence(408, 'the request was not complete in time')
         except (ValueError, RecursionError, web.RequestPayloadError):

@@ -65,12 +65,12 @@ def line_of_bins(centre: Array, slope: float, spread: float, bins: Array, white_
     normal = np.array([-direction[1], direction[0]])
     across, along = (bins - centre) @ normal, bins @ direction
     variance = variance_of_bins(across, white_var)
-    fitted_arc, size = bin_means(bins, min(most, len(bins)))
+    points, size = bin_means(bins, min(most, len(bins)))
     if len(bins) >= MIN_BINS:  # of a bowed face the mean of a part lies beside the surface
         bow = (across * legendre_2((along - along.mean()) / along.std())).mean()
-        fitted_arc -= bow * (legendre_2(1 / len(size)) - legendre_2(0.0)) * normal
+        points -= bow * (legendre_2(1 / len(size)) - legendre_2(0.0)) * normal
     return FaceLine(centre, direction, spread, math.sqrt(variance / len(bins)),
-                    fitted_arc, np.sqrt(variance / size), bins)
+                    points, np.sqrt(variance / size), bins)
 
 
 def bin_means(values: Array, bins: int) -> tuple[Array, Indices]:

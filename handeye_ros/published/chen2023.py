@@ -31,7 +31,7 @@ import numpy as np
 from scipy.optimize import Bounds, least_squares, minimize, NonlinearConstraint
 from scipy.spatial.transform import Rotation
 
-MINIMUM = 5
+MIN_POINTS = 5
 """Fewest points per edge: six unknowns and two free spans."""
 
 LENGTH_UNIT = 0.2
@@ -130,7 +130,7 @@ def _rows(T_base_flange: Array, points: Array, edges: Array) -> tuple[Array, Arr
     """Return the rows of both edges."""
     masks = [np.asarray(edges) == edge for edge in 'pq']
     for edge, mask in zip('pq', masks, strict=True):
-        require_count('Chen 2023', MINIMUM, f'points on edge {edge}', int(mask.sum()))
+        require_count('Chen 2023', MIN_POINTS, f'points on edge {edge}', int(mask.sum()))
     p, q = (edge_rows(T_base_flange[mask], points[mask]) for mask in masks)
     return p, q
 

@@ -33,7 +33,7 @@ from handeye_ros.errors import require_count
 import numpy as np
 from scipy.optimize import golden
 
-MINIMUM = 5
+MIN_POINTS = 5
 """Fewest points: two equations each for ten unknowns (four of them the line's)."""
 
 LENGTH_UNIT = 0.1
@@ -98,7 +98,7 @@ def solve(T_base_flange: Array, points: Array, T_flange_sensor: Array) -> Array:
     T_base_flange: (n, 4, 4); points: (n, 2), y and z in the sensor plane x = 0 (metres);
     T_flange_sensor: (4, 4), the nominal mounting to start from. Raises TooFewError.
     """
-    require_count('Zheng 2018', MINIMUM, 'points on the edge', len(points))
+    require_count('Zheng 2018', MIN_POINTS, 'points on the edge', len(points))
     R, a = T_base_flange[:, :3, :3], T_base_flange[:, :3, 3] / LENGTH_UNIT
     y, z = (points[:, k, None, None] / LENGTH_UNIT for k in (0, 1))
     problem = _Problem(np.concatenate([R * y, R * z, R], axis=2), a - a.mean(axis=0))

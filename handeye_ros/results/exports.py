@@ -119,8 +119,8 @@ class Format:
     """
     A file format of a calibration.
 
-    file: its name in the folder of the result, with {name} of the calibration; text: returns the
-    content.
+    name_pattern: of the file in the folder of the result, with {name} of the calibration
+    text: returns the content
     """
 
     name_pattern: str

@@ -234,7 +234,7 @@ class ArmFit:
 
     @cached_property
     def rows_with_priors(self) -> tuple[Array, Array]:
-        """Return `linear` with the errors of the robot in sigmas as further residuals."""
+        """Return whitened_rows with the errors of the robot in sigmas as further residuals."""
         (r, J), stds = self.whitened_rows, self.prior_stds
         by_priors = np.eye(len(stds), J.shape[1], 6) / stds[:, None]
         return np.append(r, self.robot_errors / stds), np.vstack([J, by_priors])

@@ -7,7 +7,7 @@ The same Session takes the messages of a bag and those of live topics. A stop pa
 
 1. the current stop, while the robot stands: it is cut from the stream of poses alone (StopFinder)
 2. waiting, once the robot has gone on, until the profiles have passed its end, too: so it does not
-   depend on the order of arrival. In manual mode it ends here, only counted
+   depend on the order of arrival. In manual mode no stop waits: it is only counted
 3. done: `take_completed` returns it, once, with its profiles (at the end of a recording
    `take_remaining`, with the current one). `stop_on_request` and `early_stop` return the current
    stop already while the robot stands: it may come back with more profiles, unless `mark_done`

@@ -98,8 +98,8 @@ class Stop:
         return self.poses[-1].stamp
 
     @property
-    def pose(self) -> Array:
-        """Return T_base_flange (4, 4) of the last pose, which a stored stop of a node has too."""
+    def T_base_flange(self) -> Array:
+        """Return the last pose (4, 4), which a stored stop of a node has too."""
         return se3.of_pose(self.poses[-1])
 
     def with_profiles(self, candidates: Sequence[AnyProfile], config: Config) -> Stop:
@@ -218,7 +218,7 @@ class StopFinder(Copyable):
     def current(self) -> Stop | None:
         """Return the current stop without profiles, None before sampling.still_time."""
         poses, least = self._poses, self.sampling.still_time * NS
-        if self.sampling.moving:  # a pass is never longer than PASS_TIME
+        if self.sampling.moving:  # a pass ends after PASS_TIME, but while the robot rests
             least = min(least, PASS_TIME / 2)
         is_stop = bool(poses) and poses[-1].stamp - poses[0].stamp >= least
         return Stop(self.stamp, tuple(poses)) if is_stop else None

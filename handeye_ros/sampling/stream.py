@@ -224,7 +224,7 @@ def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:
     """
     Return the poses T_base_flange (n, 4, 4) at n stamps within the time of the given poses.
 
-    Linearisation in the translation, slerp in the rotation. Raises ValueError outside.
+    Linear in the translation, slerp in the rotation. Raises ValueError outside.
     """
     poses = poses_around(poses, stamps)
     pose_times = np.array([pose.stamp - poses[0].stamp for pose in poses], dtype=float)

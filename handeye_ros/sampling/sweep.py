@@ -24,9 +24,9 @@ A sweep differs from stops in these places, found by Sample.moving, sampling.mov
 PoseModel of the problem:
 
 - profiles: fewer points of a line or arc are kept (lines.py, arcs.py)
-- stops.py cuts it by time, into passes; features.py combines no profiles, and reads every eighth
-  with the other sign of the range too (FLIPPED_EVERY); passes_expanded (here) takes a pass apart,
-  with one trajectory for all
+- stops.py cuts it by time, into passes, all of which is evaluated; features.py combines no
+  profiles, and reads every eighth with the other sign of the range too (FLIPPED_EVERY);
+  passes_expanded (here) takes a pass apart, with one trajectory for all
 - estimation: problem_with_clocks (here) adds the three unknowns; fewer profiles than stops are
   enough (Problem.noise_station_count)
 - session.py: a pass is never a duplicate, nor taken early; guidance advises to sweep on
@@ -36,8 +36,9 @@ PoseModel of the problem:
   scatter (refusals.py, require_edges); profiles dropped at one end tell of no move, and a small
   move is compared with wrong times, tried at the reported noise alone, and with a 40th of the
   profiles on either side of it (moved.py); a pass agrees if most of its profiles do (review.py)
-- verification: a gauge is measured in passes (stations.py); a sweep also checks a calibration
-  (check.py)
+- a calibration of a sweep measures at stops all the same (calibration_file.py); a gauge is
+  measured in passes (stations.py); a sweep also checks a calibration (check.py); the arm's errors
+  are found at the estimated times (robot/sources.py); the node counts its profiles (solver.py)
 """
 from __future__ import annotations
 

@@ -51,14 +51,14 @@ class Curve:
         """Return the points (..., 3) at t."""
         return np.asarray(self.bspline(t))
 
-    def advance(self, t: float | Array) -> Array:
+    def tangent(self, t: float | Array) -> Array:
         """Return the unit tangents (..., 3) at t."""
         return unit(self.bspline(t, 1))
 
-    def beyond(self, t: float) -> tuple[Array, Array]:
+    def extrapolated(self, t: float) -> tuple[Array, Array]:
         """Return position and tangent (3,) at t, extrapolated a little beyond the ends."""
         inside = float(np.clip(t, self.first, self.last))
-        tangent = self.advance(inside)
+        tangent = self.tangent(inside)
         return self.position(inside) + (t - inside) * tangent, tangent
 
     def simplified(self) -> Curve:

@@ -68,8 +68,9 @@ class Scanner:
     Maps profiles to points in the base (with eye_on_base in the flange), live and offline.
 
     frame: the id of the frame of the points
-    profiles, without_pose: the number of profiles so far, and of those without points
+    profiles, without_pose: the number of profiles so far, and of those without a pose
     returns, out_of_limits, thinned: the number of returns, and of those that are left out
+    lag: by which the robot reports its rotation later than its position (s)
     """
 
     def __init__(self, calibration: Calibration, config: Config, options: ScanOptions) -> None:
@@ -116,7 +117,7 @@ class Scanner:
         stds = trajectory.std(stamps) if self.options.std else np.zeros((len(profiles), 2))
         used = compress(zip(profiles, T, stds, strict=True), flange.inside)
         cloud = np.concatenate([np.empty(0, self._fields), *(
-            self._of_profile(self._fields, *item) for item in used)])
+            self._mapped(self._fields, *item) for item in used)])
         return self._one_in_each_cube(cloud) if self.options.voxel > 0 else cloud
 
     def _one_in_each_cube(self, cloud: Points) -> Points:
@@ -130,8 +131,8 @@ class Scanner:
         self.thinned += len(cloud) - int(is_new.sum())
         return np.take(cloud, np.sort(first[is_new]))
 
-    def _of_profile(self, fields: np.dtype[np.void], profile: Profile, T_base_sensor: Array,
-                    pose_std: Array) -> Points:
+    def _mapped(self, fields: np.dtype[np.void], profile: Profile, T_base_sensor: Array,
+                pose_std: Array) -> Points:
         """Return the points of a profile; T_base_sensor: (4, 4); pose_std: see point_std."""
         keep = self._within_limits(profile.points)
         points = profile.points[keep]

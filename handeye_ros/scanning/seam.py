@@ -154,7 +154,7 @@ def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, 
                         'densely, or with less noise')
     lengths = np.append(np.arange(certain[0], certain[-1] - 0.01 * pitch, pitch), certain[-1])
     t = np.interp(lengths, *seam.curve.arc)
-    n = seam.curve.advance(t)
+    n = seam.curve.tangent(t)
     o = -seam.normal(t)
     o[o @ np.asarray(towards) < 0] *= -1
     o = unit(o - (o * n).sum(axis=1, keepdims=True) * n)
@@ -171,7 +171,7 @@ def _measures(seam: Seam, t: Array) -> Array:
     Gap and mismatch: distance between the edges along and across the sheets; residual: RMS
     distance of the sections nearby from the line.
     """
-    normal, tangent = seam.normal(t), seam.curves['root'].advance(t)
+    normal, tangent = seam.normal(t), seam.curves['root'].tangent(t)
     across = seam.curves['second'].position(t) - seam.curves['first'].position(t)
     mismatch, advance = ((across * way).sum(axis=1, keepdims=True) for way in (normal, tangent))
     gap = np.linalg.norm(across - mismatch * normal - advance * tangent, axis=1)

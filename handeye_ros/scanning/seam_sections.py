@@ -85,7 +85,7 @@ def edges_of_seam(sheets: Sheets, rough: Course) -> SeamSections:
                         'out with --box')
     up = (-sheets.outward[i] - sheets.outward[j] if is_corner
           else sheets.normals[i] + sheets.normals[j])
-    across = np.cross(up, curve.advance(rough.t))
+    across = np.cross(up, curve.tangent(rough.t))
     turned = _dot(sheets.outward[i] - sheets.outward[j], across) < 0
     rough = replace(rough, pairs=np.where(turned, rough.pairs[:, ::-1], rough.pairs))
     edges = _edges_along(sheets, rough, curve)
@@ -117,7 +117,7 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> SeamSections:
     missing = np.append(np.diff(lengths) - step, 0.0)
     worst = int(np.argmax(missing))
     if missing[worst] > MAX_MISSING_EDGE:
-        place = position_text(curve.beyond(lengths[worst:worst + 2].mean())[0])
+        place = position_text(curve.extrapolated(lengths[worst:worst + 2].mean())[0])
         raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
                         'there again, or cut one part out with --box')
 
@@ -154,7 +154,7 @@ def _sheet_end(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float,
     this_edge, other_edge = rough.pairs[window, side], rough.pairs[window, 1 - side]
     if not len(this_edge):
         return None
-    position, tangent = curve.beyond(t)
+    position, tangent = curve.extrapolated(t)
     into_sheet, upright = _axes(sheets, this_edge, other_edge, tangent)
     on_curve = curve.position(np.clip(rough.t[window], curve.first, curve.last))
     offset = np.median(sheets.points[this_edge] - on_curve, axis=0)

@@ -224,7 +224,7 @@ class Distortion:
         x = across * (distorted if self.sensor.sampling == 'fan' else z)
         true = lift(np.stack([across * z, z], axis=-1)).reshape(-1, 3)
         reported = lift(self.points(np.stack([x, distorted], axis=-1))).reshape(-1, 3)
-        return se3.best_fit(reported, true)
+        return se3.align_points(reported, true)
 
 
 def draw_distortion(sensor: SensorModel, rng: np.random.Generator) -> Distortion | None:

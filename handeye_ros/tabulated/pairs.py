@@ -279,7 +279,7 @@ class PointPairs(PairedRows):
                             'them well outside it')
 
     def closed_form(self) -> Array:
-        return se3.best_fit(self.seen, self.robot)
+        return se3.align_points(self.seen, self.robot)
 
     def state_of(self, X: Array) -> Array:
         return X[None]

@@ -34,14 +34,14 @@ ROUND_COUNT = 6
 MIN_COSINE = 0.05  # cosine of a face to the ray, at least
 
 
-def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
+def teeth(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
     """
     Return the teeth, and the stations with the points on them only, whose kind is their face.
 
     Raises DataError where they lie on no such teeth.
     """
-    pitch, height = nominal.lengths
-    flank = nominal.flank or pitch / 4
+    pitch, height = artefact.lengths
+    flank = artefact.flank or pitch / 4
     p = stations.problem.points_in_base(X)
     frame = _frame(p, pitch, height, flank)
     q = np.append(np.zeros(8), flank / height)

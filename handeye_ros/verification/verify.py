@@ -116,7 +116,7 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
     two recordings are one.
     """
     stations.require_enough(rejects)
-    config, stated = stations.problem.config, stations.problem.config.verify
+    config, artefact = stations.problem.config, stations.problem.config.verify
     stops = np.column_stack([stations.stamps, stations.problem.poses.reshape(-1, 16)])
     if len(np.unique(stops, axis=0)) < len(stops):
         raise InputError('two recordings hold the same stops: give one recording of each face, '
@@ -125,11 +125,11 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
     smooth_std = float(calibration.target.get('robot_position_error', 0.0))
     (shape, fit), p, dropped = fit_without_outliers(
         np.unique(stations.group_of_point), lambda groups: fit_shape(
-            routine.shape(stations.of_groups(groups), X, stated), X,
+            routine.shape(stations.of_groups(groups), X, artefact), X,
             calibration.covariance, smooth_std))
     if max(fit.scatter.p, fit.error.p_explained) < UNEXPLAINED_P and not routine.in_passes:
         freed = refit_shape(shape, X, calibration.covariance, smooth_std)
-        if freed.error.p_explained < UNEXPLAINED_P and freed.scatter.maximum > stated.tolerance:
+        if freed.error.p_explained < UNEXPLAINED_P and freed.scatter.maximum > artefact.tolerance:
             raise DataError(
                 f'this is not what "{routine.name}" measures: no small error of the calibration '
                 f'brings all points closer than {mm(freed.scatter.maximum)} to its shape. Check '
@@ -139,12 +139,12 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
     quantities = (*fit.quantities, *routine.form_errors(shape.stations, fit.distances), Quantity(
         'likeliest error of the calibration', fit.error.largest, fit.error.largest_std))
     per_station = _station_results(stations, shape.stations, fit, p, dropped)
-    verdict, reasons = _decide(fit, quantities, per_station, stated, smooth_std)
+    verdict, reasons = _decide(fit, quantities, per_station, artefact, smooth_std)
     return Verification(
-        routine.name, calibration.name, verdict, reasons, stated.tolerance, stated.angle_tolerance,
-        len(np.unique(shape.stations.observations.station)), quantities, fit, per_station,
-        stations.surface_note, routine.measures, output.iso_time(int(stations.stamps.min())),
-        stated.certificate, dict(config.record))
+        routine.name, calibration.name, verdict, reasons, artefact.tolerance,
+        artefact.angle_tolerance, len(np.unique(shape.stations.observations.station)), quantities,
+        fit, per_station, stations.surface_note, routine.measures,
+        output.iso_time(int(stations.stamps.min())), artefact.certificate, dict(config.record))
 
 
 def verify_stops(routine: Routine, recordings: Sequence[Sequence[Sample | Reject]],
@@ -186,7 +186,7 @@ def _station_results(stations: StationSet, used: StationSet, fit: ShapeFit,
 
 
 def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[StationResult],
-            stated: VerifyConfig, smooth_std: float) -> tuple[str, tuple[str, ...]]:
+            artefact: VerifyConfig, smooth_std: float) -> tuple[str, tuple[str, ...]]:
     """
     Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences.
 
@@ -196,7 +196,7 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Sta
 
     def remedy(size: float, largest: float) -> str:
         """Return what makes a size that is too large, but not hopelessly so, small enough."""
-        if DETECTION_SIGMAS * smooth_std > stated.tolerance:
+        if DETECTION_SIGMAS * smooth_std > artefact.tolerance:
             return (f': the smooth error of the robot that the calibration found '
                     f'({mm(smooth_std)}) hides less')
         return '' if size >= 10 * largest else (
@@ -205,18 +205,18 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Sta
 
     # the shape fits, but not in its size
     other_size = fit.error.p_explained < UNEXPLAINED_P < fit.scatter.p
-    findings = [*_quantity_findings(quantities, stated, remedy),
-                *_point_findings(fit, results, stated, other_size)]
+    findings = [*_quantity_findings(quantities, artefact, remedy),
+                *_point_findings(fit, results, artefact, other_size)]
     failed, undecided = ([sentence for outcome, sentence in findings if outcome == wanted]
                          for wanted in (VIOLATES, UNDECIDED))
     verdict = 'fail' if failed else 'undecided' if undecided else 'pass'
-    if not failed and fit.error.smallest_detectable > stated.tolerance:
+    if not failed and fit.error.smallest_detectable > artefact.tolerance:
         verdict = 'insensitive'
         detectable = fit.error.smallest_detectable
         undecided.insert(0, (
             'this decides nothing: an error of the calibration would show only from '
             f'{mm(detectable)} on ({fit.error.weakest_direction}), and the tolerance is '
-            f'{mm(stated.tolerance)}{remedy(detectable, stated.tolerance)}'))
+            f'{mm(artefact.tolerance)}{remedy(detectable, artefact.tolerance)}'))
     return verdict, tuple(dict.fromkeys(
         [*failed, *undecided, *_notes(fit, other_size, results)]))
 
@@ -235,7 +235,7 @@ def in_mm_or_degrees(value: float | None, unit: str) -> str:
     return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{math.degrees(value):.4f} degrees'
 
 
-def _quantity_findings(quantities: Sequence[Quantity], stated: VerifyConfig,
+def _quantity_findings(quantities: Sequence[Quantity], artefact: VerifyConfig,
                        remedy: Callable[[float, float], str]) -> Iterator[tuple[str, str]]:
     """
     Yield the decisions on the values with a nominal, each with a sentence.
@@ -244,7 +244,7 @@ def _quantity_findings(quantities: Sequence[Quantity], stated: VerifyConfig,
     """
     for q in quantities:
         if q.deviation is not None:
-            tolerance = stated.tolerance if q.unit == 'm' else stated.angle_tolerance
+            tolerance = artefact.tolerance if q.unit == 'm' else artefact.angle_tolerance
             off, U = (in_mm_or_degrees(value, q.unit) for value in (q.deviation, q.expanded))
             outcome = decision(q.deviation, q.expanded, tolerance)
             yield outcome, f'{q.name} is off by {off} ± {U} (k = {COVERAGE_FACTOR:g})' if (
@@ -254,21 +254,21 @@ def _quantity_findings(quantities: Sequence[Quantity], stated: VerifyConfig,
                 f'{remedy(q.expanded, tolerance - abs(q.deviation))}')
 
 
-def _point_findings(fit: ShapeFit, results: Sequence[StationResult], stated: VerifyConfig,
+def _point_findings(fit: ShapeFit, results: Sequence[StationResult], artefact: VerifyConfig,
                     other_size: bool) -> Iterator[tuple[str, str]]:
     """
     Yield the decisions on points and calibration that do not conform, each with a sentence.
 
     other_size: whether another size of the artefact explains an error of the calibration as well.
     """
-    outside = [s for s in results if s.used and COVERAGE_FACTOR * s.std <= stated.tolerance
-               and s.distance - COVERAGE_FACTOR * s.std > stated.tolerance]
+    outside = [s for s in results if s.used and COVERAGE_FACTOR * s.std <= artefact.tolerance
+               and s.distance - COVERAGE_FACTOR * s.std > artefact.tolerance]
     if outside:
         worst = max(outside, key=lambda s: s.distance)
         yield VIOLATES, (f'points of {len(outside)} of {len(results)} stops lie up to '
                          f'{mm(worst.distance)} from the fit (the worst: {worst.name})')
     size, std = fit.error.largest, fit.error.largest_std
-    outcome = decision(size, ONE_SIDED_95 * std, stated.tolerance)
+    outcome = decision(size, ONE_SIDED_95 * std, artefact.tolerance)
     error = (f'an error of the calibration of {mm(size)} ± {mm(COVERAGE_FACTOR * std)} '
              f'(k = {COVERAGE_FACTOR:g})')
     if fit.error.p_chance <= SIGNIFICANCE and outcome == VIOLATES and not other_size:

@@ -24,7 +24,7 @@ from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.estimation.basis import bent_line, distortion_fields
 from handeye_ros.estimation.blocks import line_bend, points_on_target, sensor_scale
-from handeye_ros.estimation.noise import EDGE_FACTOR, FACE_FACTOR, POSE_FACTOR
+from handeye_ros.estimation.noise import EDGE_INDEX, FACE_INDEX, POSE_INDEX
 from handeye_ros.estimation.problem import linearise, PoseModel, Problem
 from handeye_ros.simulate import FAULTS, SCENARIOS, sensor, simulate_samples
 from handeye_ros.simulate.scenario import SensorModel
@@ -57,7 +57,7 @@ def test_the_covariance_is_true_though_the_noise_was_stated_wrongly(factor: floa
 def test_noise_that_was_stated_rightly_is_kept() -> None:
     agreed = [solved(cell('plate', seed).problem) for seed in range(10)]
     factors = [map_solution(each.problem, each.estimate).posterior.noise.variance_factors[
-        [FACE_FACTOR, EDGE_FACTOR, POSE_FACTOR]] for each in agreed]
+        [FACE_INDEX, EDGE_INDEX, POSE_INDEX]] for each in agreed]
     sensor, edge, robot = np.abs(np.log(factors)).max(axis=0)
     assert max(sensor, robot) < math.log(2.5)
     # the own noise of 18 edge points is a fifth of their residuals' variance: they say little

@@ -99,7 +99,7 @@ def test_a_rest_during_a_sweep_is_one_pass() -> None:
     second_pass = [replace(pose, stamp=pose.stamp + 13 * NS) for pose in poses(times)]
     finder = StopFinder(with_values(Config(), {'sampling.mode': 'moving'}, 'a test').sampling)
     ended = [finder.add(pose) for pose in [*poses(times), *rest, *second_pass]]
-    spans = [(dwell.start / NS, dwell.end / NS) for dwell in ended if dwell]
+    spans = [(stop.start / NS, stop.end / NS) for stop in ended if stop]
     assert [end - start > 3.0 for start, end in spans].count(True) == 1
     assert len(spans) == 4
 
