@@ -129,7 +129,7 @@ class Estimator:
     refit: bool = True
 
 
-def _by_method(name: str) -> Callable[[ComparedStations], Array]:
+def _fit_by_method(name: str) -> Callable[[ComparedStations], Array]:
     """Return the fit by one of the own methods."""
     def fit(stations: ComparedStations) -> Array:
         config = replace(stations.problem.config, method=name)
@@ -188,7 +188,7 @@ def _park(pairs: PosePairs) -> Array:
 
 OTHER_ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
     'plate': (
-        Estimator('plane, the face lines alone', _by_method('plane')),
+        Estimator('plane, the face lines alone', _fit_by_method('plane')),
         Estimator('Chen 2023, nine parameters', lambda given: chen2023.solve_nine(*_edges(given))),
         Estimator('Chen 2023, on SE(3)', lambda given: chen2023.solve_rigid(*_edges(given)))),
     'sphere': (
@@ -205,7 +205,7 @@ OTHER_ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
             *cn105021139a.motions(given.robot, given.seen)))),
 }
 ESTIMATORS = {
-    name: (Estimator(name, _by_method(name) if name in TARGETS else _from_files),
+    name: (Estimator(name, _fit_by_method(name) if name in TARGETS else _from_files),
            *OTHER_ESTIMATORS.get(name, ())) for name in {**TARGETS, **OTHER_ESTIMATORS}}
 """By target, its own method first."""
 

@@ -94,7 +94,7 @@ class Parameter:
 
     def _checked_item(self, value: Any, kind: type[Any]) -> Any:
         """Return one value of a type, as plain Python; raises BadValueError."""
-        plain, low, high = _in_type(value, kind), self.minimum, self.maximum
+        plain, low, high = _converted(value, kind), self.minimum, self.maximum
         accepted, expected = type(plain) is kind, f'a value of type {kind.__name__}'
         if self.choices:
             accepted &= plain in self.choices
@@ -113,7 +113,7 @@ class Parameter:
         return plain
 
 
-def _in_type(value: Any, kind: type[Any]) -> Any:
+def _converted(value: Any, kind: type[Any]) -> Any:
     """Return a value in a type that it stands for, such as the text 3e-5 (no number in YAML)."""
     if kind is str and value is None:
         return ''

@@ -57,12 +57,12 @@ class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[mi
         return True
 
 
-def _as_plain(dumper: Any, value: Any) -> Any:
+def _represent_array(dumper: Any, value: Any) -> Any:
     return dumper.represent_data(value.tolist())
 
 
-_Dumper.add_multi_representer(np.generic, _as_plain)
-_Dumper.add_multi_representer(np.ndarray, _as_plain)
+_Dumper.add_multi_representer(np.generic, _represent_array)
+_Dumper.add_multi_representer(np.ndarray, _represent_array)
 # bytes of a path that are no UTF-8 are no Unicode, and become question marks
 _Dumper.add_representer(str, lambda dumper, value: dumper.represent_str(
     value.encode(errors='replace').decode()))

@@ -40,7 +40,7 @@ def polynomials(u: Array, v: Array, degrees: Sequence[int]) -> Array:
                            for degree in degrees], axis=1)
 
 
-def _by_degree(columns: Array, degrees: Sequence[int]) -> list[Array]:
+def _split_by_degree(columns: Array, degrees: Sequence[int]) -> list[Array]:
     """Return the columns (..., k) of polynomials, split by their degree."""
     return np.split(columns, np.cumsum([degree + 1 for degree in degrees])[:-1], axis=-1)
 
@@ -66,7 +66,7 @@ def distortion_fields(points: Array, degrees: Sequence[int]) -> list[Array]:
     along_axes = np.kron(np.eye(2), polynomials(u, v, degrees)).astype(float)
     fields = projected_off(along_axes, _rigid(points - points.mean(axis=0)))
     fields = fields.reshape(2, m, 2, -1).swapaxes(0, 1)  # point, axis, terms along x and z
-    return [field.reshape(m, 2, -1) for field in _by_degree(fields, degrees)]
+    return [field.reshape(m, 2, -1) for field in _split_by_degree(fields, degrees)]
 
 
 def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
@@ -84,7 +84,7 @@ def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
         for places, (u, v) in ((grid_over(points, ticks), grid(ticks).T),
                                (points, map(_normalised, points.T))))
     motions = (over_view - over_points).reshape(3, 2, -1)
-    return [motion.reshape(3, -1) for motion in _by_degree(motions, degrees)]
+    return [motion.reshape(3, -1) for motion in _split_by_degree(motions, degrees)]
 
 
 def bent_line(points: Array) -> Array:
@@ -144,7 +144,7 @@ def bent_surface(p: Array, on_surface: NDArray[np.bool_], degrees: Sequence[int]
     waves = polynomials(_normalised(u), _normalised(v), degrees)
     terms = np.zeros((len(p), waves.shape[1]))
     terms[on_surface] = projected_off(waves, np.column_stack([np.ones(len(u)), u, v]))
-    return _by_degree(terms, degrees)
+    return _split_by_degree(terms, degrees)
 
 
 def scaled_pose_vectors(poses: Array) -> Array:

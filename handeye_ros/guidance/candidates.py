@@ -160,7 +160,7 @@ def stations_like(template: Problem, solution: Solution, poses: Array, places: A
 
     # move the template's points, and cut what is then outside the view
     points = obs.points - obs.points[anchored].mean(axis=0) + places[:, None]
-    points = _on_target(template, solution, poses, points, same_point)
+    points = _moved_onto_target(template, solution, poses, points, same_point)
     anchors = points[:, anchored].mean(axis=1, keepdims=True)
     outward = np.maximum((points - anchors) @ BORDER_NORMALS.T, 1e-9)
     room = view.offsets - anchors @ BORDER_NORMALS.T
@@ -168,7 +168,7 @@ def stations_like(template: Problem, solution: Solution, poses: Array, places: A
     points = anchors + share[:, None, None] * (points - anchors)
     large = share > MIN_SHARE
     poses, points, share = poses[large], points[large], share[large]
-    points = _on_target(template, solution, poses, points, same_point)
+    points = _moved_onto_target(template, solution, poses, points, same_point)
     linear = _linear(template, solution, poses, points, 1 / np.sqrt(share))
     visible = np.flatnonzero(_shows_the_same(linear, points, same_point,
                                              linearise(template, solution.estimate), view))
@@ -230,8 +230,8 @@ def _linear(template: Problem, solution: Solution, poses: Array, points: Array, 
     return linearise(replace(template, poses=poses, observations=observations), solution.estimate)
 
 
-def _on_target(template: Problem, solution: Solution, poses: Array, points: Array,
-               same_point: Array) -> Array:
+def _moved_onto_target(template: Problem, solution: Solution, poses: Array, points: Array,
+                       same_point: Array) -> Array:
     """Return points (n, c, 2) moved onto the target by least steps; same_point: (c, c)."""
     shape = points.shape[:2]
     for _ in range(STEPS_TO_TARGET):

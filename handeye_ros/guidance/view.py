@@ -166,12 +166,12 @@ def next_move(taken: int, target: Target, config: Config, view: View) -> Advised
         angle = min(np.pi / 2 - angle, config.guidance.turn)
     mirror_sign = -1.0 if taken // len(moves) % 2 else 1.0  # every other time through the table
     turn = float(np.copysign(angle, turn * mirror_sign))
-    return AdvisedMove(_in_words(target, turn, tilt, place, edge, beside), turn, tilt, place, edge,
+    return AdvisedMove(_advice(target, turn, tilt, place, edge, beside), turn, tilt, place, edge,
                        float(beside))
 
 
-def _in_words(target: Target, turn: float, tilt: Array, place: Array, edge: int,
-              beside: float) -> str:
+def _advice(target: Target, turn: float, tilt: Array, place: Array, edge: int,
+            beside: float) -> str:
     where = ('at the other edge, that meets the first one in the corner, ' if edge else
              'at the same edge, ' if len(target.required_edges) > 1 else '')
     turns = ', then '.join(f'{np.degrees(angle):+.0f} degrees about {axis}' for angle, axis in (

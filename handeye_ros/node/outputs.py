@@ -41,10 +41,10 @@ from handeye_ros.node.streams import TFMessage
 from handeye_ros.results.scene import (
     feature_points,
     FLANGE_COLOUR,
-    in_sensor,
     LASER_COLOUR,
     scene,
     SEEN_COLOUR,
+    sensor_points,
     StopSnapshot,
 )
 from handeye_ros.sampling.stops import Stop
@@ -149,7 +149,7 @@ class Outputs:
             log.warning(attempt.text)
         else:
             log.info(attempt.text)
-            xyz = in_sensor(feature_points(sample.features), self._live.config)
+            xyz = sensor_points(feature_points(sample.features), self._live.config)
             points = xyz.astype('<f4', order='C').view([(name, '<f4') for name in 'xyz'])[:, 0]
             self._features.publish(cloud(points, self._live.session.frame_id, sample.stamp))
 
@@ -277,7 +277,7 @@ def current_markers(current: StopSnapshot | None, calibration: Calibration | Non
     T_fixed_sensor = current.T_mount @ calibration.T_flange_sensor
     points = current.points[np.isfinite(current.points).all(axis=1)]
     return _markers([{'name': name, 'color': color, 'width': width,
-                      'points': se3.apply(T_fixed_sensor, in_sensor(plane, config))}
+                      'points': se3.apply(T_fixed_sensor, sensor_points(plane, config))}
                      for name, color, width, plane in (
                          ('profile', LASER_COLOUR, 1.5, points),
                          ('feature', SEEN_COLOUR, 6.0, feature_points(current.features)))

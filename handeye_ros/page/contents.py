@@ -254,8 +254,8 @@ def _target(answer: Answer, config: Config) -> Mapping[str, Any]:
     assert solution is not None
     problem, estimate = solution.problem, solution.estimate
     anchors = np.array([anchor_of(problem, i) for i in range(len(problem.poses))])
-    in_sensor = np.insert(anchors, 1, 0.0, axis=1)  # (x, range) as (x, 0, range)
-    points = se3.apply(problem.poses @ estimate.X, in_sensor[:, None])[:, 0]
+    sensor_points = np.insert(anchors, 1, 0.0, axis=1)  # (x, range) as (x, 0, range)
+    points = se3.apply(problem.poses @ estimate.X, sensor_points[:, None])[:, 0]
     outline = outline_of(problem.target.describe(estimate.state, solution.target_std),
                          config.target.size, points)
     ball = outline.ball and (rounded(outline.ball[0]), outline.ball[1])

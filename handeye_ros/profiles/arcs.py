@@ -72,7 +72,7 @@ def arc_features(points: Array, config: Config) -> tuple[Arc]:
         smallest, largest = MIN_RADIUS_RATIO * radius, (MAX_RADIUS_RATIO + 0.1) * radius
     for circle in circles_among(valid, smallest, largest, TOLERANCE_SIGMAS * noise):
         try:
-            return (_arc(*_on_arc(valid, circle, noise, config), config),)
+            return (_arc(*_arc_inliers(valid, circle, noise, config), config),)
         except FeatureError as error:
             reason = reason or str(error)
     if radius > 0 and not reason:
@@ -120,7 +120,8 @@ def distances_from_circle(points: Array, circle: Array) -> Array:
     return np.asarray(np.sqrt(x * x + z * z) - circle[2])
 
 
-def _on_arc(points: Array, circle: Array, noise: float, config: Config) -> tuple[Array, float]:
+def _arc_inliers(points: Array, circle: Array, noise: float, config: Config
+                 ) -> tuple[Array, float]:
     """
     Return the points (k, 2) of an arc near a circle, of all (n, 2), and their noise.
 

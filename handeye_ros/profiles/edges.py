@@ -100,7 +100,7 @@ class FaceEnd:
         down = self.near_sign * np.array([along[1], -along[0]])
         return np.array([[x, segment.height(x)], math.copysign(1.0, x - first) * along, down])
 
-    def in_frame(self, columns: Indices) -> tuple[Array, Array]:
+    def coordinates(self, columns: Indices) -> tuple[Array, Array]:
         """Return u and v (k,) of columns (k,); a bow of the face is taken off v."""
         origin, outwards, down = self.frame
         offsets = self.points.take(columns, axis=0) - origin
@@ -240,7 +240,7 @@ def _is_bevel(end: FaceEnd, piece: Segment, tail: Indices) -> bool:
     """Return whether the next piece is a bevel of the same plate, not a wall or face."""
     if piece.first not in tail:
         return False
-    u, v = end.in_frame(piece.columns[[0, -1]])
+    u, v = end.coordinates(piece.columns[[0, -1]])
     size, depth = math.hypot(u[1] - u[0], v[1] - v[0]), float(v[1] - v[0])
     return size <= MAX_BEVEL and depth > 0 and abs(u[1] - u[0]) > WALL_SLOPE * depth
 
@@ -329,7 +329,7 @@ def _edge_at_wall(end: FaceEnd, tail: Indices) -> EdgePoint | None:
     """Return the edge where a wall, seen in the tail of a face, meets it; None without a wall."""
     if len(tail) < WALL_POINTS:
         return None
-    tail_u, tail_v = end.in_frame(tail)
+    tail_u, tail_v = end.coordinates(tail)
     lowest = float(tail_v.max())
     on_wall = (tail_v > 0.5 * lowest) & (tail_v < 0.97 * lowest)
     if lowest < MIN_WALL or np.count_nonzero(on_wall) < WALL_POINTS:
@@ -371,7 +371,7 @@ def _edge_before_drop(end: FaceEnd, tail: Indices, ending: str,
     next_surface: the one seen below, if the face ends in a step or shadow.
     """
     plate = np.concatenate([end.segment.columns[-LAST_POINTS:], tail])
-    u, v = end.in_frame(plate)
+    u, v = end.coordinates(plate)
     pitch, noise = end.pitch, end.segment.noise
     flat_end = _u_of_flat_end(end, u[LAST_POINTS:], v[LAST_POINTS:])
     plate_end = max(float(u[-1]), flat_end)
@@ -387,7 +387,7 @@ def _edge_before_drop(end: FaceEnd, tail: Indices, ending: str,
     # sampling/edge_shapes.py); its last points are the worst
     before = end.segment.columns[-max(2 * len(tail), MIN_ROUNDING):]
     inner = tail[:len(tail) - min(len(tail) // RIM_SHARE, MAX_RIM)]
-    bend = fitted_bend(*end.in_frame(np.concatenate([before, inner])), edge_u, pitch, noise)
+    bend = fitted_bend(*end.coordinates(np.concatenate([before, inner])), edge_u, pitch, noise)
     # an end that goes down but not outwards is no bend, but a hardly visible wall
     depth = min(bend.depth, STEEPEST_ROUNDING * (plate_end - flat_end) + FLAT_SIGMAS * noise)
     _, outwards, down = end.frame

@@ -83,7 +83,7 @@ def _is_nearer_beside(end: FaceEnd, other: Segment) -> bool:
     rise = end.rise_of(other.columns.item(len(other.columns) // 2))
     if rise / math.hypot(1.0, end.segment.slope) <= smallest_step(end, other):
         return False
-    u, v = end.in_frame(other.columns[[0, -1]])
+    u, v = end.coordinates(other.columns[[0, -1]])
     return (math.hypot(u[1] - u[0], v[1] - v[0]) > MAX_SPLINTER
             and bool(u.min() < MAX_GAP_WIDTH + HIDDEN_PER_HEIGHT * rise))
 

@@ -27,8 +27,8 @@ MIN_LINE_WIDTH = 1e-6  # smallest length of a line along x (m)
 MIN_CIRCLE_SAGITTA = 4.0  # smallest sagitta of points on a circle, in tolerances: less is a line
 
 
-def on_dominant_line(x: Array, z: Array, tolerance: float, fewest: int
-                     ) -> NDArray[np.bool_] | None:
+def dominant_line_inliers(x: Array, z: Array, tolerance: float, fewest: int
+                          ) -> NDArray[np.bool_] | None:
     """
     Return which points (n,) are on the line with the most points; None if these are too few.
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from handeye_ros.data import Array, Indices
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.ransac import MIN_LINE_WIDTH, on_dominant_line
+from handeye_ros.profiles.ransac import dominant_line_inliers, MIN_LINE_WIDTH
 import numpy as np
 
 MAX_LINES = 5
@@ -136,7 +136,7 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
 
     for _ in range(MAX_LINES):
         left_x, left_z = x.take(unassigned), z.take(unassigned)
-        is_near = on_dominant_line(left_x, left_z, tolerance, min_points)
+        is_near = dominant_line_inliers(left_x, left_z, tolerance, min_points)
         if is_near is None:
             break
         new = segments_of(unassigned[is_near])

@@ -80,7 +80,7 @@ def tool_frame(calibration: Calibration, vendor: str, comment_start: str, line: 
     return ''.join(f'{comment_start}{row}\n' for row in rows) + f'{program}\n'
 
 
-def by_template(calibration: Calibration, template: str) -> str:
+def filled_template(calibration: Calibration, template: str) -> str:
     """Return the text that a template in results/assets makes of it; raises InputError."""
     if not (calibration.parent_frame and calibration.child_frame):
         raise InputError('parent_frame and child_frame of a calibration must be names, not empty')
@@ -133,7 +133,7 @@ class Format:
 
 FORMATS = {
     YAML: Format(calibration_file.NAME, calibration_file.text),
-    **{name: Format(file, partial(by_template, template=f'{file}.jinja')) for name, file in (
+    **{name: Format(file, partial(filled_template, template=f'{file}.jinja')) for name, file in (
         ('urdf', 'sensor.urdf.xacro'), ('launch', 'static_transform.launch.py'),
         ('matrix', 'matrix.txt'))},
     'easy_handeye2': Format('{name}.calib', easy_handeye2),

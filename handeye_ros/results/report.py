@@ -21,9 +21,9 @@ from handeye_ros.results import exports, table
 from handeye_ros.results.calibration_file import config_of
 from handeye_ros.results.scene import (
     feature_points,
-    in_sensor,
     profile_picture,
     scene,
+    sensor_points,
     StopSnapshot,
 )
 from handeye_ros.results.truth import field_points, FIELD_TEXT
@@ -53,13 +53,13 @@ def html(calibration: Calibration, recording: SolvedRecording) -> str:
     """Return the report as HTML."""
     config = config_of(calibration)
     seen = feature_points(f for stop in recording.stops if stop.used for f in stop.features)
-    good, sentence = verdict(calibration, recording, in_sensor(seen, config))
+    good, sentence = verdict(calibration, recording, sensor_points(seen, config))
     picture = scene(calibration, recording.stops, config)
     return rendered(
         'report.html', c=calibration, good=good, sentence=sentence, table=table,
         remarks=list(_remarks(calibration, recording)),
         matrix=exports.FORMATS['matrix'].text(calibration),
-        joint=exports.by_template(calibration, 'joint.xacro.jinja'),
+        joint=exports.filled_template(calibration, 'joint.xacro.jinja'),
         scene=picture, legend={part['name']: part['color'] for part in picture['parts']}.items(),
         stops=recording.stops, settings=configuration.flatten(config).items(),
         profiles=[profile_picture(seen, ()),

@@ -92,9 +92,9 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
         plane = plane[::max(1, math.ceil(len(plane) / MAX_POINTS))]
         name, color = (('laser line', LASER_COLOUR) if stop.used else
                        ('laser line, not used', UNUSED_COLOUR))
-        draw('points', name, color, 2.0, se3.apply(stop.T_mount @ X, in_sensor(plane, config)))
+        draw('points', name, color, 2.0, se3.apply(stop.T_mount @ X, sensor_points(plane, config)))
     seen = np.concatenate([np.empty((0, 3)), *(
-        se3.apply(stop.T_mount @ X, in_sensor(feature_points(stop.features), config))
+        se3.apply(stop.T_mount @ X, sensor_points(feature_points(stop.features), config))
         for stop in used)])
     target = outline_of(calibration.target, config.target.size, seen)
     for outline in target.outline:
@@ -105,7 +105,7 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
     return {'parts': parts, 'frame': target_frame(config)}
 
 
-def in_sensor(plane: Array, config: Config) -> Array:
+def sensor_points(plane: Array, config: Config) -> Array:
     """Return points (n, 2) of the sensor plane as (n, 3) of the sensor frame."""
     return np.asarray(plane @ T_sensor_plane(config)[:3, [0, 2]].T)
 

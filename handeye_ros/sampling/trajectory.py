@@ -90,7 +90,7 @@ class Trajectory:
         """Return translation and quaternion (n, 7), their rates, and which are inside (n,)."""
         values, rates = np.zeros((2, len(stamps), 7))
         values[:, 6], inside = 1.0, np.zeros(len(stamps), dtype=bool)
-        for piece, nearest in self._by_piece(stamps):
+        for piece, nearest in self._nearest_pieces(stamps):
             values[nearest], rates[nearest] = piece.at(stamps[nearest])
             inside[nearest] = (stamps[nearest] >= piece.first) & (stamps[nearest] <= piece.last)
         return values, rates, inside
@@ -98,12 +98,12 @@ class Trajectory:
     def std(self, stamps: NDArray[np.int64]) -> Array:
         """Return 1 sigma of the poses at stamps (n,), each axis: (n, 2) in m and rad."""
         std = np.full((len(stamps), 2), np.inf)
-        for piece, nearest in self._by_piece(stamps):
+        for piece, nearest in self._nearest_pieces(stamps):
             std[nearest] = piece.std_at(stamps[nearest])
         return std
 
-    def _by_piece(self, stamps: NDArray[np.int64]
-                  ) -> Iterator[tuple[_SplinePiece, NDArray[np.bool_]]]:
+    def _nearest_pieces(self, stamps: NDArray[np.int64]
+                        ) -> Iterator[tuple[_SplinePiece, NDArray[np.bool_]]]:
         """Yield each piece with the stamps (n,) to which it is the nearest one, if any."""
         middles = np.array([before.last + (after.first - before.last) // 2
                             for before, after in pairwise(self.pieces)], dtype=np.int64)

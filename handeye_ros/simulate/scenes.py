@@ -129,7 +129,7 @@ def _length_to_limits(rates: Array, room: Array) -> Array:
     return np.asarray((np.where(nearing, room, np.inf) / np.where(nearing, rates, 1)).min(axis=1))
 
 
-def _in_view(scenario: Scenario, points: Array, along: Array) -> Array:
+def _length_in_view(scenario: Scenario, points: Array, along: Array) -> Array:
     """Return the lengths (n,) in the field of view, from points along directions (n, 2) (m)."""
     w, (near, far) = scenario.sensor.half_width, scenario.sensor.range
     view = np.array([[1, -w, 0], [-1, -w, 0], [0, -1, -near], [0, 1, far]])
@@ -218,7 +218,7 @@ def plate_features(scenario: Scenario, stops: Placements, rng: np.random.Generat
     start = se3.apply(T, lift(stops.points)[:, None])[:, 0, :2]
     in_face = _length_to_limits(np.hstack([rise, -rise]),
                                 np.hstack([np.array(scenario.target.size) - start, start]))
-    length = np.minimum(_in_view(scenario, stops.points, inwards), in_face)
+    length = np.minimum(_length_in_view(scenario, stops.points, inwards), in_face)
     noise = rng.normal(size=(3, len(T)))
     faces, columns = _lines(scenario, stops.points, inwards, length, noise[:2])
     return [
@@ -259,7 +259,7 @@ def plane_features(scenario: Scenario, stops: Placements, rng: np.random.Generat
     """Return the FaceLine of each stop, with the noise of all its profiles."""
     T = stops.T_target_sensor
     along, _ = _along(T, 2, T[:, :3, 0])
-    before, beyond = (_in_view(scenario, stops.points, way) for way in (-along, along))
+    before, beyond = (_length_in_view(scenario, stops.points, way) for way in (-along, along))
     noise = rng.normal(size=(len(along), 2)).T
     start = stops.points - before[:, None] * along
     return [(face,) for face in _lines(scenario, start, along, before + beyond, noise)[0]]
@@ -299,7 +299,7 @@ def wedge_features(scenario: Scenario, stops: Placements, rng: np.random.Generat
     upwards = np.array([0.0, 0.0, 1.0 if target.concave else -1.0])
     for k, (normal, into) in enumerate(((2, np.array([0.0, 1.0, 0.0])), (1, upwards))):
         along, _ = _along(T, normal, into)
-        length = _in_view(scenario, stops.points, along)
+        length = _length_in_view(scenario, stops.points, along)
         faces.append(_lines(scenario, stops.points, along, length, noise[:, k].T,
                             np.sign(along[:, 0]))[0])
     return [(a, b) if a.centre[0] < b.centre[0] else (b, a) for a, b in zip(*faces, strict=True)]
@@ -350,18 +350,18 @@ def _arc(scenario: Scenario, centre: Array, radius: float, rng: np.random.Genera
     rim = np.sin(sensor.max_incidence)
     pitch = 2 * sensor.half_width * (centre[1] - radius) / sensor.columns
     sine = np.arange(-rim, rim, pitch / radius)
-    points = _on_circle(centre, radius, sine, np.zeros(len(sine)))
+    points = _points_on_circle(centre, radius, sine, np.zeros(len(sine)))
     sine = sine[(np.abs(fan(points)) < sensor.half_width) & (points[:, 1] < sensor.range[1])]
     width = len(sine) // ARC_POINTS
     bins = sine[:len(sine) // width * width].reshape(-1, width)
     middle = bins.mean(axis=1)
     std = sensor.noise * np.sqrt((1 - middle**2) / (width * scenario.profiles_per_stop))
-    points = _on_circle(centre, radius, middle, rng.normal(size=len(std)) * std)
+    points = _points_on_circle(centre, radius, middle, rng.normal(size=len(std)) * std)
     noise = rng.normal(size=len(sine)) * sensor.noise * np.sqrt(1 - sine**2)
-    return Arc(points, std, centre, radius, _on_circle(centre, radius, sine, noise))
+    return Arc(points, std, centre, radius, _points_on_circle(centre, radius, sine, noise))
 
 
-def _on_circle(centre: Array, radius: float, sine: Array, outwards: Array) -> Array:
+def _points_on_circle(centre: Array, radius: float, sine: Array, outwards: Array) -> Array:
     """Return points (n, 2) by the sine (n,) of their angle on the circle, moved outwards (n,)."""
     normals = np.stack([sine, -np.sqrt(1 - sine**2)], axis=1)
     return np.asarray(centre + (radius + outwards)[:, None] * normals)

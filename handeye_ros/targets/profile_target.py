@@ -27,7 +27,7 @@ from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.problem import Linearisation, Observations, UNUSED
 from handeye_ros.estimation.target import Target
-from handeye_ros.targets.starts import of_nearest_piece
+from handeye_ros.targets.starts import is_of_nearest_piece
 import numpy as np
 
 FACE = 0  # the kind of a condition on a face, in every target that has them
@@ -118,7 +118,7 @@ class ProfileTarget(Target):
         if not self.shows_several(observations):
             return observations
         squares = self.conditions(p, observations.kind, state, config).g ** 2
-        nearest = of_nearest_piece(observations, self.pieces(observations), squares)
+        nearest = is_of_nearest_piece(observations, self.pieces(observations), squares)
         return replace(observations, kind=np.where(nearest, observations.kind, UNUSED))
 
     def blocks(self, linear: Linearisation) -> Blocks:

@@ -87,8 +87,8 @@ def with_one_piece(problem: Problem, piece: NDArray[np.intp], choices: Iterable[
             if count >= enough]
 
 
-def of_nearest_piece(observations: Observations, piece: NDArray[np.intp], squares: Array
-                     ) -> NDArray[np.bool_]:
+def is_of_nearest_piece(observations: Observations, piece: NDArray[np.intp], squares: Array
+                        ) -> NDArray[np.bool_]:
     """
     Return which observations (m,) belong to the nearest piece of their station.
 

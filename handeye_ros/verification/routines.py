@@ -161,7 +161,7 @@ class Routine:
     def recordings_for(self, lengths: int) -> Sequence[int]:
         """Return the possible numbers of recordings; raises InputError for wrong lengths."""
         if lengths not in self.recording_counts:
-            counts = _in_words(list(self.recording_counts), 'length')
+            counts = _numbers_text(list(self.recording_counts), 'length')
             raise InputError(f'{self.name} needs {counts} (verify.lengths), and got {lengths}')
         return self.recording_counts[lengths]
 
@@ -175,7 +175,7 @@ class Routine:
             possible = self.recordings_for(len(config.verify.lengths))
             if recordings not in possible:
                 raise InputError(
-                    f'{self.name} needs {_in_words(possible, "bag")}, and got {recordings}')
+                    f'{self.name} needs {_numbers_text(possible, "bag")}, and got {recordings}')
         return config if self.in_passes else with_values(config, {
             'target.type': self.target, 'method': 'auto', 'target.radius': config.verify.radius})
 
@@ -225,6 +225,6 @@ def routine_of(name: str) -> Routine:
     return ROUTINES[name]
 
 
-def _in_words(numbers: Sequence[int], what: str) -> str:
+def _numbers_text(numbers: Sequence[int], what: str) -> str:
     text = f'{numbers[0]} to {numbers[-1]}' if len(numbers) > 3 else ' or '.join(map(str, numbers))
     return f'{text} {what}' if numbers[-1] == 1 else f'{text} {what}s'

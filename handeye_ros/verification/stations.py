@@ -91,12 +91,12 @@ def _select_artefact(routine: Routine, samples: Sequence[Sample], X: Array,
                      calibration: Calibration, config: Config) -> tuple[Sequence[Sample], str]:
     """Return what of a recording shows the artefact, and in words how it was chosen."""
     if any(sample.moving for sample in samples):
-        samples = _at_calibrated_time(samples, calibration, config)
+        samples = _with_calibrated_times(samples, calibration, config)
     T = mount_poses_of(samples, config) @ X
     if config.verify.near:
-        samples = _in_ball(samples, T, config.verify.near)
+        samples = _crop_to_ball(samples, T, config.verify.near)
     if routine.target == 'plane':
-        return _on_nearest_surface(samples, T, config.profile.range_sign)
+        return _select_nearest_surface(samples, T, config.profile.range_sign)
     return samples, ''
 
 
@@ -193,7 +193,7 @@ def _ends_in_base(feature: Feature, T: Array) -> Array:
     return np.asarray(feature.polyline[[0, -1]] @ T[:3, [0, 2]].T + T[:3, 3])
 
 
-def _in_ball(samples: Sequence[Sample], T: Array, region: Sequence[float]) -> list[Sample]:
+def _crop_to_ball(samples: Sequence[Sample], T: Array, region: Sequence[float]) -> list[Sample]:
     """
     Return the samples with only the features that come into a ball.
 
@@ -213,8 +213,8 @@ def _in_ball(samples: Sequence[Sample], T: Array, region: Sequence[float]) -> li
     return inside
 
 
-def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
-                        ) -> tuple[Sequence[Sample], str]:
+def _select_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
+                            ) -> tuple[Sequence[Sample], str]:
     """
     Return the samples with the pieces of one surface only, and in words which it is.
 
@@ -245,8 +245,8 @@ def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
             for number, sample in enumerate(samples)], sentence
 
 
-def _at_calibrated_time(samples: Sequence[Sample], calibration: Calibration, config: Config
-                        ) -> list[Sample]:
+def _with_calibrated_times(samples: Sequence[Sample], calibration: Calibration, config: Config
+                           ) -> list[Sample]:
     """
     Return some samples of a moving robot, with the poses at the calibration's time offset.
 
