@@ -20,8 +20,8 @@ twist of the flange: one more column each. They need no start value: some of the
 from several offsets until one is good, then all. However long a sweep is, MAX_SAMPLES of its
 profiles make the answer.
 
-A sweep differs from stops in these places, found by Sample.moving, sampling.moving and the
-PoseModel of the problem:
+A sweep differs from stops in these places, found by Sample.moving, sampling.moving and, in the
+estimation, Problem.has_pose_model:
 
 - profiles: fewer points of a line or arc are kept (lines.py, arcs.py)
 - stops.py cuts it by time, into passes, all of which is evaluated; features.py combines no
