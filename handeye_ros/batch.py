@@ -228,7 +228,7 @@ def earlier_row(job: Job, out: Path) -> JobRow | None:
         previous = json.loads((out / job.label / JOB_FILE).read_text(encoding='utf-8'))
         same = (previous['state'] == job.fingerprint()
                 and previous['row']['exit_code'] != CRASH_EXIT_CODE)
-    except (OSError, ValueError, KeyError):
+    except (OSError, ValueError, KeyError, TypeError):
         return None
     return {**previous['row'], 'computed': False} if same else None
 

@@ -294,7 +294,11 @@ def clock_notes(solution: Solution) -> Iterator[str]:
     offset, drift = (clock_estimate(solution, name) for name in (TIME_OFFSET, CLOCK_DRIFT))
     if offset is None:
         return
-    if offset.std > 0.5 * solution.problem.config.time_offset_std:
+    stated = block_estimates(solution.report_posterior)[TIME_OFFSET]
+    if abs(stated.sigmas_off_stated) > NOTED_SIGMAS:
+        yield (f'the time offset is {abs(stated.sigmas_off_stated):.0f} sigmas off what '
+               'time_offset and time_offset_std state: correct them')
+    elif offset.std > 0.5 * solution.problem.config.time_offset_std:
         yield ('the motion says nothing of the time offset, which is as time_offset and '
                'time_offset_std state it: sweep across the target, with changes of speed')
     elif offset.std > 5e-4:  # s

@@ -173,7 +173,7 @@ class ProfileConfig(Section):
                          choices=('first', 'middle', 'last'))
     invalid: tuple[float, ...] = setting(
         (), 'Ranges that mean no return, in the unit of the message, such as 0 or -327.68.',
-        -1e9, 1e9, length=(0, 1, 2, 3, 4))
+        -1e10, 1e10, length=(0, 1, 2, 3, 4))
 
     def __post_init__(self) -> None:
         """Raise BadValueError also for two axes along one line."""
@@ -191,7 +191,7 @@ class TargetConfig(Section):
     radius: float = setting(0.0, 'Radius of the sphere; 0: unknown, estimated.', 0.0, 10.0, 'm')
     size: tuple[float, ...] = setting(
         (), 'Lengths of the plate along its edges p and q; empty: unknown, only the two '
-        'edges that meet in the corner are used.', 0.0, 10.0, 'm', length=(0, 2))
+        'edges that meet in the corner are used.', 1e-3, 10.0, 'm', length=(0, 2))
     radius_std: float = setting(5e-5, '1 sigma of the radius of the sphere.', 0.0, 0.1, 'm')
     size_std: float = setting(1e-4, '1 sigma of each length of the plate.', 0.0, 0.1, 'm')
     edge_angle_std: float = setting(
@@ -347,7 +347,8 @@ class VerifyConfig(Section):
         'height of the teeth.', 1e-6, 10.0, 'm')
     radius: float = setting(0.0, 'Nominal radius of the balls; 0: unknown.', 0.0, 10.0, 'm')
     reference: tuple[float, ...] = setting(
-        (), 'The point as a tip of the robot touched it (base); empty: not touched.',
+        (), 'The point as a tip of the robot touched it, in the base (with eye_on_base: in the '
+        'flange); empty: not touched.',
         -50.0, 50.0, 'm', length=(0, 3))
     aim: float = setting(0.0, 'How exactly the laser is put to the point, 1 sigma.', 0.0, 0.1, 'm')
     flank: float = setting(
@@ -356,8 +357,8 @@ class VerifyConfig(Section):
         0.0, "Expanded uncertainty (k = 2) of lengths, radius and reference by the artefact's "
         'certificate.', 0.0, 0.1, 'm')
     near: tuple[float, ...] = setting(
-        (), 'Only what comes into this ball of the base takes part: x, y, z and radius; '
-        'empty: everything.', -50.0, 50.0, 'm', length=(0, 4))
+        (), 'Only what comes into this ball of the base (with eye_on_base: of the flange) takes '
+        'part: x, y, z and radius; empty: everything.', -50.0, 50.0, 'm', length=(0, 4))
     tolerance: float = setting(3e-4, 'Largest error of a length that passes.', 1e-9, 0.02, 'm')
     angle_tolerance: float = setting(
         1.7453e-3, 'Largest angle error that passes.', 1e-9, 0.05, 'rad')
@@ -518,10 +519,10 @@ def from_provenance(values: Any) -> Config:
 
 def with_assignments(config: Config, assignments: Iterable[str]) -> Config:
     """Return a configuration with `key=value` texts (values in YAML) applied; see assignment."""
-    values = {}
+    values: dict[str, Any] = {}
     for key, text in map(assignment, assignments):
         try:
-            values[key] = yaml.safe_load(text)
+            values[key] = text if key.startswith(RECORD_PREFIX) else yaml.safe_load(text)
         except BAD_YAML as error:
             raise InputError(f'the value of "{key}={text}" is not valid YAML') from error
     return with_values(config, values, '--set')
@@ -544,6 +545,8 @@ def with_flipped_range(config: Config) -> Config:
 def _with_record(config: Config, key: str, value: Any) -> Config:
     """Return a configuration with a free text of the record; an empty one removes it."""
     name, text = key.removeprefix(RECORD_PREFIX), '' if value is None else str(value)
+    if not isinstance(value, str | int | float | None) or isinstance(value, bool):
+        raise BadValueError(key, value, 'a text: write it in quotes')
     if not re.fullmatch(r'[A-Za-z]\w*', name):
         raise BadValueError(key, value, 'a name of letters, digits and _ after record.')
     if len(text) > MAX_TEXT_LENGTH or not text.isprintable():
@@ -560,6 +563,12 @@ class _UniqueKeyLoader(yaml.SafeLoader):
         names = [key.value for key, _ in node.value]
         if twice := [name for name in names if names.count(name) > 1]:
             raise yaml.YAMLError(f'the key "{twice[0]}" stands twice{node.start_mark}')
+        for key, value in node.value:  # a serial number 007 keeps its zeros
+            texts = (value.value if key.value == 'record' and isinstance(value, yaml.MappingNode)
+                     else [(key, value)] if str(key.value).startswith(RECORD_PREFIX) else [])
+            for _, text in texts:
+                if isinstance(text, yaml.ScalarNode):
+                    text.tag = 'tag:yaml.org,2002:str'
         return super().construct_mapping(node, deep)
 
 
@@ -588,8 +597,12 @@ def load(path: Path | str, config: Config | None = None) -> Config:
             place = names.index('ros__parameters')
             section = sections.setdefault(
                 ''.join(f'/{name.strip("/")}' for name in names[:place]), {})
-            if names[place + 1:]:
-                section['.'.join(names[place + 1:])] = value
+            key = '.'.join(names[place + 1:])
+            if key in section:
+                raise InputError(f'{path}: the key "{key}" stands twice')
+            is_section = any(p.key.startswith(f'{key}.') for p in parameters())
+            if key and not (value is None and is_section):  # all its keys are comments
+                section[key] = value
     for_all = [node for node in sections if node.split('/')[-1] in ('*', '**')]
     for_ours = [node for node in sections if node.split('/')[-1] == NODE_NAME]
     if not for_all and not for_ours:

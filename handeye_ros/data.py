@@ -179,7 +179,8 @@ class TimedPose:
 
 
 def _require_stamp(what: str, stamp: object) -> None:
-    if type(stamp) is not int and (isinstance(stamp, bool) or not isinstance(stamp, Integral)):
+    if type(stamp) is not int and (isinstance(stamp, bool | np.unsignedinteger)
+                                   or not isinstance(stamp, Integral)):
         raise InputError(f'stamp of a {what} is {stamp!r}, expected whole nanoseconds (int)')
 
 
@@ -379,7 +380,7 @@ class Reject:
     """
     A stop, or a profile of a pass, without a sample, and why.
 
-    final: it is not evaluated again, whatever settings change.
+    final: whatever its profiles show: it is excluded, or cannot be evaluated again.
     """
 
     stamp: int

@@ -46,6 +46,7 @@ from handeye_ros.data import (
     AnyProfile,
     Calibration,
     Profile,
+    QUATERNION_TOLERANCE,
     RawProfile,
     Reject,
     require_each,
@@ -61,6 +62,7 @@ from handeye_ros.frames import mount_frame, mount_poses_of
 from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import with_estimated_clocks
+from handeye_ros.targets.profile_target import ProfileTarget
 import numpy as np
 
 
@@ -151,21 +153,30 @@ def solve(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, 
     Return the calibration from samples, in any order.
 
     rejects: stops that gave no sample, for the report; frame_id: of the profiles.
-    Raises DataError when the samples cannot carry an answer, InputError for other arguments and
-    for numbers that are not finite.
+    Raises DataError when the samples cannot carry an answer, InputError for other arguments.
     """
     require_type('config', config, Config)
     require_type('frame_id', frame_id, str)
-    samples, target = [*require_each('samples', samples, Sample)], targets.target_for(config)
-    for sample in samples:
-        for station in sample.station_samples:
-            seen = target.observe([station])
-            if not all(np.isfinite(values).all() for values in (
-                    station.T_base_flange, seen.points, seen.error_factor)):
-                raise InputError(f'the sample of stamp {sample.stamp} holds numbers that are not '
-                                 'finite')
+    samples = [*require_each('samples', samples, Sample)]
+    _require_values(samples, targets.target_for(config))
     rejects = [*require_each('rejects', rejects, Reject)]
     return answer_samples(samples, rejects, config, frame_id).require_calibration()
+
+
+def _require_values(samples: Sequence[Sample], target: ProfileTarget) -> None:
+    """Raise InputError for two samples of one stamp, and for numbers that none can have."""
+    if len({sample.stamp for sample in samples}) < len(samples):
+        raise InputError('two samples have the same stamp: each stop has its own')
+    for sample in samples:
+        for station in sample.station_samples:
+            T, seen = np.asarray(station.T_base_flange), target.observe([station])
+            if not (T.shape == (4, 4) and np.isfinite(T).all() and np.linalg.det(T) > 0 and
+                    np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() < QUATERNION_TOLERANCE):
+                raise InputError(f'T_base_flange of the sample of stamp {sample.stamp} is no '
+                                 'rigid transform (4, 4)')
+            if not (np.isfinite(seen.points).all() and np.isfinite(seen.error_factor).all()):
+                raise InputError(f'the sample of stamp {sample.stamp} has features that are not '
+                                 'finite')
 
 
 @single_threaded

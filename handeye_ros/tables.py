@@ -22,7 +22,7 @@ import re
 from handeye_ros import se3
 from handeye_ros.config import MICRO, UNITS
 from handeye_ros.data import Array, QUATERNION_TOLERANCE
-from handeye_ros.errors import count_of, did_you_mean, InputError, UnknownNameError
+from handeye_ros.errors import count_of, DataError, did_you_mean, InputError, UnknownNameError
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -159,6 +159,16 @@ class Table:
                 f'{texts[row]}, which is beyond all measure' if np.isfinite(values[row]) else
                 f'"{texts[row]}", expected a number, with a point before its decimals'))
         return values
+
+
+def require_different(rows: Array) -> None:
+    """Raise DataError for rows (n, k) of a table that repeat others."""
+    first = np.unique(rows, axis=0, return_index=True)[1]
+    repeated = np.setdiff1d(np.arange(len(rows)), first) + 1
+    if len(repeated):
+        raise DataError(f'{len(repeated)} rows repeat others to the last digit, first row '
+                        f'{repeated[0]}: the answer would seem more certain than it is; keep each '
+                        'row once')
 
 
 def _number(text: str) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 
 from handeye_ros import output, se3
@@ -63,22 +64,23 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[TrendEnt
             continue
         stamp = min((report.stamp for report in calibration.samples), default=0)
         created = str(calibration.provenance.get('created', ''))
-        calibrations.append((output.iso_time(stamp) or created, path, calibration))
-    calibrations.sort(key=lambda item: item[:2])
+        calibrations.append(((output.iso_time(stamp), created, str(path)), path, calibration))
+    calibrations.sort(key=itemgetter(0))
     if not calibrations:
         raise InputError(f'{folder} holds 0 readable calibration.yaml: a trend needs two, or one '
                          'with --against')
     reference = before = first or calibrations[0][2]
     entries = []
-    for recorded, path, calibration in calibrations:
+    for (first_sample, created, _), path, calibration in calibrations:
         if _frames(calibration) != _frames(reference):
             warnings.append(f'{path} is left out: it is of {_frames(calibration)}, not of '
                             f'{_frames(reference)}; name another reference with --against')
             continue
         difference, std, p_first = difference_of(calibration, reference)
         _, _, p_before = difference_of(calibration, before)
-        entries.append(TrendEntry(path, recorded, difference, std, p_first, p_before,
-                                  calibration.quality.residual_rms))
+        entries.append(TrendEntry(
+            path, first_sample or created, difference, std, p_first, p_before,
+            calibration.quality.residual_rms))
         before = calibration
     if len(entries) < 2 - (first is not None):
         raise DataError(f'{folder} holds {len(entries)} readable calibration.yaml of '

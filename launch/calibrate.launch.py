@@ -53,6 +53,9 @@ def nodes(context: LaunchContext) -> list[Node]:
     def given(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
+    def is_true(name: str) -> bool:
+        return given(name).lower() in ('true', '1')
+
     set_here = {key: given(name) for name, key in KEYS.items() if given(name)}
     if given('page'):
         set_here['page.port'] = int(given('page'))
@@ -62,7 +65,7 @@ def nodes(context: LaunchContext) -> list[Node]:
         Node(package='handeye_ros', executable='calibrate', name='handeye', output='screen',
              namespace=namespace, remappings=recorded,
              # a file that says what the time is must not be overruled by a default
-             parameters=[{'use_sim_time': given('use_sim_time') == 'true'}, given('config'),
+             parameters=[{'use_sim_time': is_true('use_sim_time')}, given('config'),
                          *([set_here] if set_here else [])])]
     if given('bag'):
         # it waits until the node subscribes
@@ -71,7 +74,7 @@ def nodes(context: LaunchContext) -> list[Node]:
                           # a node that starts on a busy machine takes its time to subscribe
                           arguments=[given('bag'), '--rate', given('rate'), '--timeout', '30'],
                           remappings=recorded))
-    if given('rviz') == 'true':
+    if is_true('rviz'):
         found.append(Node(package='rviz2', executable='rviz2', name='rviz2',
                           namespace=namespace, arguments=['-d', given('rviz_layout')],
                           remappings=[(topic, topic.lstrip('/')) for topic in SHOWN]))

@@ -45,13 +45,16 @@ def nodes(context: LaunchContext) -> list[Node]:
     def given(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
+    def is_true(name: str) -> bool:
+        return given(name).lower() in ('true', '1')
+
     settings = [word for name, key in KEYS.items() if given(name)
                 for word in ('--set', f'{key}={given(name)}')]
     recorded = [(topic, topic.lstrip('/')) for topic in RECORDED] if given('bag') else []
     found = [
         Node(package='handeye_ros', executable='scan', name='handeye_scan', output='screen',
              namespace=given('namespace'), remappings=recorded,
-             parameters=[{'use_sim_time': given('use_sim_time') == 'true'}],
+             parameters=[{'use_sim_time': is_true('use_sim_time')}],
              arguments=[given('calibration'), *settings, *shlex.split(given('options'))])]
     if given('bag'):
         # it waits until the node subscribes, which on a busy machine takes its time

@@ -242,7 +242,7 @@ def test_samples_that_carry_no_answer_are_refused_as_such() -> None:
     config = settings_of(SCENARIOS['line'])
     samples, _ = simulate_samples(SCENARIOS['line'], np.random.default_rng(0))
     lost = replace(samples[3], T_base_flange=np.full((4, 4), np.nan))
-    with pytest.raises(InputError, match=f'stamp {samples[3].stamp} holds numbers that are not'):
+    with pytest.raises(InputError, match=f'of the sample of stamp {samples[3].stamp} is no rigid'):
         solve([*samples[:3], lost, *samples[4:]], [], config, 'laser')
     seen_in_the_middle = [replace(sample, features=tuple(
         replace(feature, point=feature.point * [0, 1]) if isinstance(feature, EdgePoint)

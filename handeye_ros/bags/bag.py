@@ -114,7 +114,8 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     require_type('config', config, Config)
     require_type('progress', progress, Callable)  # type: ignore[arg-type]
     profile_reader = ProfileReader(config.profile)
-    follower = FlangeFollower(config.base_frame, config.robot_effector_frame)
+    follower = FlangeFollower(config.base_frame, config.robot_effector_frame,
+                              config.sampling.max_pose_gap)
     sources = {full_name(source.name): source for source in pose_topics(config, follower, arm)}
     *_, required = sources.values()
     clouds = _RecordedTopic(config.profile_topic, 'profile_topic', CLOUD_TYPE,
@@ -131,8 +132,9 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
         profiles += profiles_of(message, previous_stamp)
         previous_stamp = message.stamp
     if not profiles:
-        raise InputError(f'{path}: the only message on {clouds.name} holds several profiles, '
-                         'and does not say when each was taken: set profile.period')
+        raise InputError(f'{path}: the only message on {clouds.name}, or each of one stamp, holds '
+                         'several profiles, and does not say when each was taken: set '
+                         'profile.period')
     poses = pose_topic.ordered(reader)
     reader.warnings += follower.warnings
     if not poses:
@@ -203,7 +205,9 @@ class _RecordedTopic:
         key, types = self._key, reader.types
         listed = [f'{name} ({other_type})' for name, other_type in sorted(types.items())]
         same_type = [name for name in sorted(types) if types[name] == self._message_type]
-        advice = (f'set {key}, as in --set {key}={same_type[0]}' if same_type else
+        advice = ('record /tf too, or take the poses from a topic, as in --set pose_source=topic'
+                  if key == 'pose_source' else
+                  f'set {key}, as in --set {key}={same_type[0]}' if same_type else
                   'take the poses from /tf, as in --set pose_source=tf'
                   if key == 'pose_topic' and types.get('/tf') == TF_TYPE else
                   f'publish and record one, or set {key}')

@@ -245,7 +245,11 @@ def _require_unit(points: Array, unit: str) -> None:
     reach = np.maximum(np.abs(points[:, 0]), np.abs(points[:, 1]))
     finite = np.isfinite(reach)
     too_far = finite & (reach > MAX_COORDINATE)
-    if too_far.sum() > finite.sum() / 2:
+    # ranges of one value, at other places along the line than a wrong unit gives, are no returns
+    x, z = points[too_far].T
+    is_marker = too_far.any() and np.ptp(z) == 0 and (
+        np.ptp(x) == 0 or np.abs(x).max() <= MAX_COORDINATE)
+    if too_far.sum() > finite.sum() / 2 and not is_marker:
         raise _error_of(f'coordinates reach {reach[too_far].max():.3g} m' + (
             ': set profile.unit to mm' if unit == 'm' else ', but profile.unit is m or mm'))
     largest = reach[finite & ~too_far].max(initial=0.0)
@@ -342,12 +346,14 @@ def profile_count(cloud: Any, config: ProfileConfig) -> int:
         return max(int(cloud.height), 1)
     if config.rows == 'points' or cloud.height < 2 or cloud.width < MIN_COLUMNS:
         return 1
-    along = field_view(cloud, config.axes[0][-1]).astype(np.float64)
-    ends = [along[i][np.isfinite(along[i])] for i in (0, -1)]
-    if not (len(ends[0]) and len(ends[1])):
+    rows = [row[np.isfinite(row)] for row in field_view(cloud, config.axes[0][-1])]
+    spans = [(row.min(), row.max()) for row in rows if np.unique(row).size > 1]
+    if len(spans) < 2:
         return 1
-    shared = min(end.max() for end in ends) - max(end.min() for end in ends)
-    return int(cloud.height) if shared > MIN_OVERLAP * max(map(np.ptp, ends)) else 1
+    (first, last), (other_first, other_last) = spans[0], spans[-1]
+    shared = min(last, other_last) - max(first, other_first)
+    narrower = min(last - first, other_last - other_first)
+    return int(cloud.height) if shared > MIN_OVERLAP * narrower else 1
 
 
 def profiles_of(raw: RawProfile, previous_stamp: int | None) -> list[RawProfile]:

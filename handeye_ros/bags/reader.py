@@ -3,7 +3,8 @@
 """
 Messages of a rosbag2 recording (mcap or db3) in the order of the file, as far as it is readable.
 
-A recording that is cut off (power failure, full disk) is read up to its last whole chunk.
+An .mcap file that is cut off (power failure, full disk) is read up to its last whole chunk, a .db3
+file as far as SQLite reads it.
 """
 from __future__ import annotations
 
@@ -101,6 +102,9 @@ class Reader:
             return self._from_mcap(path)
         if magic == SQLITE_MAGIC:
             return self._from_database(path)
+        if len(self.files) > 1 and magic != ROS1_MAGIC and magic[:4] != ZSTD_MAGIC:
+            self._warn_of_damage(path, 'it holds nothing of a bag')
+            return iter(())
         reason = ('the file is empty: record again' if not magic else
                   'is a ROS 1 bag: convert it with rosbags-convert' if magic == ROS1_MAGIC else
                   'is compressed: unpack it with zstd -d' if magic[:4] == ZSTD_MAGIC else

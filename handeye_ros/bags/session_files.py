@@ -22,6 +22,7 @@ import json
 import os
 from pathlib import Path
 import re
+import shutil
 import time
 
 from handeye_ros.bags.bag_write import (
@@ -133,6 +134,12 @@ class SessionFiles:
             os.close(self._lock)
         self._lock = None
 
+    def discard(self) -> None:
+        """Release a session that could not be begun, and remove its folder."""
+        self.close()
+        if self.path:
+            shutil.rmtree(self.path, ignore_errors=True)
+
     def add_stop(self, stop: Stop, config: Config, joints: Sequence[tuple[int, bytes]] = ()
                  ) -> Stop:
         """
@@ -234,11 +241,12 @@ def files_of(folder: Path) -> list[Path]:
 
 
 def is_session(path: Path) -> bool:
-    """Return whether a folder holds a session."""
-    # no folder, no name of one, none that can be read, no file
-    with suppress(OSError, ValueError, InputError, IndexError):
-        channels = summary_of(files_of(path)[0]).channels
-        return any(channel.topic == OUTCOME_TOPIC for channel in channels.values())
+    """Return whether a folder holds a session: one of its files can be read as an event."""
+    with suppress(OSError, ValueError):  # no folder, no name of one
+        for file in files_of(path):
+            with suppress(InputError):  # damaged
+                channels = summary_of(file).channels
+                return any(channel.topic == OUTCOME_TOPIC for channel in channels.values())
     return False
 
 
@@ -265,7 +273,11 @@ def read_session(path: Path) -> StoredSession:
     stops: dict[int, Stop] = {}
     last_number, config = 0, Config()
     for file in files_of(path):
-        event, config, stop = _event_of(file)
+        try:
+            event, config, stop = _event_of(file)
+        except InputError as error:
+            raise InputError(f'{error}; without this file, moved elsewhere, the session goes on '
+                             'with the others') from error
         last_number = max(last_number, stop.number)
         if event == STOP:
             stops[stop.number] = stop

@@ -14,10 +14,11 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 
 from handeye_ros import se3
-from handeye_ros.data import Array, TimedPose
+from handeye_ros.data import Array, NS, TimedPose
 from handeye_ros.sampling.stream import interpolate, Stream
 import numpy as np
 
+STILL = 1e-5  # m, rad: a link that moves less between two transforms stands
 KEPT_TRANSFORMS = 1000  # transforms of a link: 10 s of a robot driver at 100 Hz
 
 
@@ -30,8 +31,12 @@ class _Link:
         self.poses: deque[TimedPose] = deque(maxlen=1 if static else KEPT_TRANSFORMS)
         self.stream: Stream[TimedPose] = Stream('transform')
 
-    def at(self, stamp: int) -> Array | None:
-        """Return T_parent_child (4, 4) at a stamp; None if it is too new, or too old."""
+    def at(self, stamp: int, max_gap: float) -> Array | None:
+        """
+        Return T_parent_child (4, 4) at a stamp; None if it is too new, or too old.
+
+        It is NaN where the link moved between two transforms that are more than max_gap (s) apart.
+        """
         poses = self.poses
         if self.static:
             return se3.of_pose(poses[0])
@@ -40,7 +45,11 @@ class _Link:
         index = bisect_left(poses, stamp, key=lambda pose: pose.stamp)
         if poses[index].stamp == stamp:
             return se3.of_pose(poses[index])
-        return interpolate([poses[index - 1], poses[index]], [stamp])[0]
+        before, after = poses[index - 1], poses[index]
+        if after.stamp - before.stamp > max_gap * NS and np.abs(
+                se3.of_pose(after) - se3.of_pose(before)).max() > STILL:
+            return np.full((4, 4), np.nan)
+        return interpolate([before, after], [stamp])[0]
 
 
 class FlangeFollower:
@@ -51,8 +60,14 @@ class FlangeFollower:
     half as often as the most frequent one.
     """
 
-    def __init__(self, base: str, flange: str) -> None:
-        """Start with an empty tree; base, flange: the frame ids."""
+    def __init__(self, base: str, flange: str, max_gap: float) -> None:
+        """
+        Start with an empty tree.
+
+        base, flange: the frame ids; max_gap: largest time between two transforms of a link that
+        moves (s).
+        """
+        self._max_gap, self._sparse_count = max_gap, 0
         self._base = base.removeprefix('/')
         self._flange = flange.removeprefix('/')
         self._links: dict[str, _Link] = {}
@@ -61,8 +76,11 @@ class FlangeFollower:
     @property
     def warnings(self) -> list[str]:
         """Return one sentence for each frame and reason for which transforms were dropped."""
-        return [f'/tf (frame {child}): {warning}' for child, link in self._links.items()
-                for warning in link.stream.warnings]
+        sparse = [f'{self._sparse_count} poses of /tf were left out: another link moved, and its '
+                  f'transforms are more than {self._max_gap:g} s apart (sampling.max_pose_gap)'
+                  ] if self._sparse_count else []
+        return [*sparse, *(f'/tf (frame {child}): {warning}' for child, link in self._links.items()
+                           for warning in link.stream.warnings)]
 
     def add(self, transforms: Sequence[tuple[str, TimedPose]], static: bool) -> list[TimedPose]:
         """
@@ -86,12 +104,16 @@ class FlangeFollower:
         timing_link = next(link for link in moving if 2 * link.stream.count >= most)
         poses = []
         for stamp in [p.stamp for p in timing_link.poses if p.stamp > self._sent_until]:
-            T_ancestor_flange, T_ancestor_base = (_product(chain, stamp) for chain in chains)
+            T_ancestor_flange, T_ancestor_base = (
+                _product(chain, stamp, self._max_gap) for chain in chains)
             if T_ancestor_flange is not None and T_ancestor_base is not None:
                 T_base_flange = se3.inverse(T_ancestor_base) @ T_ancestor_flange
+                self._sent_until = stamp
+                if np.isnan(T_base_flange).any():
+                    self._sparse_count += 1
+                    continue
                 poses.append(TimedPose(stamp, T_base_flange[:3, 3],
                                        se3.quaternion(T_base_flange), self._base))
-                self._sent_until = stamp
         return poses
 
     def restart(self) -> None:
@@ -131,11 +153,11 @@ def _ancestors(frame: str, links: Mapping[str, _Link]) -> list[str]:
     return frames
 
 
-def _product(chain: list[_Link], stamp: int) -> Array | None:
+def _product(chain: list[_Link], stamp: int, max_gap: float) -> Array | None:
     """Return the pose (4, 4) of the chain's first frame in its last parent; None if unknown."""
     product = np.eye(4)
     for link in chain:
-        T_parent_child = link.at(stamp)
+        T_parent_child = link.at(stamp, max_gap)
         if T_parent_child is None:
             return None
         product = T_parent_child @ product

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from handeye_ros.calibration import unused_edges_in_words
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
-from handeye_ros.errors import count_of, DataError, degrees, mm
+from handeye_ros.errors import count_of, DataError, degrees, mm, without_numbers
 from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.noise import EDGE_INDEX
 from handeye_ros.estimation.solution import Solution
@@ -51,13 +51,17 @@ class UnexplainedError(DataError):
 
 def require_distinct_frame(frame_id: str, config: Config) -> None:
     """
-    Raise DataError if the profiles are in a frame with the name of a robot frame.
+    Raise DataError if two of the frames of profiles, flange and base have one name.
 
     frame_id: of the profiles. The answer would relate a frame to itself.
     """
     key = {config.base_frame.lstrip('/'): 'robot_base_frame',
            config.robot_effector_frame.lstrip('/'): 'robot_effector_frame',
            }.get(frame_id.lstrip('/'))
+    if config.base_frame.lstrip('/') == config.robot_effector_frame.lstrip('/'):
+        raise DataError(f'robot_base_frame and robot_effector_frame are both '
+                        f'"{config.base_frame}": set them to the frames of base and flange',
+                        reason='frame')
     if key:
         raise DataError(
             f'the profiles have the frame_id "{frame_id}", and {key} is the same frame, so the '
@@ -73,11 +77,14 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
     Another setting may explain that (UnexplainedError) only where there were stops enough.
     """
     if len(samples) < target.min_samples:
-        reasons = Counter(reject.reason for reject in rejects).most_common(1)
-        why = '' if not reasons else (
-            f' ({count_of(len(rejects), "stop")} gave none, most often: {reasons[0][0]})')
+        causes = Counter(without_numbers(reject.reason) for reject in rejects)
+        reasons = Counter(reject.reason for reject in rejects).most_common()
+        examples = sorted((reason for reason, _ in reasons), reverse=True,
+                          key=lambda reason: causes[without_numbers(reason)])
+        why = '' if not rejects else (
+            f' ({count_of(len(rejects), "stop")} gave none, most often: {examples[0]})')
         refusal, advice = DataError, 'take more, with the laser across the target'
-        if len(samples) + len(rejects) >= target.min_samples:
+        if len(samples) + sum(not reject.final for reject in rejects) >= target.min_samples:
             refusal, advice = UnexplainedError, (
                 'check target.type, and that the laser crosses the target')
         raise refusal(
@@ -134,7 +141,8 @@ def misfit_refusal(solution: Solution) -> UnexplainedError | None:
             f'{mm(limits.residual)}), and no known convention error explains it: check the poses '
             '(frames, convention, units), whether the clocks of sensor and robot agree, whether '
             'every sample shows the target itself and no clamp or second plate, target.type, '
-            'profile.unit, profile.axes and profile.range_sign', reason='misfit')
+            f'{"target.radius, " if solution.full_problem.config.target.radius else ""}'
+            'profile.unit, profile.axes, profile.range_sign and profile.invalid', reason='misfit')
     total = len(solution.full_problem.poses)
     if len(dropped) > MAX_DROPPED_SHARE * total:
         return UnexplainedError(

@@ -119,6 +119,8 @@ def _likely_changes(config: Config) -> list[Values]:
     unit = ('profile.unit', {'m': 'mm', 'mm': 'm'}[profile.unit])
     mounting = ('calibration_type', config.other_calibration_type)
     types = [(TARGET_TYPE, name) for name in targets.TARGETS if name != config.target.type]
+    if config.method != 'auto':  # it overrules the type
+        types = [('method', 'auto')]
     axes = [('profile.axes', f'[{a}, {b}]') for a, b in permutations('xyz', 2)
             if (a, b) != tuple(profile.axes)]
     radius = [('target.radius', '0')] if config.target.radius else []

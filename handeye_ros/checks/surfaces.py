@@ -33,7 +33,7 @@ MIN_DISTANCE = 1e-3  # m: faces that are farther apart are several surfaces
 MAX_INCLINATION = 0.05  # rad: what is more inclined is no surface of a clamp or plate
 MIN_STOPS = 2  # that show both surfaces: of a target that moved, each stop shows one
 ADVICE = ('take samples where the laser crosses the target alone; if it does, check '
-          'profile.range_sign and profile.axes')
+          'profile.range_sign, profile.axes and profile.invalid')
 
 
 class OtherSurfaceError(DataError):
@@ -68,8 +68,10 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
         shows_level = np.array([bool(np.any(_is_near(heights, level))) for heights in shown])
         if (shows_level & ~is_at_level).sum() < MIN_STOPS:
             continue  # only those that show both tell that there are two
-        several |= bool(is_at_level.sum() >= MIN_STOPS)
         above = at_edge[~is_at_level] - level
+        if not np.isfinite(above).any():
+            continue
+        several |= bool(is_at_level.sum() >= MIN_STOPS)
         # only wrong axes or a wrong sign make the ground beneath a face
         if np.nanmedian(above) > 0 and _agree_on_target(stops[is_at_level], config):
             raise OtherSurfaceError(stops[~is_at_level], _surface_in_words(above))

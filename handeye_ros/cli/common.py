@@ -228,6 +228,9 @@ class Verbs(TyperGroup):
         except HandeyeError as error:
             typer.echo(f'error: {" ".join(str(error).split())}', err=True)
             raise typer.Exit(error.exit_code) from None
+        except OSError as error:  # such as a full disk behind stdout
+            typer.echo(f'error: {error}', err=True)
+            raise typer.Exit(InputError.exit_code) from None
         except KeyboardInterrupt:
             raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
 

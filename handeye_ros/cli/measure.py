@@ -151,19 +151,23 @@ def check(
     calibration, settings = open_calibration(against, config, assignments, kinematics)
     checks: list[tuple[str, Check]] = []
     since: Path | None = None  # the first of the latest recordings, if these are changed
-    for bag in bags:
-        recording = read_bag_shown(bag, settings)
-        warn_of_frame(recording, calibration)
-        with progress_bar('comparing'):
-            result = check_recording(recording.profiles, recording.poses, calibration, settings)
-        _warn_of_calibration_samples(bag, [result.stamp], calibration, settings)
-        checks.append((str(bag), result))
-        since = None if result.verdict == 'unchanged' else since or bag
-        typer.echo(f'{bag} ({result.stations} stations): {result.verdict.upper()}: '
-                   f'{result.sentence}')
+    try:
+        for bag in bags:
+            recording = read_bag_shown(bag, settings)
+            warn_of_frame(recording, calibration)
+            with progress_bar('comparing'):
+                result = check_recording(
+                    recording.profiles, recording.poses, calibration, settings)
+            _warn_of_calibration_samples(bag, result.stamps, calibration, settings)
+            checks.append((str(bag), result))
+            since = None if result.verdict == 'unchanged' else since or bag
+            typer.echo(f'{bag} ({result.stations} stations): {result.verdict.upper()}: '
+                       f'{result.sentence}')
+    finally:  # a recording that is refused loses nothing of the others
+        if checks:
+            write_yaml(out, plain_values(checks, str(against)))
     if since and len(checks) > 1:
         typer.echo(f'since {since}')
-    write_yaml(out, plain_values(checks, str(against)))
     if any(result.verdict != 'unchanged' for _, result in checks):
         raise typer.Exit(NOT_AS_WANTED)
 

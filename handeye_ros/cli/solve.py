@@ -3,6 +3,7 @@
 """The verbs about the transform: find, compare, show and export it; its samples; the node."""
 from dataclasses import replace
 from importlib.util import find_spec
+import json
 import os
 from pathlib import Path
 import sys
@@ -26,7 +27,7 @@ from handeye_ros.cli.common import (
     warn,
     write_yaml,
 )
-from handeye_ros.config import assignment, SAVE_FORMATS
+from handeye_ros.config import assignment, RECORD_PREFIX, SAVE_FORMATS
 from handeye_ros.errors import InputError, NoRosError
 import typer
 
@@ -105,7 +106,9 @@ def calibrate(
     command = [sys.executable, '-m', 'handeye_ros.node.main', '--ros-args']
     command += ['--params-file', str(config)] if config else []
     for text in (*assignments, *(['session=last'] if resume else [])):
-        command += ['-p', ':='.join(assignment(text))]
+        key, value = assignment(text)
+        is_text = key.startswith(RECORD_PREFIX) or not value  # ROS reads any other as YAML
+        command += ['-p', f'{key}:={json.dumps(value) if is_text else value}']
     os.execv(sys.executable, command)
 
 

@@ -166,18 +166,23 @@ def next_move(taken: int, target: Target, config: Config, view: View) -> Advised
         angle = min(np.pi / 2 - angle, config.guidance.turn)
     mirror_sign = -1.0 if taken // len(moves) % 2 else 1.0  # every other time through the table
     turn = float(np.copysign(angle, turn * mirror_sign))
-    return AdvisedMove(_advice(target, turn, tilt, place, edge, beside), turn, tilt, place, edge,
-                       float(beside))
+    text = _advice(target, config, turn, tilt, place, edge, beside)
+    return AdvisedMove(text, turn, tilt, place, edge, float(beside))
 
 
-def _advice(target: Target, turn: float, tilt: Array, place: Array, edge: int,
+def _advice(target: Target, config: Config, turn: float, tilt: Array, place: Array, edge: int,
             beside: float) -> str:
+    # beside the robot the sensor stays, and the robot turns the target the other way
+    mover, other, turn_axis, sign = (
+        ('sensor', 'target', 'its viewing direction', 1) if config.in_hand else
+        ('target', 'sensor', 'the viewing direction', -1))
     where = ('at the other edge, that meets the first one in the corner, ' if edge else
              'at the same edge, ' if len(target.required_edges) > 1 else '')
-    turns = ', then '.join(f'{np.degrees(angle):+.0f} degrees about {axis}' for angle, axis in (
-        (turn, 'its viewing direction'), (tilt[0], 'the laser line'),
-        (tilt[1], 'the normal of the light plane')) if angle)
-    turned = f'turn the sensor {turns}' if turns else 'hold the sensor square to the target'
+    turns = ', then '.join(
+        f'{np.degrees(sign * angle):+.0f} degrees about {axis}' for angle, axis in (
+            (turn, turn_axis), (tilt[0], 'the laser line'),
+            (tilt[1], 'the normal of the light plane')) if angle)
+    turned = f'turn the {mover} {turns}' if turns else f'hold the {mover} square to the {other}'
     x, z = place * 1e3
     side = 'positive' if beside > 0 else 'negative'
     crossing = f'; let the line cross the ball {abs(beside):.1f} of its radius beside the top, ' \

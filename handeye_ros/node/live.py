@@ -36,7 +36,13 @@ from threading import Lock
 from typing import Any, TypeVar
 
 from handeye_ros import se3
-from handeye_ros.bags.session_files import CONFIGURED, REMOVED, SessionFiles, StoredSession
+from handeye_ros.bags.session_files import (
+    CONFIGURED,
+    read_session,
+    REMOVED,
+    SessionFiles,
+    StoredSession,
+)
 from handeye_ros.config import Config, SamplesConfig
 from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
 from handeye_ros.errors import (
@@ -477,14 +483,22 @@ class LiveSession:
         if files.path:
             note = f'; they are kept in {files.path}' if files.path.is_dir() else ''
             files = SessionFiles(self.folders.folder)
-            files.add_event(CONFIGURED, config)  # so that `last` names it
+            try:
+                files.add_event(CONFIGURED, config)  # so that `last` names it
+            except InputError:
+                files.discard()
+                raise
         self._replace_session(files, Session(config), 'the samples were cleared')
         return f'{count_of(count, "sample")} removed; bags and clocks may start again{note}'
 
     def open_session(self, stored: StoredSession, config: Config) -> str:
         """Continue a session of the disk, and solve; return the message. Raises HandeyeError."""
-        session = self.pool.submit(stored.session, config).result()
         files = SessionFiles(self.folders.folder, stored, config)
+        try:  # again, now that no other node writes it
+            session = self.pool.submit(read_session(stored.path).session, config).result()
+        except BaseException:
+            files.close()
+            raise
         self._replace_session(files, session, 'a session was opened')
         self.solver.is_wanted = bool(self.session.samples)  # as it probably was before
         now, before = settings_of(config, ANSWER_KEYS), settings_of(stored.config, ANSWER_KEYS)

@@ -74,8 +74,8 @@ class HandeyeNode(Node):
         if stored:
             self.get_logger().info(live.open_session(stored, config))
         elif config.session:
-            self.get_logger().warning(f'there is no session in {folders.folder(config)}: a new '
-                                      'one begins')
+            self.get_logger().warning(f'there is no session in {folders.root(config)} (of '
+                                      'name, where it is set): a new one begins')
         self.streams = Streams(self, live, live.add_joints)
         live.restart_streams = lambda: self.streams.restart()
         self.outputs.publish_changes()
@@ -166,8 +166,11 @@ class HandeyeNode(Node):
 
     def open_session(self, name: str) -> str:
         """Continue a previous session with the current settings; raises HandeyeError."""
-        live = self.live
-        stored = read_session(live.folders.folder(live.config) / Path(name).name)
+        live, name = self.live, Path(name).name
+        path = live.folders.folder(live.config) / name
+        if path == live.files.path:
+            return f'{name} is open already'
+        stored = read_session(path)
         config = replace(live.config, samples=stored.config.samples)
         return live.call_on_worker(partial(live.open_session, stored, config))
 
@@ -185,6 +188,9 @@ class HandeyeNode(Node):
         """Apply changed parameters; ROS keeps the values before where that is refused."""
         reason = ''
         try:
+            for change in changes:
+                if change.type_ == RosParameter.Type.NOT_SET:
+                    raise InputError(f'{change.name} cannot be deleted: set it to a value')
             values = _values_by_key(changes)
             # parameters of ROS itself (use_sim_time) change nothing, nor do derived keys, which
             # the worker sets: it must not wait for itself

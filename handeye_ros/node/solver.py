@@ -213,7 +213,7 @@ class LiveSolver:
             self.calibration = calibration_file.dated(replace(
                 calibration, provenance={**calibration.provenance, 'inputs': sources}))
             self.solved_session, self.why_missing, self.saved = session, '', ''
-        return summary(calibration)
+        return f'{summary(calibration)}; save it with ~/save_calibration'
 
     def _refuse(self, error: HandeyeError) -> None:
         """Withdraw the answer after a refusal; what only disturbs the streams withdraws none."""
@@ -245,7 +245,7 @@ def summary(calibration: Calibration) -> str:
             f'{", ".join(numbers[:3])} mm; roll, pitch, yaw = {", ".join(numbers[3:])} degrees; '
             f'residual {quality.residual_rms * 1e3:.3f} mm '
             f'RMS, left out {quality.holdout_rms * 1e3:.3f} mm; {used} used, '
-            f'{quality.samples_rejected} not used{warned}; save it with ~/save_calibration')
+            f'{quality.samples_rejected} not used{warned}')
 
 
 def _used_numbers(session: Session) -> set[int]:

@@ -51,6 +51,8 @@ NO_CALLBACKS = SubscriptionEventCallbacks(use_default_callbacks=False)
 
 READ_PERIOD = 2e-3  # s between two reads of all topics
 MAX_AT_ONCE = 200  # messages of one topic before the next topic
+# clouds that executables of this package publish
+OWN_CLOUDS = ('/handeye/features', '/handeye_scan/points')
 LOOK_PERIOD = 0.1  # s between two looks at what the publishers offer
 WARNING_PERIOD = 5.0  # s between two warnings of a kind
 MAX_LISTED = 5  # largest number of topics or nodes in a sentence
@@ -75,7 +77,7 @@ class _Subscribed:
     on_message: called with each serialised message
     key: of the configuration, which names it: it should have one publisher; '' for those that may
         have several
-    publishers: rclpy's TopicEndpointInfo of each, as of LOOK_PERIOD ago at most
+    publishers: rclpy's TopicEndpointInfo of each of this type, as of LOOK_PERIOD ago at most
     last_number: of the last message, as its publisher counts them
     obstacle: why messages of other devices, which are no faults, give nothing
     """
@@ -112,7 +114,8 @@ class Streams:
         self._node, self._receiver, self._add_joints = node, receiver, add_joints
         config, self._group = receiver.config, UnexecutedGroup()
         self._profile_reader = ProfileReader(config.profile)
-        self._follower = FlangeFollower(config.base_frame, config.robot_effector_frame)
+        self._follower = FlangeFollower(config.base_frame, config.robot_effector_frame,
+                                        config.sampling.max_pose_gap)
         self._last_stamp: int | None = None  # ns, of the last message of profiles
         self._topics = self._configured_topics(config)
         receiver.message_counts = {topic.counts.kind: topic.counts for topic in self._topics}
@@ -201,7 +204,9 @@ class Streams:
     def _look_at_publishers(self) -> None:
         """Note the publishers; subscribe again where their reliability is another than before."""
         for topic in [topic for topic in self._topics if topic.key]:
-            topic.publishers = self._node.get_publishers_info_by_topic(topic.name)
+            topic.publishers = [
+                info for info in self._node.get_publishers_info_by_topic(topic.name)
+                if info.topic_type == topic.message_type]
             offered = {info.qos_profile.reliability for info in topic.publishers}
             qos = BEST_EFFORT_QOS if BEST_EFFORT_QOS.reliability in offered else RELIABLE_QOS
             if offered and qos is not topic.qos:
@@ -291,21 +296,22 @@ class Streams:
     def _trouble_of(self, topic: _Subscribed) -> str:
         """Return why no messages may arrive on a topic, '' if nothing is known against it."""
         name, expected = self._full_name(topic.name), topic.message_type
-        offered = {info.topic_type for info in topic.publishers}
-        if expected in offered:
+        if topic.publishers:
             return topic.obstacle if topic.counts.count or topic.qos is RELIABLE_QOS else (
                 'its driver publishes with best effort: large messages may all get lost; publish '
                 'reliably')
         others = ', '.join([other for other in self.topics_of(expected)
                             if other != name][:MAX_LISTED])  # its own has just begun
+        offered = {info.topic_type
+                   for info in self._node.get_publishers_info_by_topic(topic.name)}
         problem = (f'it carries {", ".join(sorted(offered))}, expected {expected}' if offered else
                    f'{name} has no publisher')
         return problem + (f'; {expected} is on {others}: set {topic.key}' if others else '')
 
     def topics_of(self, message_type: str) -> list[str]:
-        """Return the topics with publishers of a message type, without those of this node."""
-        node, private_prefix = self._node, f'{self._node.get_fully_qualified_name()}/'
+        """Return the topics with publishers of a message type, without those of this package."""
+        node = self._node
         return sorted(name for name, types in node.get_topic_names_and_types()
-                      if message_type in types and not name.startswith(private_prefix)
+                      if message_type in types and not name.endswith(OWN_CLOUDS)
                       and any(info.topic_type == message_type
                               for info in node.get_publishers_info_by_topic(name)))

@@ -31,6 +31,7 @@ import socket
 import threading
 import time
 from typing import Any, TYPE_CHECKING
+from urllib.parse import quote
 
 from aiohttp import web
 from handeye_ros.errors import BadValueError, HandeyeError, InputError, sentence_and_log
@@ -189,7 +190,7 @@ class PageServer:
         answer = await self._call_node(query, request.query)
         if isinstance(answer, tuple):
             return web.Response(text=answer[1], headers={
-                'Content-Disposition': f'attachment; filename="{answer[0]}"'})
+                'Content-Disposition': f"attachment; filename*=UTF-8''{quote(answer[0])}"})
         return web.json_response(text=json_text(answer))
 
     async def _run_action(self, action: Action, request: web.Request) -> web.StreamResponse:

@@ -220,7 +220,7 @@ def fixed_point_linear(T_base_flange: Array, centres: Array) -> tuple[Array, Arr
     T_base_flange: (n, 4, 4); centres: (n, 3) from `ball_centres`. The solution of least norm, with
     the nearest rotation. Raises TooFewError.
     """
-    require_count('the fixed point', MIN_CENTRES, 'profiles', len(centres))
+    require_count('the fixed point', MIN_CENTRES, 'measurements', len(centres))
     R, a = T_base_flange[:, :3, :3], T_base_flange[:, :3, 3] / LENGTH_UNIT
     A = np.concatenate([R * c for c in (*centres.T[:, :, None, None] / LENGTH_UNIT, 1.0)], axis=2)
     mean_A, mean_a = A.mean(axis=0), a.mean(axis=0)

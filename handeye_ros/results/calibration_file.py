@@ -11,7 +11,7 @@ import re
 from typing import Any
 
 from handeye_ros import __version__, se3
-from handeye_ros.config import Config, from_provenance, read_yaml
+from handeye_ros.config import Config, from_provenance, read_yaml, SamplesConfig
 from handeye_ros.data import Array, Calibration, ClockEstimate, Quality, SampleReport
 from handeye_ros.errors import path_of, require_type, unusable_file
 from handeye_ros.output import write_atomically, yaml_text
@@ -105,14 +105,13 @@ def config_to_measure(calibration: Calibration, config: Config | None = None) ->
     """
     Return the configuration to measure with a calibration, with its time offset.
 
-    That is config or, without one, that of the calibration; where samples would be taken in motion
-    they are taken at stops.
+    That is config or, without one, that of the calibration without the numbers of its excluded
+    samples. Samples are taken at stops.
     """
-    config = config or config_of(calibration)
+    config = config or replace(config_of(calibration), samples=SamplesConfig())
     if calibration.time_offset:
         config = replace(config, time_offset=calibration.time_offset.value)
-    mode = config.sampling.mode if not config.sampling.moving else 'still'
-    return replace(config, sampling=replace(config.sampling, mode=mode))
+    return replace(config, sampling=replace(config.sampling, mode='still'))
 
 
 def file_of(path: Path) -> Path:

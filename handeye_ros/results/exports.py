@@ -77,6 +77,8 @@ def tool_frame(calibration: Calibration, vendor: str, comment_start: str, line: 
         for name, text, unit in zip(names, texts, units, strict=True))]
     program = line.format(**dict(zip(names, texts, strict=True)), xyz=','.join(texts[:3]),
                           angles=','.join(texts[3:]))
+    if program.startswith('set_tcp(') and not config_of(calibration).in_hand:
+        program = f'sensor = {program.removeprefix("set_tcp(")[:-1]}'  # it is no tool of the robot
     return ''.join(f'{comment_start}{row}\n' for row in rows) + f'{program}\n'
 
 

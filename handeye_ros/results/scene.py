@@ -15,7 +15,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Feature
-from handeye_ros.frames import T_sensor_plane, target_frame
+from handeye_ros.frames import mount_frame, T_sensor_plane, target_frame
 import numpy as np
 
 FLANGE_COLOUR, SENSOR_COLOUR = '#555555', '#6a1b9a'
@@ -83,7 +83,7 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
 
     for T in [stop.T_mount for stop in used] or [np.eye(4)]:
         for axis in T[:3, :3].T:
-            draw('line', 'flange at each stop', FLANGE_COLOUR, 1.2,
+            draw('line', f'{mount_frame(config)} at each stop', FLANGE_COLOUR, 1.2,
                  np.array([T[:3, 3], T[:3, 3] + AXIS_LENGTH * axis]))
         draw('line', 'sensor at each stop', SENSOR_COLOUR, 1.2,
              np.array([T[:3, 3], (T @ X)[:3, 3]]))

@@ -48,7 +48,7 @@ from handeye_ros.robot.selection import (
 from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import with_estimated_clocks
-from handeye_ros.tables import ANGLE, LENGTH, Table
+from handeye_ros.tables import ANGLE, LENGTH, require_different, Table
 from handeye_ros.targets import problem_of_known_poses, target_for
 from handeye_ros.targets.profile_target import xyz
 import numpy as np
@@ -219,6 +219,7 @@ def read_arm_points(path: Path, arm: Arm, in_hand: bool
     readings = {name: table.values([name], kind)[:, 0] for name, kind in kinds.items()
                 if name in table.columns}
     q, points = arm.joint_values(readings, path), table.values(['x', 'y', 'z'], LENGTH)
+    require_different(np.hstack([q, points]))
     labels = table.texts('target') if 'target' in table.columns else ['target'] * len(points)
     rows = {name: np.flatnonzero(np.array(labels) == name) for name in dict.fromkeys(labels)}
     unused = [f'the column {name} is no joint between {arm.base} and {arm.flange}: it is not used'

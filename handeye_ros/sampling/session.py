@@ -385,7 +385,7 @@ class Session(Copyable):
         """Return the stops without a sample or with an excluded one, with the reasons."""
         return tuple(stop.result if isinstance(stop.result, Reject) else
                      Reject(stop.result.stamp,
-                            f'sample {stop.number} is excluded by samples.exclude')
+                            f'sample {stop.number} is excluded by samples.exclude', final=True)
                      for stop in self.stops if stop.sample is None or self.excludes(stop))
 
     def excludes(self, stop: Stop) -> bool:

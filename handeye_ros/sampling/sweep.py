@@ -73,6 +73,7 @@ from handeye_ros.estimation.search import (
     refined_robustly,
     station_squares,
 )
+from handeye_ros.sampling.stream import by_stamp
 from handeye_ros.sampling.trajectory import FlangeStates, joined, Trajectory
 from handeye_ros.targets import problem_of_known_poses
 from handeye_ros.targets.profile_target import out_of_face
@@ -186,12 +187,14 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> SyncedSa
     """
     Return samples of a moving robot with the poses at the most likely times.
 
-    Of a sweep with more than MAX_SAMPLES only so many remain, evenly chosen: the others are
+    Of more than MAX_SAMPLES profiles of sweeps only so many remain, evenly chosen: the others are
     neither samples of the answer nor rejects. Raises DataError where too few have poses.
     """
     if not any(sample.moving for sample in samples):
         return SyncedSamples(list(samples), [])
-    samples = evenly_spaced(samples, MAX_SAMPLES)
+    samples = sorted([*(sample for sample in samples if not sample.moving),
+                      *evenly_spaced([sample for sample in samples if sample.moving],
+                                     MAX_SAMPLES)], key=by_stamp)
     if (seconds := (samples[-1].stamp - samples[0].stamp) * 1e-9) < MIN_SWEEP:
         raise DataError(f'the profiles that show the target are of {seconds:.1f} s, in which a '
                         'robot hardly turns: record a longer sweep', reason='few')

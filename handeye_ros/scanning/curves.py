@@ -14,6 +14,7 @@ from functools import cached_property
 from operator import itemgetter
 
 from handeye_ros.data import Array, rms, robust_std
+from handeye_ros.errors import count_of, DataError
 from handeye_ros.se3 import unit
 import numpy as np
 from scipy.interpolate import BSpline, make_lsq_spline
@@ -94,11 +95,15 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> C
     Return the smoothing spline through points (n, 3) at increasing t (n,), without outliers.
 
     pieces: numbers of pieces between knots of which generalised cross validation takes the best,
-    with each coefficient counted 1.5 times (Kim and Gu 2004: 1.4, else too many).
+    with each coefficient counted 1.5 times (Kim and Gu 2004: 1.4, else too many). Raises DataError
+    for fewer points than a cubic has coefficients.
     """
     inliers = np.ones(len(t), dtype=bool)
     # first a stiff one alone, which does not follow outliers
     for tried in (pieces[:1], pieces[:2], pieces, pieces):
+        if inliers.sum() < 4:
+            raise DataError(f'the seam is seen at {count_of(int(inliers.sum()), "place")} only: '
+                            'scan more densely, or a longer part of it')
         fits = (_spline_through(t[inliers], points[inliers], count) for count in tried)
         curve = min(fits, key=itemgetter(0))[1]
         distance = np.linalg.norm(curve.position(t) - points, axis=1)

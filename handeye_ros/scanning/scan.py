@@ -56,7 +56,7 @@ class ScanOptions:
         """Return the options of a command line; raises BadValueError."""
         nearest, farthest = (parse_length(text, '--range', 10.0) for text in limits)
         if nearest >= farthest:
-            raise BadValueError('--range', ' '.join(limits), 'the nearer limit before the other')
+            raise BadValueError('--range', ' '.join(limits), 'the smaller reading first')
         edge = parse_length(voxel, '--voxel', 0.1, 0.0)
         if not 0.0 <= degrees <= 90.0:
             raise BadValueError('--incidence', degrees, '0 to 90 degrees')

@@ -111,6 +111,9 @@ def find_seam(points: Array, widest: float = MAX_SEAM_WIDTH,
                         f'{MIN_POINTS}: scan more densely, or widen --box')
     up = -np.asarray(towards)
     sheets = sheets_of(points, up)
+    if sheets.spacing > MAX_SEAM_WIDTH:
+        raise DataError(f'no seam: the points are {sheets.spacing:.3g} m apart, if the cloud is '
+                        'in metres: give one in metres, or scan more densely')
     rough = course(sheets, widest, up)
     if start is not None and np.argmin(np.linalg.norm(
             points[rough.pairs[[0, -1], 0]] - start, axis=1)) == 1:

@@ -36,7 +36,7 @@ from handeye_ros.estimation.least_squares import (
 from handeye_ros.frames import mount_frame, mount_poses
 from handeye_ros.published.cn105021139a import solve_motions
 from handeye_ros.results.file_values import input_provenance
-from handeye_ros.tables import NOTATIONS, Table
+from handeye_ros.tables import NOTATIONS, require_different, Table
 from handeye_ros.tabulated.problem import Misreading, TableAnswer, TableProblem
 import numpy as np
 from scipy.special import fdtri
@@ -132,12 +132,7 @@ class PairedRows(TableProblem):
     def require_plausible(self) -> None:
         """Raise DataError for repeated rows, and for positions that are of no cell."""
         rows = np.hstack([values.reshape(len(self), -1) for values in (self.seen, self.robot)])
-        first = np.unique(rows, axis=0, return_index=True)[1]
-        repeated = np.setdiff1d(np.arange(len(self)), first) + 1
-        if len(repeated):
-            raise DataError(f'{len(repeated)} rows repeat others to the last digit, first row '
-                            f'{repeated[0]}: the answer would seem more certain than it is; keep '
-                            'each row once')
+        require_different(rows)
         if max(self.reaches) < MIN_REACH or min(self.reaches) > MAX_REACH:
             (seen, robot), (near, far) = self.prefixes, self.reaches
             raise DataError(

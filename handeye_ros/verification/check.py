@@ -115,6 +115,7 @@ class Check:
     rms: of the residuals (m)
     left_out: numbers of the stops, of a sweep of the passes, with what contradicts the others
     time_offset_changed: of a sweep, and its 1 sigma (s)
+    stamps: of all samples, in no file
     """
 
     stamp: int
@@ -131,6 +132,7 @@ class Check:
     left_out: list[int]
     time_offset_changed: float = math.nan
     time_offset_changed_std: float = math.nan
+    stamps: Sequence[int] = ()
 
 
 def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
@@ -217,7 +219,8 @@ def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Rej
     return Check(
         samples[0].stamp, verdict, sentence, len(prediction.linear.problem.poses),
         rms(prediction.linear.residuals), math.exp(min(log_evidence, 700.0)), odds, target.move,
-        sensor.move, sensor.displacement, sensor.std, left_out)
+        sensor.move, sensor.displacement, sensor.std, left_out,
+        stamps=[sample.stamp for sample in samples])
 
 
 def _verdict_and_sentence(sentences: Mapping[str, str], odds: Mapping[str, float]
@@ -484,6 +487,8 @@ def _with_offset(result: Check, offset: ClockEstimate, before: ClockEstimate) ->
 def plain_values(checks: Sequence[tuple[str, Check]], against: str) -> dict[str, Any]:
     """Return checks, each with the name of its recording, as plain values."""
     contents = [{'input': recording, **asdict(result)} for recording, result in checks]
+    for content in contents:
+        del content['stamps']
     for content, name in product(contents, MOVABLE):
         content |= {f'{name}_{key}': value for key, value in content.pop(name).items()}
     return {'format': FORMAT, 'against': against, 'checks': contents}

@@ -32,7 +32,7 @@ from handeye_ros.data import (
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.problem import Observations, Problem
 from handeye_ros.estimation.target import Target
-from handeye_ros.frames import mount_poses, mount_poses_of, T_sensor_plane
+from handeye_ros.frames import mount_poses, mount_poses_of, T_sensor_plane, target_frame
 from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
@@ -94,7 +94,7 @@ def _select_artefact(routine: Routine, samples: Sequence[Sample], X: Array,
         samples = _with_calibrated_times(samples, calibration, config)
     T = mount_poses_of(samples, config) @ X
     if config.verify.near:
-        samples = _crop_to_ball(samples, T, config.verify.near)
+        samples = _crop_to_ball(samples, T, config)
     if routine.target == 'plane':
         return _select_nearest_surface(samples, T, config.profile.range_sign)
     return samples, ''
@@ -193,12 +193,14 @@ def _ends_in_base(feature: Feature, T: Array) -> Array:
     return np.asarray(feature.polyline[[0, -1]] @ T[:3, [0, 2]].T + T[:3, 3])
 
 
-def _crop_to_ball(samples: Sequence[Sample], T: Array, region: Sequence[float]) -> list[Sample]:
+def _crop_to_ball(samples: Sequence[Sample], T: Array, config: Config) -> list[Sample]:
     """
     Return the samples with only the features that come into a ball.
 
-    T: (n, 4, 4) sensor planes in the base; region: x, y, z and radius of the ball.
+    T: (n, 4, 4) sensor planes in the base; verify.near has x, y, z and radius of the ball.
     """
+    region = config.verify.near
+
     def is_inside(feature: Feature, T: Array) -> bool:
         first, last = _ends_in_base(feature, T) - np.array(region[:3])
         segment = last - first
@@ -209,7 +211,7 @@ def _crop_to_ball(samples: Sequence[Sample], T: Array, region: Sequence[float]) 
               for sample, plane in zip(samples, T, strict=True)]
     if samples and not any(sample.features for sample in inside):
         raise DataError(f'verify.near leaves nothing of the {len(samples)} stops: set it to a '
-                        'point of the artefact in the base of the robot and a radius, in metres')
+                        f'point of the artefact in {target_frame(config)} and a radius, in metres')
     return inside
 
 

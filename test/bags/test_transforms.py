@@ -27,7 +27,7 @@ def added(follower, *links, stamp=0, static=False):
 
 
 def test_a_chain_of_joints_with_a_static_tool_gives_the_pose():
-    follower = FlangeFollower('/base', 'flange')
+    follower = FlangeFollower('/base', 'flange', 0.5)
     assert added(follower, ('b', 'flange', T_3), static=True) == []
     (stamp, T), = added(follower, ('a', 'b', T_2), ('base', 'a', T_1), stamp=9)
     assert stamp == 9
@@ -35,14 +35,14 @@ def test_a_chain_of_joints_with_a_static_tool_gives_the_pose():
 
 
 def test_base_and_flange_below_a_common_frame_give_the_pose():
-    follower = FlangeFollower('base', 'flange')
+    follower = FlangeFollower('base', 'flange', 0.5)
     added(follower, ('world', 'base', T_1), static=True)
     (_, T), = added(follower, ('world', 'flange', T_2), stamp=1)
     np.testing.assert_allclose(T, se3.inverse(T_1) @ T_2, atol=1e-12)
 
 
 def test_links_of_other_stamps_are_interpolated_and_never_extrapolated():
-    follower, arm = FlangeFollower('base', 'flange'), shifted(0.0, 0.0, 1.0)
+    follower, arm = FlangeFollower('base', 'flange', 0.5), shifted(0.0, 0.0, 1.0)
     assert added(follower, ('base', 'carriage', shifted(1.0, 0.0, 0.0)), stamp=100) == []
     assert added(follower, ('carriage', 'flange', arm), stamp=50) == []
     assert added(follower, ('carriage', 'flange', arm), stamp=125) == []
@@ -53,7 +53,7 @@ def test_links_of_other_stamps_are_interpolated_and_never_extrapolated():
 
 @pytest.mark.parametrize('slow', ['flange', 'arm'])
 def test_a_slow_link_anywhere_in_the_chain_delays_the_poses_of_the_others(slow):
-    follower, poses, ms = FlangeFollower('base', 'flange'), [], 10**6
+    follower, poses, ms = FlangeFollower('base', 'flange', 0.5), [], 10**6
     links = {'arm': ('base', 'arm', T_1), 'flange': ('arm', 'flange', T_2)}
     (fast,) = links.keys() - {slow}
     for stamp in range(0, 5000 * ms, 10 * ms):
@@ -65,7 +65,7 @@ def test_a_slow_link_anywhere_in_the_chain_delays_the_poses_of_the_others(slow):
 
 def stamps_of(stamps):
     """Return the stamps of the poses of one link that is sent at these stamps."""
-    follower = FlangeFollower('base', 'flange')
+    follower = FlangeFollower('base', 'flange', 0.5)
     return [s for stamp in stamps
             for s, _ in added(follower, ('base', 'flange', T_1), stamp=stamp)]
 
@@ -85,7 +85,7 @@ def test_wild_and_repeated_stamps_give_no_pose():
 
 
 def test_static_links_stay_when_times_start_again():
-    follower = FlangeFollower('base', 'flange')
+    follower = FlangeFollower('base', 'flange', 0.5)
     added(follower, ('link_6', 'flange', T_1), static=True)
     for _ in range(2):
         (_, T), = added(follower, ('base', 'link_6', np.eye(4)), stamp=5)

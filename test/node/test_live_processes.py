@@ -162,7 +162,7 @@ def test_of_two_answers_the_last_asked_for_stays(monkeypatch: pytest.MonkeyPatch
         future.set_result(submit(*args).result())
     assert first.result(PATIENCE) != second.result(PATIENCE)
     status = state_of(live)['calibration']
-    assert (status['state'], status['text']) == ('current', second.result())
+    assert status['state'] == 'current' and second.result().startswith(status['text'])
 
 
 def test_a_recomputation_whose_process_is_killed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,7 +32,7 @@ def tracked(part: str, count: int) -> object:
 @pytest.mark.parametrize(('solve', 'words'), [
     (lambda: chen2023.solve_rigid(POSES, POINTS[:, :2], np.repeat(['p', 'q'], [5, 4])),
      'at least 5 points on edge q, got 4'),
-    (lambda: jing2020.fixed_point_linear(POSES[:3], POINTS[:3]), 'at least 4 profiles, got 3'),
+    (lambda: jing2020.fixed_point_linear(POSES[:3], POINTS[:3]), 'at least 4 measurements, got 3'),
     (lambda: wu2017.solve(POINTS[:3], POINTS[:3]), 'at least 4 points, got 3'),
     (lambda: zheng2018.solve(POSES[:4], POINTS[:4, :2], np.eye(4)),
      'at least 5 points on the edge, got 4'),

@@ -99,7 +99,7 @@ def test_an_incidence_that_is_none_is_refused(degrees):
 
 
 def test_exchanged_limits_of_the_range_are_refused():
-    with pytest.raises(InputError, match='--range is .*, expected the nearer limit before'):
+    with pytest.raises(InputError, match='--range is .*, expected the smaller reading first'):
         ScanOptions.of_texts(('200mm', '100mm'), 90.0, '0', std=False)
 
 
