@@ -137,6 +137,9 @@ VALID += [
      '    noise.robot_translation: 0.0001\n    target:\n      size: [0.2, 0.15]\n',
      {'noise.sensor': 1e-5, 'noise.robot_translation': 1e-4, 'target.size': [0.2, 0.15]}),
     ('/**: {ros__parameters: {}}', {}),
+    ('/**:\n  ros__parameters:\n    name: new\n    noise:\n      # sensor: 1e-5\n', {'name': 'new'}),
+    ('/**:\n  ros__parameters:\n    record.sensor_serial: 007\n    record: {note: no}\n',
+     {'record.sensor_serial': '007', 'record.note': 'no'}),
     # as `ros2 param dump` prints it: empty lists without a type are null there
     ('/handeye:\n  ros__parameters:\n    name: cell\n    output_dir: /tmp/results\n'
      '    qos_overrides:\n      /clock:\n        subscription: {depth: 1}\n'
@@ -167,6 +170,9 @@ def test_a_parameter_file_is_put_into_a_configuration(tmp_path, text, values):
     ('/**: {ros__parameters: {1: 2}}', '"1"'),
     ('/**:\n  ros__parameters:\n    noise: {sensor: 1.0e-4}\n    noise: {flatness: 1.0e-5}\n',
      'key "noise" stands twice'),
+    ('/**:\n  ros__parameters:\n    noise.sensor: 1e-5\n    noise: {sensor: 2e-5}\n',
+     'key "noise.sensor" stands twice'),
+    ('/**: {ros__parameters: {record.note: [1, 2]}}', 'a text: write it in quotes'),
     ('/**: {ros__parameters: {sampling: {still: 1.0}}}',
      r'"sampling.still" in .*c.yaml; did you mean')])
 def test_a_file_of_another_form_is_refused(tmp_path, content, words):
@@ -196,7 +202,8 @@ def test_a_configuration_can_be_made_in_code() -> None:
     ('noise.flatness=5 \u03bcm', 5e-6), ('noise.robot_rotation=0.07mrad', 7e-5),
     ('profile.exposure=20ms', 0.02), ('time_offset_std=5ms', 0.005),
     ('rotation_lag_std=1ms', 0.001), ('verify.reference=[500mm, 0, 2cm]', [0.5, 0.0, 0.02]),
-    ('record.note=20mm', '20mm'), ('name=3mm', '3mm')])
+    ('record.note=20mm', '20mm'), ('name=3mm', '3mm'), ('record.sensor_serial=007', '007'),
+    ('record.note=lens: 21 #2', 'lens: 21 #2'), ('record.operator=no', 'no')])
 def test_assignments_are_read_as_yaml_and_numbers_with_their_unit(text: str, value: object
                                                                   ) -> None:
     read = flatten(with_assignments(Config(), [text]))[text.partition('=')[0]]

@@ -10,7 +10,7 @@ from functools import lru_cache
 from cells import Recorded, recorded, settings_of, squared_error
 from handeye_ros import Config, gather, se3, solve
 from handeye_ros.config import ProfileConfig, TargetConfig
-from handeye_ros.data import Calibration, EdgePoint, Profile, TimedPose
+from handeye_ros.data import Calibration, EdgePoint, Profile, Reject, TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings, simulate_samples
 from handeye_ros.simulate.scenario import PlateTarget
@@ -244,6 +244,15 @@ def test_samples_that_carry_no_answer_are_refused_as_such() -> None:
     lost = replace(samples[3], T_base_flange=np.full((4, 4), np.nan))
     with pytest.raises(InputError, match=f'of the sample of stamp {samples[3].stamp} is no rigid'):
         solve([*samples[:3], lost, *samples[4:]], [], config, 'laser')
+    turned = samples[3].T_base_flange * [1.01, 1.01, 1.01, 1.0]
+    with pytest.raises(InputError, match='no rigid transform'):
+        solve([*samples[:3], replace(samples[3], T_base_flange=turned)], [], config, 'laser')
+    with pytest.raises(InputError, match='two samples have the same stamp'):
+        solve([*samples, samples[0]], [], config, 'laser')
+    excluded = [Reject(k, f'sample {k} is excluded by samples.exclude', final=True)
+                for k in range(9)]
+    with pytest.raises(DataError, match='excluded by samples.exclude.*: take more'):
+        solve(samples[:3], excluded, config, 'laser')
     seen_in_the_middle = [replace(sample, features=tuple(
         replace(feature, point=feature.point * [0, 1]) if isinstance(feature, EdgePoint)
         else feature for feature in sample.features)) for sample in samples]
@@ -258,3 +267,5 @@ def test_the_frame_of_the_robot_is_none_of_the_profiles(slash: str) -> None:
     for frame_id in ('flange', '/flange'):
         with pytest.raises(DataError, match='robot_effector_frame is the same frame'):
             solve(samples, [], config, frame_id)
+    with pytest.raises(DataError, match='both "base"'):
+        solve(samples, [], replace(config, robot_effector_frame=f'{slash}base'), 'laser')

@@ -41,6 +41,15 @@ def test_a_trend_goes_by_the_time_of_the_recordings_and_tells_since_when(tmp_pat
     assert len(entries) == 5 and len(warnings) == 1
 
 
+def test_of_one_recording_the_answers_are_in_the_order_of_their_making(tmp_path):
+    write(tmp_path, (2, 1, 0))
+    sample = (SampleReport(1_700_000_000_000_000_000, True),)
+    for file in tmp_path.rglob('calibration.yaml'):
+        write_calibration(replace(read_calibration(file), samples=sample), file)
+    entries, _ = trend.trend(tmp_path)
+    assert [entry.path.parent.name for entry in entries] == ['day_2', 'day_1', 'day_0']
+
+
 def test_only_calibrations_of_one_sensor_are_compared(tmp_path):
     write(tmp_path, range(3))
     calibration = read_calibration(tmp_path / 'day_0/calibration.yaml')

@@ -185,6 +185,21 @@ def test_a_wrong_unit_is_named(factor: float, unit: str, words: str) -> None:
         points(scan, ProfileConfig(unit=unit))
 
 
+@pytest.mark.parametrize('marker', [-99.999, -2147483648.0])
+def test_ranges_of_one_value_far_away_are_no_returns(marker: float) -> None:
+    z = np.where(np.arange(6) < 4, marker, 0.172)
+    np.testing.assert_array_equal(
+        np.isfinite(points(cloud({'x': X, 'z': z}, XZ, 12))[:, 1]), z > 0)
+
+
+@pytest.mark.parametrize(('rows', 'count'), [
+    ([np.nan, 0, 1e-3], 3), ([0, 0.5e-3, np.nan], 3), ([0, 0.1, 0.2], 1), ([np.nan, 0], 1)])
+def test_rows_along_the_same_line_are_profiles(rows: list[float], count: int) -> None:
+    x = np.concatenate([np.linspace(-0.02, 0.02, 12) + shift for shift in rows])
+    batch = cloud({'x': x, 'z': np.full(len(x), 0.17)}, XZ, 12, height=len(rows))
+    assert profile_count(batch, ProfileConfig()) == count
+
+
 layouts = st.fixed_dictionaries({
     'datatypes': st.lists(st.sampled_from(sorted(DATATYPES)), min_size=3, max_size=3),
     'order': st.permutations(['x', 'z', 'intensity']),

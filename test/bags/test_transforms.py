@@ -63,6 +63,17 @@ def test_a_slow_link_anywhere_in_the_chain_delays_the_poses_of_the_others(slow):
     assert [stamp for stamp, _ in poses] == list(range(0, 4001 * ms, 10 * ms))
 
 
+def test_a_seldom_link_that_moves_gives_no_pose():
+    follower, second = FlangeFollower('base', 'flange', 0.5), 10**9
+    for moved in (0.0, 1e-3):
+        follower.restart()
+        poses = [pose for k in range(5) for pose in added(follower, *(
+            [('base', 'rail', shifted(0.0, 0.0, moved * k))] if k in (0, 4) else []),
+            ('rail', 'flange', T_1), stamp=k * second // 4)]
+        assert [stamp * 4 // second for stamp, _ in poses] == ([0, 4] if moved else [0, 1, 2, 3, 4])
+    assert '3 poses of /tf were left out' in follower.warnings[0]
+
+
 def stamps_of(stamps):
     """Return the stamps of the poses of one link that is sent at these stamps."""
     follower = FlangeFollower('base', 'flange', 0.5)

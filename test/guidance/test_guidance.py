@@ -129,6 +129,9 @@ def test_eye_on_base_is_advised_too() -> None:
     T_first = simulated_cell.samples[0].T_base_flange
     assert np.linalg.norm(advice.next_pose.T_base_flange[:3, 3] - T_first[:3, 3]) <= (
         simulated_cell.config.guidance.reach)
+    first = advise(simulated_cell.samples[:1], simulated_cell.config,
+                   Answer((), None, False, None, None))
+    assert 'turn the target' in first.text and 'turn the sensor' not in first.text
 
 
 def test_enough_is_said_with_its_reason(fitted: tuple[Cell, Solution]) -> None:

@@ -123,6 +123,9 @@ def test_what_is_set_here_wins_over_the_file(monkeypatch: pytest.MonkeyPatch) ->
     node = nodes('calibrate', monkeypatch, **ports | {'base_frame': 'base_link'})[0]
     assert node.parameters[-1].keys() <= {p.key for p in config.parameters()}
     assert node.parameters[-1]['robot_base_frame'] == 'base_link'
+    times = [nodes('calibrate', monkeypatch, use_sim_time=text)[0].parameters[0]
+             for text in ('True', '1', 'true', 'no')]
+    assert [time['use_sim_time'] for time in times] == [True, True, True, False]
 
 
 @pytest.mark.thorough

@@ -133,7 +133,9 @@ def test_what_is_written_reads_back(name, place, turn, frames, on_base):
         child_frame=frames[1], provenance={'config': {
             **CALIBRATION.provenance['config'],
             'calibration_type': 'eye_on_base' if on_base else 'eye_in_hand'}})
-    T, parent, child = READERS[name](exports.FORMATS[name].text(calibration))
+    text = exports.FORMATS[name].text(calibration)
+    T, parent, child = READERS[name](text)
+    assert ('set_tcp(' in text) == (name == 'ur' and not on_base)
     digits = 2e-7 if name in ROBOTS else 1e-9  # as a pendant takes them
     np.testing.assert_allclose(T, calibration.T_flange_sensor, rtol=0, atol=digits)
     assert parent in (frames[0], None) and child in (frames[1], None)

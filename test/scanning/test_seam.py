@@ -293,6 +293,21 @@ def test_the_root_of_a_v_is_known_up_to_the_ends_of_the_part():
     assert seam.kind == 'v' and np.hypot(y, height + 5e-3).max() < 1e-4
 
 
+@pytest.mark.parametrize('angle', [60, 70, 80, 100])
+def test_the_root_of_a_steep_fillet_is_found_up_to_the_end_of_the_cloud(angle):
+    rng = np.random.default_rng(angle)
+    x, y = np.meshgrid(np.arange(-0.015, 0.015, 2e-4), np.arange(0, 0.05, 3e-4))
+    z = np.abs(x) / np.tan(np.radians(angle / 2)) + 2e-5 * rng.normal(size=x.shape)
+    points = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+    seam = find_seam(points, towards=(0.0, 0.0, -1.0))
+    root = seam.sections.lines['root']
+    assert seam.kind == 'fillet' and np.hypot(root[:, 0], root[:, 2]).max() < 1.5e-4
+    with pytest.raises(DataError, match='scan more densely'):
+        find_seam(points[points[:, 1] < 0.004])
+    with pytest.raises(DataError, match='in metres'):
+        find_seam(points * 1e3)
+
+
 def test_the_path_is_as_near_to_a_wavy_seam_as_it_says():
     rng = np.random.default_rng(0)
     x, u = rng.uniform(0, 0.15, 60000), rng.uniform(-0.02, 0.02, 60000)
