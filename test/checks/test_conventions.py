@@ -18,6 +18,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 Change = Callable[[Array], Array]  # of poses
+THOROUGH = pytest.mark.thorough
 
 
 def with_poses(cell: Cell, change: Change) -> list[Sample]:
@@ -44,15 +45,17 @@ def angles(values: Array) -> Rotation:
 @pytest.mark.parametrize(('target', 'change', 'words'), [
     ('plate', simulated('inverted'), 'inverse poses'),
     ('sphere', simulated('inverted'), 'inverse poses'),
-    ('plate', simulated('wxyz'), 'w x y z'), ('plate', simulated('intrinsic'), 'intrinsic'),
-    ('plate', simulated('millimetres'), 'positions in millimetres'),
-    *(('plate', read(change), words) for change, words in (
+    ('plate', simulated('wxyz'), 'w x y z'),
+    *(pytest.param('plate', change, words, marks=THOROUGH) for change, words in (
+        (simulated('intrinsic'), 'intrinsic'),
+        (simulated('millimetres'), 'positions in millimetres'),
+        (simulated('degrees'), 'angles in degrees are read as radians'))),
+    *(pytest.param('plate', read(change), words, marks=THOROUGH) for change, words in (
         (lambda R: R.inv(), 'transposed rotations'),
         (lambda R: angles(np.radians(R.as_euler('xyz'))), 'angles in radians'),
         (lambda R: angles(R.as_euler('XYZ')), 'intrinsic Euler angles'),
         (lambda R: angles(R.as_euler('xyz')[:, [2, 1, 0]]), 'roll and yaw exchanged'),
         (lambda R: angles(R.as_rotvec()), 'with rotation vectors'))),
-    ('plate', simulated('degrees'), 'angles in degrees are read as radians'),
     ('sphere', simulated('degrees'), 'angles in degrees are read as radians')])
 def test_convention_errors_are_named(target: str, change: Change, words: str) -> None:
     simulated_cell = cell(target, 1)
@@ -74,13 +77,15 @@ def test_convention_errors_are_named_in_a_sweep_whose_clocks_differ() -> None:
         pipeline.calibrate(recording.profiles, poses, settings_of(sweep, sampling__mode='moving'))
 
 
-@pytest.mark.parametrize('name', ['plate_real_robot', 'sphere_real_robot'])
+@pytest.mark.parametrize('name', [
+    pytest.param('plate_real_robot', marks=THOROUGH), 'sphere_real_robot'])
 def test_a_robot_worse_than_stated_is_no_convention_error(name: str) -> None:
     for seed in range(2):
         assert cell(name, seed).solve()
 
 
-@pytest.mark.parametrize('target', ['plate', 'sphere', 'line', 'plane'])
+@pytest.mark.parametrize('target', [
+    'sphere', *(pytest.param(name, marks=THOROUGH) for name in ('plate', 'line', 'plane'))])
 @pytest.mark.parametrize('true_type', ['eye_in_hand', 'eye_on_base'])
 def test_the_wrong_calibration_type_names_the_key(target: str, true_type: str) -> None:
     wrong_type = 'eye_on_base' if true_type == 'eye_in_hand' else 'eye_in_hand'

@@ -95,6 +95,7 @@ def test_right_settings_are_not_blamed() -> None:
     refuse_by_best(stated, setting_hypotheses(session, recording.config, stated))
 
 
+@pytest.mark.thorough
 def test_stops_read_again_are_of_the_whole_recording() -> None:
     """Of many some are read; the first stops of this plate show one edge only: they fit a line."""
     scenario = replace(SCENARIOS['plate_in_order'], stations=(45, 10))

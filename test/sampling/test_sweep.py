@@ -158,6 +158,7 @@ def test_a_wrong_radius_in_a_sweep_is_told_as_configured() -> None:
     assert 'not the configured 40.600:' in calibration.target['note']
 
 
+@pytest.mark.thorough
 def test_what_jumps_in_the_middle_of_a_sweep_is_named() -> None:
     scenario = sweep('plane', 0.02)
     recording, config = simulate(scenario, np.random.default_rng(1)), config_of(scenario)
@@ -175,7 +176,8 @@ def test_what_jumps_in_the_middle_of_a_sweep_is_named() -> None:
     assert caught.value.reason == 'moved'
 
 
-@pytest.mark.parametrize('name', ['small_plate_sweep', 'sphere_sweep'])
+@pytest.mark.parametrize('name', [
+    'small_plate_sweep', pytest.param('sphere_sweep', marks=pytest.mark.thorough)])
 def test_a_sensor_that_slips_is_no_scale_and_no_error_of_the_robot(name: str) -> None:
     scenario, rng = SCENARIOS[name], np.random.default_rng(1)
     recording, direction = simulate(scenario, rng), rng.normal(size=3)
@@ -191,7 +193,7 @@ def test_a_sensor_that_slips_is_no_scale_and_no_error_of_the_robot(name: str) ->
     assert 'the sensor seems to have moved' in sentence and 'length' not in sentence
 
 
-@pytest.mark.parametrize('seed', [0, 4])
+@pytest.mark.parametrize('seed', [0, pytest.param(4, marks=pytest.mark.thorough)])
 def test_a_robot_that_drifts_makes_the_answer_less_certain(seed: int) -> None:
     scenario = SCENARIOS['sphere_sweep']
     assert scenario.sweep is not None
