@@ -137,7 +137,8 @@ VALID += [
      '    noise.robot_translation: 0.0001\n    target:\n      size: [0.2, 0.15]\n',
      {'noise.sensor': 1e-5, 'noise.robot_translation': 1e-4, 'target.size': [0.2, 0.15]}),
     ('/**: {ros__parameters: {}}', {}),
-    ('/**:\n  ros__parameters:\n    name: new\n    noise:\n      # sensor: 1e-5\n', {'name': 'new'}),
+    ('/**:\n  ros__parameters:\n    name: new\n    noise:\n      # sensor: 1e-5\n',
+     {'name': 'new'}),
     ('/**:\n  ros__parameters:\n    record.sensor_serial: 007\n    record: {note: no}\n',
      {'record.sensor_serial': '007', 'record.note': 'no'}),
     # as `ros2 param dump` prints it: empty lists without a type are null there

@@ -70,7 +70,8 @@ def test_a_seldom_link_that_moves_gives_no_pose():
         poses = [pose for k in range(5) for pose in added(follower, *(
             [('base', 'rail', shifted(0.0, 0.0, moved * k))] if k in (0, 4) else []),
             ('rail', 'flange', T_1), stamp=k * second // 4)]
-        assert [stamp * 4 // second for stamp, _ in poses] == ([0, 4] if moved else [0, 1, 2, 3, 4])
+        assert [stamp * 4 // second for stamp, _ in poses] == (
+            [0, 4] if moved else [0, 1, 2, 3, 4])
     assert '3 poses of /tf were left out' in follower.warnings[0]
 
 

@@ -40,8 +40,9 @@ def later(samples: tuple[Sample, ...], change: Change) -> list[Sample]:
         ('plate', pytest.mark.thorough), ('sphere', ())) for change, words in (
         (lambda T: T @ OTHER_TOOL, 'the sensor moved in flange by 5'),
         (lambda T: BUMPED @ T, 'the target moved in base, or'))),
+    # 7 of their 14 samples have few conditions to spare
     *(pytest.param(name, lambda T: T @ OTHER_TOOL, 'the (sensor|target) moved in ',
-                   marks=pytest.mark.thorough) for name in ('plane', 'line')),  # 7 of their 14 samples have few conditions to spare
+                   marks=pytest.mark.thorough) for name in ('plane', 'line')),
     ('eye_on_base', lambda T: T @ OTHER_TOOL, 'the target moved in flange, or')])
 def test_what_moved_is_named(name: str, change: Change, words: str) -> None:
     simulated_cell = cell(name, 3)
