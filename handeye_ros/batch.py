@@ -14,6 +14,7 @@ import os
 from pathlib import Path
 import shlex
 import shutil
+import signal
 import time
 from typing import Any, TypeAlias
 
@@ -178,12 +179,15 @@ def client_of(scheduler: str) -> Iterator[Any]:
         cluster = {'n_workers': len(os.sched_getaffinity(0)), 'threads_per_worker': 1,
                    'silence_logs': 50, 'dashboard_address': '127.0.0.1:0', 'timeout': 60}
     with dask.config.set(LOCAL_DASK):
+        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)  # for workers that start, too
         try:
             client = Client(**cluster)
         except (OSError, ValueError) as error:
             raise InputError(f'no Dask scheduler answers at {scheduler}: start one with "dask '
                              'scheduler" and workers with "dask worker ADDRESS --nthreads 1"'
                              ) from error
+        finally:
+            signal.signal(signal.SIGINT, handler)
         with client:
             yield client
 
