@@ -306,8 +306,8 @@ def clock_notes(solution: Solution) -> Iterator[str]:
                f'only, that is {offset.std * 100:.2f} mm at 100 mm/s')
     if drift and abs(drift.value) > max(SURE_SIGMAS * drift.std, LARGE_DRIFT):
         yield (f'the clocks of profiles and poses drift apart by {drift.value * 60e3:.1f} ms a '
-               'minute, which was allowed for; the time offset is that of the middle of this '
-               'recording: synchronise the clocks')
+               'minute, or one of them jumped a little; the time offset is that of the middle of '
+               'this recording: synchronise the clocks')
 
 
 def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:

@@ -492,6 +492,8 @@ def with_values(config: Config, values: Mapping[str, Any], source: str = 'values
     robot = values.get('noise.robot_class')
     if isinstance(robot, str) and robot in ROBOT_CLASSES:
         values = {'noise.robot_smooth': ROBOT_CLASSES[robot], **values}
+    elif robot == '' and config.noise.robot_class:
+        values = {'noise.robot_smooth': NoiseConfig().robot_smooth, **values}
     for key, value in values.items():
         require_type('a key of the values', key, str)
         section, _, name = key.rpartition('.')

@@ -46,7 +46,8 @@ DECISIVE_EVIDENCE = -2 * math.log(FALSE_CAUSE_PROBABILITY)
 MANY_TRIED = 40  # assumptions that may be tried in all where nothing fits
 # reduced chi-squared: of a stop that is not explained, the least
 UNEXPLAINED_CHI2, MIN_CHI2 = 64.0, 0.01
-MIN_REDUNDANCY = 6  # smallest redundancy of a fit that is believed
+MIN_REDUNDANCY = 6  # smallest redundancy of a fit that is believed,
+MAX_POSITION_STD = 1.0  # m: and largest 1 sigma of its sensor
 # smallest number of explained stops, as a share of those explained as configured: fewer may fit by
 # chance
 MIN_EXPLAINED_SHARE = 0.9
@@ -94,8 +95,10 @@ class Explanation:
 
     @property
     def believable(self) -> bool:
-        """Return whether the stops agree, and not by chance."""
-        return self.agrees and self.redundancy >= MIN_REDUNDANCY
+        """Return whether the stops agree, not by chance, nor by a sensor that may be anywhere."""
+        return self.agrees and self.redundancy >= MIN_REDUNDANCY and all(
+            np.linalg.eigvalsh(solution.posterior.covariance[:3, :3])[-1] < MAX_POSITION_STD ** 2
+            for solution in self.solutions)
 
     @property
     def within_noise(self) -> bool:

@@ -252,10 +252,11 @@ class _Move:
                        else ('target', target_frame(config)))
         shift, turn = np.linalg.norm(self.displacement.reshape(2, 3), axis=1).tolist()
         count = self.solution.used_stations[self.station]
+        clocks = ', or a clock jumped' if self.solution.problem.has_pose_model else ''
         return (f'after the first {count} of {len(poses)} samples the {what} seems to have moved '
                 f'in {frame} by about {mm(shift)} and {degrees(turn)}, or the tool or base of the '
-                'robot was switched, or robot or sensor drift: check that it is fixed firmly, and '
-                'take all samples again')
+                f'robot was switched, or robot or sensor drift{clocks}: check that it is fixed '
+                'firmly, and take all samples again')
 
 
 def _likeliest_move(solution: Solution) -> _Move | None:

@@ -124,7 +124,8 @@ def _likely_changes(config: Config) -> list[Values]:
     axes = [('profile.axes', f'[{a}, {b}]') for a, b in permutations('xyz', 2)
             if (a, b) != tuple(profile.axes)]
     radius = [('target.radius', '0')] if config.target.radius else []
-    singles = [*radius, sign, unit, *types, *axes, mounting]
+    noise = ('noise.sensor', f'{min(10 * config.noise.sensor, 0.01):g}')
+    singles = [*radius, sign, unit, noise, *types, *axes, mounting]
     return [*((change,) for change in singles), *((change, sign) for change in (*types, *axes))]
 
 

@@ -189,4 +189,4 @@ def _advice(target: Target, config: Config, turn: float, tilt: Array, place: Arr
                f'its middle on the {side} side of the light plane' if beside else ''
     return (f'from the pose of the first sample, {where}{turned}; keep the '
             f'{seen_feature_noun(target)} in '
-            f'view, at x = {x:.0f} mm, range {z:.0f} mm{crossing}')
+            f'view, at x = {round(x)} mm, range {round(z)} mm{crossing}')

@@ -116,11 +116,12 @@ class LiveSolver:
 
     def changes_since(self, session: Session) -> str:
         """Return in words how the samples of a session differ from those of the answer, or ''."""
-        now = _used_numbers(session)
-        before = _used_numbers(self.solved_session or session)
-        changes = ' and '.join(
-            f'{len(numbers)} {what}'
-            for numbers, what in ((before - now, 'removed'), (now - before, 'added')) if numbers)
+        now = _used_samples(session)
+        before = _used_samples(self.solved_session or session)
+        retaken = [n for n in now.keys() & before.keys() if now[n] != before[n]]
+        changes = ' and '.join(f'{len(numbers)} {what}' for numbers, what in (
+            (before.keys() - now.keys(), 'removed'), (now.keys() - before.keys(), 'added'),
+            (retaken, 'retaken')) if numbers)
         return changes and (
             f'; it was computed from {count_of(len(before), "sample")}, which have changed since '
             f'({changes}): call ~/compute_calibration for an answer from the current {len(now)}')
@@ -248,10 +249,10 @@ def summary(calibration: Calibration) -> str:
             f'{quality.samples_rejected} not used{warned}')
 
 
-def _used_numbers(session: Session) -> set[int]:
-    """Return the numbers of the samples that an answer uses; none is ever used again."""
-    return {stop.number for stop in session.stops
-            if stop.sample and not session.excludes(stop)}
+def _used_samples(session: Session) -> dict[int, tuple[int, int]]:
+    """Return stamp and number of profiles of the samples that an answer uses, by their number."""
+    return {stop.number: (stop.sample.stamp, stop.sample.profile_count)
+            for stop in session.stops if stop.sample and not session.excludes(stop)}
 
 
 def settings_of(config: Config, keys: tuple[str, ...]) -> dict[str, Any]:

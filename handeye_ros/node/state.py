@@ -121,7 +121,7 @@ class MessageCount:
                 'trouble': '; '.join(sentences)}
 
 
-def _clock_trouble(profiles: MessageCount, poses: MessageCount) -> str:
+def _clock_trouble(profiles: MessageCount, poses: MessageCount, time_offset: float) -> str:
     """Return a sentence if the clocks of profiles and poses differ, '' otherwise."""
     if not profiles.stamp or not poses.stamp or max(profiles.silence, poses.silence) > FRESH_TIME:
         return ''
@@ -130,8 +130,8 @@ def _clock_trouble(profiles: MessageCount, poses: MessageCount) -> str:
         return ''
     return (f'the stamps of the profiles are {abs(ahead):.1f} s '
             f'{"ahead of" if ahead > 0 else "behind"} those of the poses: the clocks of sensor '
-            'and robot differ; set them to one time (PTP or NTP), or let one driver stamp as the '
-            'other does')
+            'and robot differ; set them to one time (PTP or NTP), let one driver stamp as the '
+            f'other does, or set time_offset to {time_offset - ahead:.1f}')
 
 
 def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxyType({})) -> State:
@@ -152,7 +152,7 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
         late and f'{late} are dropped, as their stamps are older than those before; if they stay '
         'so, sampling goes on with them', str(session.unusable_poses_error or ''),
         # of two publishers stamps that seem to be of two clocks follow
-        '' if graph_trouble else _clock_trouble(profiles, poses),
+        '' if graph_trouble else _clock_trouble(profiles, poses, config.time_offset),
         session.unrequested_stops_notice, *live.troubles.values())
     return {
         'name': folder_name(config),

@@ -51,8 +51,8 @@ NO_CALLBACKS = SubscriptionEventCallbacks(use_default_callbacks=False)
 
 READ_PERIOD = 2e-3  # s between two reads of all topics
 MAX_AT_ONCE = 200  # messages of one topic before the next topic
-# clouds that executables of this package publish
-OWN_CLOUDS = ('/handeye/features', '/handeye_scan/points')
+# of executables of this package
+OWN_TOPICS = ('/handeye/features', '/handeye/next_pose', '/handeye_scan/points')
 LOOK_PERIOD = 0.1  # s between two looks at what the publishers offer
 WARNING_PERIOD = 5.0  # s between two warnings of a kind
 MAX_LISTED = 5  # largest number of topics or nodes in a sentence
@@ -312,6 +312,6 @@ class Streams:
         """Return the topics with publishers of a message type, without those of this package."""
         node = self._node
         return sorted(name for name, types in node.get_topic_names_and_types()
-                      if message_type in types and not name.endswith(OWN_CLOUDS)
+                      if message_type in types and not name.endswith(OWN_TOPICS)
                       and any(info.topic_type == message_type
                               for info in node.get_publishers_info_by_topic(name)))

@@ -41,6 +41,7 @@ class LiveVerification:
         """Begin with none."""
         self._live = live
         self.content: Mapping[str, Any] = {}
+        self._verified: Calibration | None = None  # the answer that it is of
         self.routine: Routine | None = None
         self.end()
 
@@ -51,6 +52,19 @@ class LiveVerification:
                 self._live.discard_begun_stops()
         self.routine, self._most_parts = None, 1
         self._parts: list[dict[int, Sample | Reject]] = [{}]  # what their stops gave, by stamp
+
+    @property
+    def content_of_answer(self) -> Mapping[str, Any]:
+        """Return the content of the last one, empty if it is of another answer than now."""
+        live = self._live
+        is_current = live.config.verify.calibration or (
+            self._verified and self._verified is live.solver.calibration)
+        return self.content if is_current else {}
+
+    @property
+    def has_next_part(self) -> bool:
+        """Return whether another part follows that of now."""
+        return len(self._parts) < self._most_parts
 
     @property
     def text(self) -> str:
@@ -121,18 +135,20 @@ class LiveVerification:
         live = self._live
         live.evaluate_all()
         file = live.config.verify.calibration or live.solver.saved
-        return live.run_job(VERIFYING, partial(self._accept, self._parts, file), verify_stops,
+        accept = partial(self._accept, self._parts, file, live.solver.calibration)
+        return live.run_job(VERIFYING, accept, verify_stops,
                             self.routine, [[*part.values()] for part in self._parts],
                             self._calibration(),
                             self.routine.settings(live.config, len(self._parts)))
 
-    def _accept(self, parts: Sequence[object], file: str, result: Verification) -> str:
+    def _accept(self, parts: Sequence[object], file: str, answer: Calibration | None,
+                result: Verification) -> str:
         """
         Write the verdict on parts, and end their verification; return the message.
 
-        file: of the calibration, '' where it was not saved.
+        file: of the calibration, '' where it was not saved; answer: of the node then.
         """
-        live = self._live
+        live, self._verified = self._live, answer
         name = f'verification_{result.routine}.yaml'
         self.content = content = plain_values(
             result, (live.config.profile_topic, live.config.pose_topic_and_keys[0]),

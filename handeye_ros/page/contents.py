@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from threading import Lock
 from typing import Any, TYPE_CHECKING
 
 from handeye_ros import config as configuration
@@ -45,6 +46,7 @@ PAGE_SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', '
                  'verify.tolerance')
 
 FEW_STOPS = 3  # of a session that has just begun, perhaps by itself after a restart
+EXCLUDING = Lock()  # held while samples.exclude is read and set again
 
 # the two kinds of functions of a PageSource
 Action = Callable[[Mapping[str, Any]], tuple[bool, str]]
@@ -96,8 +98,10 @@ def _exclude(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     known_numbers = {stop['number'] for stop in node.state['samples']}
     if type(number) is not int or number not in known_numbers:
         return False, f'there is no sample {str(number)[:20]}'
-    excluded = {*node.live.config.samples.exclude} - {number} | ({number} if leave_out else set())
-    refusal = node.set_values({'samples.exclude': sorted(excluded)})
+    with EXCLUDING:
+        excluded = {*node.live.config.samples.exclude} - {number}
+        refusal = node.set_values(
+            {'samples.exclude': sorted(excluded | ({number} if leave_out else set()))})
     return not refusal, refusal or (
         f'sample {number} is left out' if leave_out else f'sample {number} is back')
 
@@ -130,12 +134,13 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     previous = 0
     if sessions and len(live.session.stops) <= FEW_STOPS:
         with suppress(InputError):  # a damaged one; who opens it is told
-            previous = read_session(sessions[0]).sample_count
+            stored = read_session(sessions[0])  # none may fit the settings of then
+            previous = stored.sample_count or len(stored.stops)
     settings = [{'key': key, 'value': values[key], 'description': parameters[key].description,
                  'choices': choices.get(key, list(parameters[key].choices))}
                 for key in PAGE_SETTINGS]
-    return {'sessions': [path.name for path in sessions], 'session': current,
-            'previous': previous, 'settings': settings}
+    return {'sessions': [path.name for path in sessions], 'previous': previous,
+            'settings': settings}
 
 
 def _file(live: LiveSession, name: str) -> tuple[str, str]:
@@ -159,15 +164,18 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
     Return the content of the page as plain values.
 
     rows: of the answer, name, value, 1 sigma and unit as in the table of `handeye solve`;
-    verification: what is running, in words; verdict (pass, ...), title and figures of the last.
+    verification: what is running, in words, and whether another part of it follows; verdict (pass,
+    ...), title and figures of the last of this answer.
     """
     snapshot, calibration = live.current_snapshot(), live.solver.calibration
-    checked = live.verification.content
+    checked = live.verification.content_of_answer
     return {**state, 'profile': snapshot and _picture(snapshot), 'scene': _scene(live, snapshot),
             'edges': _edges(live), 'has_just_begun': len(state['samples']) <= FEW_STOPS,
             'rows': list(table.transform_rows(calibration)) if calibration else [],
             'verification': {
-                'running': live.verification.text, 'verdict': checked.get('verdict', ''),
+                'running': live.verification.text,
+                'next_part': live.verification.has_next_part,
+                'verdict': checked.get('verdict', ''),
                 'title': title_of(checked) if checked else '',
                 'figures': reasons_and_figures(checked) if checked else ''}}
 

@@ -142,7 +142,7 @@ class PageServer:
         """Answer a request that may be answered; every refusal is a sentence."""
         host, origin = request.headers.get('Host', ''), request.headers.get('Origin')
         site = request.headers.get('Sec-Fetch-Site', 'same-origin')
-        token = request.query.get('token') or request.cookies.get(self.cookie, '')
+        token = request.query.get('token', '').strip() or request.cookies.get(self.cookie, '')
         try:
             name = re.sub(r':\d*$', '', host).strip('[]').lower()  # without the port
             if not self.token and name not in (

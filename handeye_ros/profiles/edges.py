@@ -418,7 +418,9 @@ def _distance_to_edge(end: FaceEnd, last: int, spacing: float, ground: Segment |
         x, z = points.take(columns, axis=0).T
         depth, ground_depth = (np.abs(level - end.segment.height(x)) for level in (
             z, ground.height(x)))
-        share = (depth - depth[0]) / (ground_depth - depth[0])  # of the way down
+        # of the way down, the whole of a ground that is no deeper
+        way = ground_depth - depth[0]
+        share = np.divide(depth - depth[0], way, out=np.ones_like(way), where=way > 0)
         between = int((share[1:-1] < 0.8).sum())
         if between > MIXED_POINTS:
             after = max(int(np.argmax(share > 0.5)), 1)

@@ -49,6 +49,7 @@ MIN_AGREEING_SHARE = 0.6  # of those that show it, smallest share that agree
 ALONG_WEIGHT = 0.1  # weight of a distance along a surface against one across, to match lines
 MAX_INDEPENDENT = 4  # profiles of one stop count as at most this many for an edge
 FLIPPED_EVERY = 8  # every such profile of a pass tells whether the range counts the other way
+MAX_TRAVEL = 10.0  # of the robot at a stop, times sampling.still_translation
 MAX_OF_PASS = 32  # profiles of a pass that are evaluated, twice as many if few show the target
 
 
@@ -63,6 +64,9 @@ def result_of(stop: Stop, config: Config) -> Sample | Reject:
 
 def _sample_of_stop(stop: Stop, config: Config) -> Sample:
     """Return the sample of a robot that stood still; raises FeatureError with the reason."""
+    places = np.array([pose.translation for pose in stop.poses])
+    if np.ptp(places, axis=0).max() > MAX_TRAVEL * config.sampling.still_translation:
+        raise FeatureError('it was taken while the robot moved: sampling.mode moving uses it')
     settled = stop.settled_profiles(config)
     profiles = decoded(settled, config)
     if not profiles:
@@ -108,7 +112,7 @@ def _no_profiles_error(unusable: Iterable[AnyProfile], stop: Stop, config: Confi
     other_offset = (', or time_offset was another when this was recorded: take the sample again'
                     if config.time_offset else '')
     return FeatureError(f'no profile has a stamp of the {seconds:.1f} s {span}: the sensor sent '
-                        'none, they were dropped (the warnings say why), or its clock is not that '
+                        'none, they were dropped or could not be read, or its clock is not that '
                         f'of the robot{other_offset}')
 
 

@@ -205,6 +205,9 @@ class Session(Copyable):
         if max(POSES_MISSING_TIME, 5 * poses.period) < silence < REORDER_TIME / NS:
             raise silent_poses_error(silence)
         if stop is None:
+            if self.config.sampling.moving:
+                raise DataError('the pass has just begun: sweep on, and take the sample in a '
+                                'second', reason='moving')
             motion = self.motion.sentence if self.motion else 'too few poses have come'
             raise DataError(f'the robot must stand still for {self.config.sampling.still_time:g} '
                             f's, and {motion}: wait, and take the sample again', reason='moving')
@@ -291,7 +294,8 @@ class Session(Copyable):
         sentences = [f'gave up {count_of(self._expired_count, "stop")}, the oldest that waited '
                      'for profiles'] if self._expired_count else []
         numbers = [stop.number for stop in self._stops.values()]
-        missing = [number for number in self.config.samples.exclude if number not in numbers]
+        # one that was removed is missing, too
+        missing = [n for n in self.config.samples.exclude if n > self.last_number]
         if missing and numbers:
             sentences.append(f'samples.exclude names no stop of these: {missing}')
         out_of_plane = max((abs(float(across)) for across, *_ in self._centroids), default=0.0)

@@ -175,7 +175,8 @@ class Routine:
             possible = self.recordings_for(len(config.verify.lengths))
             if recordings not in possible:
                 raise InputError(
-                    f'{self.name} needs {_numbers_text(possible, "bag")}, and got {recordings}')
+                    f'{self.name} needs {_numbers_text(possible, "bag")}, and got {recordings} '
+                    '(of the node: parts, each begun by ~/verify_start)')
         return config if self.in_passes else with_values(config, {
             'target.type': self.target, 'method': 'auto', 'target.radius': config.verify.radius})
 

@@ -27,7 +27,7 @@ function setting({ key, value, description, choices }) {
   } else input.autocomplete = 'off';
   input.id = name.htmlFor = 'set-' + key;
   input.name = key;
-  input.value = written(value);
+  input.value = made.dataset.before = written(value);
   made.append(name, input);
   made.dataset.key = key;
   made.append(element('span', description, 'small'));
@@ -41,7 +41,8 @@ async function readCell() {
     say((await answer.json()).message, false);
     return;
   }
-  const { settings, sessions, session, previous } = await answer.json();
+  const { settings, sessions, previous } = await answer.json();
+  const edited = Object.entries(valuesOf('verify-form'));
   const parts = verify => settings.filter(s => NAMES[s.key] && s.key.startsWith('verify.') === verify);
   $('cell-form').replaceChildren(...parts(false).map(s => {
     const made = setting(s), button = element('button', 'Set');
@@ -54,14 +55,14 @@ async function readCell() {
     return made;
   }));
   $('verify-form').replaceChildren(...parts(true).map(setting));
+  for (const [key, value] of edited) $('set-' + key).value = value;
   const routine = $('set-verify.routine');
   routine.addEventListener('change', showNominal);
   showNominal();
   $('before').hidden = !previous;
-  text('before-text', `The previous session holds ${previous} samples.`);
+  text('before-text', `The previous session holds ${previous} sample${previous === 1 ? '' : 's'}.`);
   $('sessions').replaceChildren(...sessions.map(name => element('option', name)));
   $('open').disabled = !$('sessions').options.length;
-  text('session', `The session of now: ${session || 'none yet'}`);
 }
 
 // Only what the routine needs is asked for.
@@ -71,22 +72,34 @@ function showNominal() {
   for (const made of $('verify-form').children) made.hidden = !needed.includes(made.dataset.key);
 }
 
-async function startVerification() {
+// What differs from the settings that the form was made of.
+function valuesOf(form) {
   const values = {};
-  for (const made of $('verify-form').children) {
-    if (!made.hidden) values[made.dataset.key] = made.querySelector('input, select').value;
+  for (const made of $(form).children) {
+    const { value } = made.querySelector('input, select');
+    if (!made.hidden && value !== made.dataset.before) values[made.dataset.key] = value;
   }
-  if (await ask('set', values, $('verify-start'))) ask('verify_start', {}, $('verify-start'));
+  return values;
 }
 
-function showVerification({ running, verdict, title, figures }) {
+async function startVerification() {
+  const button = $('verify-start'), { running, next_part } = latest.verification;
+  if (running && !next_part && !await sure(`Begin anew, without what was measured (${running})?`)) return;
+  const values = running ? {} : valuesOf('verify-form');
+  if (!Object.keys(values).length || await ask('set', values, button)) {
+    await ask('verify_start', {}, button);
+    readCell();
+  }
+}
+
+function showVerification({ running, next_part, verdict, title, figures }) {
   text('course', running);
   text('verdict', title);
   text('verdict-figures', figures);
   $('verdict').hidden = !verdict;
   $('verdict').className = 'figure ' + ({ pass: 'good', fail: 'bad' }[verdict] || '');
   $('verify-result').disabled = !running;
-  $('verify-start').textContent = running ? 'Next part' : 'Start';
+  $('verify-start').textContent = !running ? 'Start' : next_part ? 'Next part' : 'Begin anew';
 }
 
 $('verify-form').addEventListener('submit', event => event.preventDefault());

@@ -11,7 +11,8 @@ let latest = null, heard = 0;
 const shown = {};
 const mine = new Set();  // samples that this browser has taken,
 const answers = new Set();  // and what the node said of them
-let refused = null;  // the situation in which the footer told of a refusal
+let refused = null;  // the situation after a refusal that the footer tells, null without one
+let isRefusal = false;  // whether the next state is that situation
 
 function text(id, value) {
   if (shown[id] !== value) {
@@ -38,11 +39,15 @@ function show(state) {
   if (latest && state.profiles.count < latest.profiles.count) say('');  // another node
   if (latest && latest.session.path && latest.session.path !== state.session.path) { mine.clear(); answers.clear(); }
   if (state.attempt && answers.has(state.attempt.text)) mine.add(state.attempt.number);
+  if (latest && latest.calibration.state !== 'withdrawn' && state.calibration.state === 'withdrawn' &&
+      $('message').className === 'good') say('');
   latest = state;
   heard = Date.now();
+  if (isRefusal) [refused, isRefusal] = [situation(state), false];
   if (refused !== null && refused !== situation(state)) say('');
   if (!state.has_just_begun) $('before').hidden = true;
   text('name', `${state.name}: hand-eye calibration`);
+  text('session', `The session of now: ${state.session.path.split('/').pop() || 'none yet'}`);
   showNow(state);
   showAim(state);
   if (changed('guidance', [state.guidance, state.samples.length])) showGuidance(state.guidance);
@@ -76,10 +81,11 @@ function situation(state) {
     Boolean(state.verification.running), state.motion.standing]);
 }
 
-function say(words, good = true, when = null) {
+function say(words, good = true) {
   text('message', words);
   $('message').className = good ? 'good' : 'bad';
-  refused = good ? null : when;
+  refused = null;
+  isRefusal = !good;
 }
 
 function showNow(state) {
@@ -324,14 +330,13 @@ function showAnswer(c, rows) {
 async function ask(name, values, button) {
   button.disabled = true;
   say('…');
-  let success = false, message = 'the node does not answer: is it still running?', when = '';
+  let success = false, message = 'the node does not answer: is it still running?';
   try {
     const answer = await fetch('act/' + name, { method: 'POST', body: JSON.stringify(values),
       headers: { 'Content-Type': 'application/json' } });
     ({ success, message } = await answer.json());
-    when = latest && situation(latest);
   } catch (error) { /* the message says it */ }
-  say(message, success, when);
+  say(message, success);
   button.disabled = false;
   if (success && name === 'take_sample') answers.add(message);
   return success;
