@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+import os
 from pathlib import Path
 import sys
 from typing import Annotated, Any, Optional, TYPE_CHECKING
@@ -52,7 +53,7 @@ CalibrationFile = Annotated[Path, file_option(
 MeasureConfig = Annotated[OptionalPath, typer.Option(
     help='A ROS parameter file; without it, the settings that the calibration was made with.')]
 OutFile = Annotated[OptionalPath, file_option(help='Write the result as YAML too.')]
-INTERRUPTED_EXIT_CODE = 130
+INTERRUPTED_EXIT_CODE, BROKEN_PIPE_EXIT_CODE = 130, 141  # 128 + SIGINT, SIGPIPE
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,9 +206,16 @@ def progress_bar(task: str) -> Iterator[Callable[[str | float], None]]:
 def show(renderable: Any) -> None:
     """Print a table of rich."""
     from rich.console import Console
-    console = Console()
+
+    class OutputConsole(Console):
+        """Leaves the end of who reads the output to Verbs."""
+
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError
+
+    console = OutputConsole()
     if not console.is_terminal:
-        console = Console(width=160, color_system=None)  # a pipe has no width to wrap at
+        console = OutputConsole(width=160, color_system=None)  # a pipe has no width to wrap at
     console.print(renderable)
 
 
@@ -228,6 +236,9 @@ class Verbs(TyperGroup):
         except HandeyeError as error:
             typer.echo(f'error: {" ".join(str(error).split())}', err=True)
             raise typer.Exit(error.exit_code) from None
+        except BrokenPipeError:  # who reads the output has ended
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise typer.Exit(BROKEN_PIPE_EXIT_CODE) from None
         except OSError as error:  # such as a full disk behind stdout
             typer.echo(f'error: {error}', err=True)
             raise typer.Exit(InputError.exit_code) from None

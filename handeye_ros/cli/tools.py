@@ -163,7 +163,7 @@ def _scenarios() -> list[str]:
     """Return the names of all that can be simulated."""
     from handeye_ros.simulate import FAULTS, FILE_SCENES, SCENARIOS
     from handeye_ros.simulate.artefacts import MEASURING_CELL
-    return [*SCENARIOS, *FILE_SCENES, *FAULTS, MEASURING_CELL]
+    return [*dict.fromkeys([*SCENARIOS, *FILE_SCENES, *FAULTS]), MEASURING_CELL]
 
 
 def _print_scenarios(requested: bool) -> None:
