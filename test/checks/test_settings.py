@@ -37,6 +37,8 @@ def test_a_stored_stop_is_thinned_as_one_of_a_bag_is() -> None:
     ('sphere', {'target__radius': 0.012}, 'target.radius to 0.040'),
     ('baseline', {'target__type': 'wedge', 'profile__range_sign': -1},
      'target.type to plate and profile.range_sign to 1$'),
+    pytest.param('wedge', {'noise__sensor': 5e-7}, 'noise.sensor to 5e-06$',
+                 marks=pytest.mark.thorough),
     *(pytest.param(name, {'target__type': wrong}, f'target.type to {right}$',
                    marks=pytest.mark.thorough)
       for name, wrong, right in (('baseline', 'sphere', 'plate'), ('baseline', 'line', 'plate'),
