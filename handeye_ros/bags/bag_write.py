@@ -255,7 +255,8 @@ def write_folder(path: Path, texts: Mapping[str, str],
         _require_free(path, force)
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix='.', suffix='.tmp', dir=path.parent) as folder:
-            new_folder = Path(folder) / path.name
+            new_folder = Path(folder) / 'new' / path.name
+            new_folder.parent.mkdir()
             fill(new_folder)
             for name, text in texts.items():
                 (new_folder / name).write_text(text, encoding='utf-8')

@@ -302,14 +302,14 @@ def _cloud(path: Path, calibration_file: Path | None, config: Path | None,
            assignments: list[str], kinematics: Path | None) -> tuple['Array', str]:
     """Return the points (n, 3) of a cloud or a bag (m), and the id of their frame."""
     from handeye_ros.errors import InputError
-    from handeye_ros.scanning.cloud import CLOUD_SUFFIXES, read_cloud
+    from handeye_ros.scanning.cloud import CLOUD_SUFFIXES, frame_of, read_cloud
     from handeye_ros.scanning.scan import Scanner, ScanOptions
     import numpy as np
     if path.suffix.lower() in CLOUD_SUFFIXES:
         if calibration_file or config or assignments or kinematics:
             raise InputError(f'{path} is a cloud: --calibration, --config, --set and '
                              '--kinematics are for a bag')
-        return read_cloud(path), 'base'
+        return read_cloud(path), frame_of(path) or 'base'
     if calibration_file is None:
         raise InputError(f'{path} is no .ply or .pcd file; to use it as a bag, give the '
                          'calibration of its sensor: --calibration FILE')

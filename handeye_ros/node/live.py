@@ -22,7 +22,8 @@ Threads:
 Processes: two (pool.py), each with a thread that waits for it. They evaluate stops, for which the
 worker waits, and make reviews, answers and verifications, for which it does not (`run_job`).
 Locks: `lock` guards what messages change, and is held for one message or one copy. Another, in
-outputs.py, keeps the node from publishing after its end.
+outputs.py, keeps the node from publishing after its end; one in page/contents.py is held while the
+page reads and sets samples.exclude.
 """
 from __future__ import annotations
 

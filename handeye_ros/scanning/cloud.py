@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from itertools import takewhile
 import math
 from pathlib import Path
+import re
 from typing import Any, TypeAlias
 import warnings
 
@@ -99,6 +100,13 @@ def read_cloud(path: Path) -> Array:
     if len(points) < count:
         raise InputError(f'{path}: is cut off: {len(points)} of {count} points')
     return points[np.isfinite(points).all(axis=1)]
+
+
+def frame_of(path: Path) -> str:
+    """Return the frame that the comment of a cloud of `handeye scan` names, '' without one."""
+    with path.open('rb') as stream:
+        named = re.search(rb'frame (.+), metres', stream.read(MAX_HEADER_LENGTH))
+    return named[1].decode('unicode_escape') if named else ''
 
 
 def _header_lines(start: bytes) -> tuple[int, list[list[str]]]:

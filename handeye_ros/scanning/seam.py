@@ -172,7 +172,7 @@ def _measures(seam: Seam, t: Array) -> Array:
     Return gap, mismatch, residual and 1 sigma of the position (m, 4) at t (m,).
 
     Gap and mismatch: distance between the edges along and across the sheets; residual: RMS
-    distance of the sections nearby from the line.
+    distance of the roots of the sections nearby from the curve through all.
     """
     normal, tangent = seam.normal(t), seam.curves['root'].tangent(t)
     across = seam.curves['second'].position(t) - seam.curves['first'].position(t)

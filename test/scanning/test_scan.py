@@ -14,7 +14,7 @@ from handeye_ros.data import Profile, TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.sampling.trajectory import trajectory_of
-from handeye_ros.scanning.cloud import read_cloud, write_cloud
+from handeye_ros.scanning.cloud import frame_of, read_cloud, write_cloud
 from handeye_ros.scanning.scan import point_std, Scanner, ScanOptions
 from moving_scan import calibration, moving, plane_profile, plane_profiles, STEP, T0, true_flange
 import numpy as np
@@ -156,7 +156,8 @@ def test_other_libraries_read_the_clouds(tmp_path, count):
     for name in FIELDS.names:
         cloud[name] = rng.normal(size=count)
     for name in ('c.ply', 'c.pcd'):
-        write_cloud(tmp_path / name, np.array_split(cloud, 3), 'frame süd')
+        write_cloud(tmp_path / name, np.array_split(cloud, 3), 'frame süd, metres')
+        assert frame_of(tmp_path / name) == 'süd'
     ply = PlyData.read(tmp_path / 'c.ply')['vertex']
     pcd = pypcd4.PointCloud.from_path(tmp_path / 'c.pcd')
     assert ply.count == pcd.points == count
