@@ -44,7 +44,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import EdgePoint, Feature, Profile, Sample
 from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.search import robust_solution, with_systematic_errors
+from handeye_ros.estimation.search import refined_solution, robust_solution
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses_of
 from handeye_ros.guidance.advice import advise
@@ -385,7 +385,7 @@ def solved(cell: World) -> Solution | None:
     try:
         agreed = robust_solution(problem, np.random.default_rng(0), True,
                                  cell.last.estimate if cell.last else None)
-        found = with_systematic_errors(agreed)
+        found = refined_solution(agreed)
     except (DataError, np.linalg.LinAlgError):
         return None
     cell.last = found if sigma_of(found, cell) < KNOWN_WELL else None

@@ -56,7 +56,7 @@ from handeye_ros.data import (
 )
 from handeye_ros.errors import DataError, InputError, require_type
 from handeye_ros.estimation.least_squares import single_threaded
-from handeye_ros.estimation.search import robust_solution, with_systematic_errors
+from handeye_ros.estimation.search import refined_solution, robust_solution
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_frame, mount_poses_of
 from handeye_ros.sampling.edge_shapes import with_common_edge_shape
@@ -219,7 +219,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         # 7. Refinement: least squares with all systematic errors as nuisance parameters, their
         # scales and the noise estimated; outlier rejection again; lengths of the target where they
         # are stated wrongly. Refuse clocks that jumped, and lengths that differ in scale.
-        solution = with_free_lengths_if_needed(with_systematic_errors(solution))
+        solution = with_free_lengths_if_needed(refined_solution(solution))
         require_steady_clocks(solution)
         require_one_scale(solution)
         samples_agree = True

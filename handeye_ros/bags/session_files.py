@@ -91,7 +91,7 @@ class StoredSession:
         for number, stored in sorted(self.stops.items()):
             stop = stored if stored.final_reason else replace(
                 stored, result=result_of(stored, config))
-            session.add_stop(replace(session.with_result(stop, stop.result), number=number))
+            session.add_stop(replace(session.numbered(stop, stop.result), number=number))
             session.mark_done(stop)
         return session
 

@@ -45,7 +45,7 @@ from numpy.typing import NDArray
 SENSOR, TARGET = range(2)  # a body that moves: an index of derivatives, levers, Bayes factors
 POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
 CHANGE_POINTS_TRIED = 160  # of a small move, most of them, before it is examined
-STATIONS_TRIED = 100  # over the number of stations: change points to begin with
+FIRST_TRIED = 100  # change points to begin with, times the number of stations
 MOVE_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 TIME_STD = 0.01  # of the times that may be wrong instead, 1 sigma (s)
 SIZE_FACTORS = (1.0, 0.25)  # factors on MOVE_STD, of equal prior probability
@@ -277,7 +277,7 @@ def _likeliest_move(solution: Solution) -> _Move | None:
     factors = np.max([_log_bayes_factors(each, change_points)[0] for each in posteriors], axis=0)
     if factors.max() < -WARNING_EVIDENCE:
         return None
-    first_tried = change_points[np.argsort(-factors, axis=0)[:max(STATIONS_TRIED // n, 1)]]
+    first_tried = change_points[np.argsort(-factors, axis=0)[:max(FIRST_TRIED // n, 1)]]
     # a moment a few profiles off leaves an error that only a much worse robot would explain
     all_change_points = _change_points(solution, n)
     tried = dict[tuple[int, int], Posterior]()
@@ -355,7 +355,7 @@ def _log_bayes_factors(posterior: Posterior, change_points: NDArray[np.intp],
     Before each of the k change points: in the order of time, and in random orders of the parts
     between.
     """
-    A, gain, e = posterior.jacobian, posterior.gain, posterior.postfit_residuals
+    A, gain, e = posterior.jacobian, posterior.cross_covariance, posterior.postfit_residuals
     D = np.array([posterior.whitening(columns) for columns in _wrt_moves(posterior.linear)])
     parts = np.split(np.arange(len(A)), np.searchsorted(
         posterior.problem.observations.station, change_points))

@@ -15,12 +15,12 @@ from handeye_ros.checks.hypotheses import explain_problem, Explanation, Hypothes
 from handeye_ros.checks.moved import possible_move
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import scale_twists
-from handeye_ros.estimation.least_squares import covariance_of
+from handeye_ros.estimation.least_squares import covariance_from_jacobian
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import (
     CONVINCING_SQUARE,
+    refined_solution,
     robust_solution,
-    with_systematic_errors,
 )
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
@@ -72,7 +72,7 @@ def with_free_lengths_if_needed(solution: Solution) -> Solution:
     lengths = [name for name, (_, std) in loose.items() if std > stated[name][1]]
     if not lengths:
         return solution
-    free = with_systematic_errors(solution, free_config)
+    free = refined_solution(solution, free_config)
     with_stated, with_free = (block_estimates(each.report_posterior) for each in (solution, free))
     wrong = any(abs(with_free[name].value)
                 > max(FREED_FROM_SIGMAS * with_free[name].std, 2 * stated[name][1])
@@ -100,7 +100,7 @@ def scale_hypotheses(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypo
     wrt_measures = posterior.linear.jacobian[:, 6:][:, is_stated]
     wrt_scale = -posterior.linear.wrt_twists(scale_twists(posterior.problem))
     J = np.hstack([posterior.whitening(np.hstack([wrt_scale, wrt_measures])), posterior.jacobian])
-    covariance = covariance_of(J)
+    covariance = covariance_from_jacobian(J)
     scale = float(covariance[0] @ (J.T @ posterior.postfit_residuals))
     if MIN_SCALE_ERROR < abs(scale) < MAX_SCALE_ERROR:
         T = problem.robot_poses.copy()

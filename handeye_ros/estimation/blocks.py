@@ -17,7 +17,7 @@ PoseModel:
     offset = PoseModel(poses_and_twists, names=('time_offset',), stds=(0.05,),
                        stations=np.arange(len(stamps)))
     problem = Problem(target, poses, observations, config, offset)
-    solution = with_systematic_errors(robust_solution(problem, rng, start=start))
+    solution = refined_solution(robust_solution(problem, rng, start=start))
     solution.problem.pose_parameters, solution.problem.poses  # as estimated
 
 With eye_on_base, a PoseModel also gives T_base_flange, not the inverted poses.

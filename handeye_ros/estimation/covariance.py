@@ -33,12 +33,12 @@ def with_possibly_wrong_station(solution: Solution) -> Solution:
     """
     Return a solution with its contamination, (10), and the station that is almost surely wrong.
 
-    Between problem.noise_station_count stations and twice as many the probabilities fade to 0.
+    Between problem.enough_stations stations and twice as many the probabilities fade to 0.
     Stations dropped as wrong make another wrong one likelier.
     """
     problem = solution.problem
     n, dropped = len(solution.used_stations), len(solution.dropped_squares)
-    faded = min(1.0, 2 - n / problem.noise_station_count)
+    faded = min(1.0, 2 - n / problem.enough_stations)
     configured = posterior_at(problem, solution.estimate, NoiseScales())
     explained, log_likelihood_ratio, added = _each_station_wrong(configured)
     # posterior probability that each is the only wrong one, against that none is (odds 1); all

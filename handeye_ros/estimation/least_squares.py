@@ -203,8 +203,8 @@ def means_by(item: NDArray[np.intp], values: Array, n: int) -> Array:
     return np.asarray(np.bincount(item, values, minlength=n) / np.maximum(count, 1))
 
 
-def leave_one_out(whitened: Array, jacobian: Array, covariance: Array, item: NDArray[np.intp]
-                  ) -> Array:
+def leave_one_out_residuals(whitened: Array, jacobian: Array, covariance: Array,
+                            item: NDArray[np.intp]) -> Array:
     """
     Return leave-one-out residuals (m,), to first order: each from the fit without its item.
 
@@ -213,11 +213,12 @@ def leave_one_out(whitened: Array, jacobian: Array, covariance: Array, item: NDA
     left_out = np.empty_like(whitened)
     for rows in rows_by_count(item):
         J = jacobian[rows]
-        left_out[rows] = left_out_residuals(J @ covariance @ np.swapaxes(J, 1, 2), whitened[rows])
+        predicted = J @ covariance @ np.swapaxes(J, 1, 2)
+        left_out[rows] = leave_one_out_of_group(predicted, whitened[rows])
     return left_out
 
 
-def left_out_residuals(predicted_covariance: Array, whitened: Array) -> Array:
+def leave_one_out_of_group(predicted_covariance: Array, whitened: Array) -> Array:
     """
     Return leave-one-out residuals (s, c) of items, to first order, (12).
 
@@ -228,12 +229,13 @@ def left_out_residuals(predicted_covariance: Array, whitened: Array) -> Array:
     return np.asarray(np.linalg.solve(regular, whitened[..., None])[..., 0])
 
 
-def outliers(squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int
-             ) -> NDArray[np.intp]:
+def worst_outliers(squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int
+                   ) -> NDArray[np.intp]:
     """
     Return the items to drop in this round, worst first: at most one, or one in 50 of 100 or more.
 
     squares: (n,) left-out squares: mean products of residuals and leave-one-out residuals, (12);
+    freedom: their degrees of freedom;
     total: initial number of items; spare: number of items beyond those needed.
     """
     probability = chi2_sf(squares * freedom, freedom)
@@ -244,7 +246,7 @@ def outliers(squares: Array, freedom: NDArray[np.intp] | int, total: int, spare:
 
 
 def shared_variance_factor(squares: Array, freedom: NDArray[np.intp] | int) -> float:
-    """Return the variance factor common to most items, at least 1; arguments as of outliers."""
+    """Return the variance factor common to most items, at least 1; see worst_outliers."""
     expected = chi2_isf(0.5, freedom) / freedom  # their median if the factor is 1
     return max(1.0, float(np.median(squares / expected)))
 
@@ -269,7 +271,8 @@ def drop_outliers(used: NDArray[np.intp], total: int, fewest: int,
     while True:
         squares, freedom = left_out_squares(fit)
         spare = max(len(used) - fewest, 0)
-        wrong = [*outliers(squares, freedom, total, spare)] or [*surely_wrong_places(fit)][:spare]
+        wrong = [*worst_outliers(squares, freedom, total, spare)] or [
+            *surely_wrong_places(fit)][:spare]
         if not wrong:
             return fit
         dropped = {**dropped, **{int(used[place]): float(squares[place]) for place in wrong}}
@@ -315,8 +318,8 @@ def robust_least_squares(system: LeastSquares[S], start: S, fewest: int) -> Robu
         whiten = rows.whitener()
         whitened = whiten(rows.residuals)
         r, J = whitened[is_used_row], whiten(rows.jacobian())[is_used_row]
-        covariance = covariance_of(J)
-        left_out = leave_one_out(r, J, covariance, system.item[is_used_row])
+        covariance = covariance_from_jacobian(J)
+        left_out = leave_one_out_residuals(r, J, covariance, system.item[is_used_row])
         variance_factor = float(r @ r / max(len(r) - J.shape[1], 1))
         return RobustFit(state, used, whitened.reshape(n, -1), left_out.reshape(len(used), -1),
                          covariance * max(1.0, variance_factor), variance_factor)
@@ -332,7 +335,7 @@ def robust_least_squares(system: LeastSquares[S], start: S, fewest: int) -> Robu
     return drop_outliers(np.flatnonzero(q <= limit), n, fewest, fitted, left_out_squares)
 
 
-def covariance_of(J: Array) -> Array:
+def covariance_from_jacobian(J: Array) -> Array:
     """Return the covariance (u, u) of the unknowns of a whitened J (m, u), sigmas bounded."""
     # of fewer rows than unknowns, only the full SVD of J has the free directions
     root = J if len(J) < J.shape[1] else np.linalg.qr(J, mode='r')
@@ -342,7 +345,7 @@ def covariance_of(J: Array) -> Array:
     return np.asarray(scaled.T @ scaled)
 
 
-def bounded_inverse(information: Array) -> Array:
+def covariance_from_information(information: Array) -> Array:
     """Return the inverse of a symmetric positive matrix, variances of free directions bounded."""
     scale = 1 / np.sqrt(np.maximum(np.diag(information), MIN_INFORMATION))
     scaled = information * scale * scale[:, None] + FREE_DIRECTION * np.eye(len(information))

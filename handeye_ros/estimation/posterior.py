@@ -20,9 +20,9 @@ from handeye_ros.data import Array, rms
 from handeye_ros.estimation.basis import farthest_points, scaled_pose_vectors
 from handeye_ros.estimation.blocks import blocks_at, blocks_with_columns, ParameterBlock
 from handeye_ros.estimation.least_squares import (
-    bounded_inverse,
-    covariance_of,
-    left_out_residuals,
+    covariance_from_information,
+    covariance_from_jacobian,
+    leave_one_out_of_group,
     means_by,
 )
 from handeye_ros.estimation.noise import (
@@ -110,8 +110,8 @@ class Posterior:
     def covariance(self) -> Array:
         """Return C (u + q, u + q) of (5)."""
         if self.noise.blocks_as_noise:
-            return covariance_of(self.jacobian)
-        return bounded_inverse(self.information)
+            return covariance_from_jacobian(self.jacobian)
+        return covariance_from_information(self.information)
 
     @cached_property
     def step(self) -> Array:
@@ -149,13 +149,13 @@ class Posterior:
         return linearise(problem.with_pose_parameters(values), self.estimate)
 
     @cached_property
-    def gain(self) -> Array:
+    def cross_covariance(self) -> Array:
         """Return A C (m, u + q), the covariance of whitened predictions with the parameters."""
         return np.asarray(self.jacobian @ self.covariance)
 
     def predicted_covariance(self, rows: NDArray[np.intp]) -> Array:
         """Return the covariance (s, c, c) of whitened predictions in the rows (s, c)."""
-        return np.asarray(self.gain[rows] @ np.swapaxes(self.jacobian[rows], 1, 2))
+        return np.asarray(self.cross_covariance[rows] @ np.swapaxes(self.jacobian[rows], 1, 2))
 
     def estimated_factors(self, prior: Array | float = 1.0) -> Array:
         """Return the variance factors (5,) from residuals and their prior phi_0, (7)."""
@@ -248,7 +248,7 @@ class Posterior:
         A repeated pose adds no information; of very many poses only some are counted.
         """
         problem = self.problem
-        distinct = farthest_points(scaled_pose_vectors(problem.poses), problem.noise_station_count)
+        distinct = farthest_points(scaled_pose_vectors(problem.poses), problem.enough_stations)
         return int(self.ranks[distinct].sum()) - self.unknown_count
 
     @property
@@ -305,7 +305,7 @@ class Posterior:
             self.problem.poses)
         left_out = np.empty_like(e)
         for rows in (group.rows for group in self.problem.observations.station_groups):
-            left_out[rows] = left_out_residuals(self.predicted_covariance(rows), e[rows])
+            left_out[rows] = leave_one_out_of_group(self.predicted_covariance(rows), e[rows])
         return (means_by(station, e * left_out, n),
                 np.clip(np.bincount(station, minlength=n), 1, 6))
 
@@ -325,9 +325,9 @@ class Posterior:
         steps = np.empty((fold.max() + 1, len(self.prior_information)))
         for k in range(len(steps)):
             rows = np.flatnonzero(fold_of_row == k)[None]
-            left_out = left_out_residuals(
+            left_out = leave_one_out_of_group(
                 self.predicted_covariance(rows), self.postfit_residuals[rows])
-            steps[k] = left_out[0] @ self.gain[rows[0]]
+            steps[k] = left_out[0] @ self.cross_covariance[rows[0]]
         return ([self.problem.retracted(self.estimate, step) for step in steps[:, :u]],
                 self.corrected_poses(self.nuisance + steps[fold, u:]))
 

@@ -243,14 +243,14 @@ class Problem:
         return smooth_basis(self.robot_poses, self.long_errors)
 
     @property
-    def noise_station_count(self) -> int:
+    def enough_stations(self) -> int:
         """Return the number of stations that tell noise and scales."""
         return ENOUGH_PROFILES if self.has_pose_model else ENOUGH_STATIONS
 
     @property
     def is_large(self) -> bool:
         """Return whether a part of the stations suffices to tell noise and scales."""
-        return len(self.poses) >= 2 * self.noise_station_count
+        return len(self.poses) >= 2 * self.enough_stations
 
     @property
     def shows_edge(self) -> NDArray[np.bool_]:

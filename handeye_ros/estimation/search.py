@@ -9,7 +9,7 @@ that do not fit lose weight, (11). The first one that explains nearly all statio
 Otherwise further starts, and those of random subsets, compete by how well all stations are
 explained. Then stations are dropped one by one, worst first, (12): with the errors that stations
 share as noise of each (`without_outliers`), and again with all nuisance parameters
-(`with_systematic_errors`).
+(`refined_solution`).
 
 A *robust* fit is that of `refined_robustly`: all stations, the outliers among them, linearised
 there with the labels that their observations then have.
@@ -117,7 +117,7 @@ def without_outliers(problem: Problem, robust: Linearisation) -> Solution:
                          left_out_squares)
 
 
-def with_systematic_errors(agreed: Solution, config: Config | None = None) -> Solution:
+def refined_solution(agreed: Solution, config: Config | None = None) -> Solution:
     """
     Return the solution with all nuisance blocks, from one without; further outliers dropped.
 

@@ -200,7 +200,7 @@ def converged_fit(problem: Problem, start: Estimate) -> ConvergedFit:
     """
     n = len(problem.poses)
     if problem.is_large:
-        problem = problem.subset(np.arange(0, n, round(n / problem.noise_station_count)))
+        problem = problem.subset(np.arange(0, n, round(n / problem.enough_stations)))
     reached, converged = _iterated(posterior_at(problem, start, NoiseScales()))
     if not converged:  # the nearest is the answer, as uncertain as any
         return ConvergedFit(reached.linear, reached.noise, reached.noise)

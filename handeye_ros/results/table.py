@@ -159,8 +159,8 @@ def weakest(calibration: Calibration) -> str:
 def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the other estimates, of target, sensor and robot, in mm and degrees."""
     for key, value in target.items():
-        shown = next((shown for shown in ESTIMATES if re.fullmatch(shown.keys, key)), None)
-        name = f'target {key.replace("_", " ")}'
+        shown = next((shown for shown in ESTIMATES if re.fullmatch(shown.keys, str(key))), None)
+        name = f'target {str(key).replace("_", " ")}'
         if key == 'pose':
             T = se3.transform_from_values(value)
             x, y, z = 1e3 * T[:3, 3]
@@ -169,7 +169,7 @@ def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield f'{name}, rpy', f'{roll:.4f} {pitch:.4f} {yaw:.4f} degrees'
         elif key.endswith('_std') or key == 'joint':
             continue
-        elif shown:
+        elif shown and not isinstance(value, str):
             factor, digits, std = shown.factor, shown.digits, target.get(f'{key}_std')
             numbers = value.values() if isinstance(value, Mapping) else np.atleast_1d(value)
             text = shown.words.format(' '.join(f'{v * factor:.{digits}f}' for v in numbers))

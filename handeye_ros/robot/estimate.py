@@ -25,10 +25,10 @@ from handeye_ros.calibration import rms_by
 from handeye_ros.data import Array, Indices, rms
 from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.least_squares import (
-    covariance_of,
+    covariance_from_jacobian,
     drop_outliers,
     LeastSquares,
-    leave_one_out,
+    leave_one_out_residuals,
     Rows,
 )
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, prior_variances, whitening
@@ -242,7 +242,7 @@ class ArmFit:
     @cached_property
     def covariance(self) -> Array:
         """Return the covariance (u, u) of all unknowns."""
-        return covariance_of(self.rows_with_priors[1])
+        return covariance_from_jacobian(self.rows_with_priors[1])
 
     @property
     def system(self) -> LeastSquares[ArmFit]:
@@ -316,7 +316,7 @@ def without_bad_stops(fit: ArmFit) -> ArmFit:
     def left_out_squares(fit: ArmFit) -> tuple[Array, Indices]:
         _, item = np.unique(fit.station[fit.used_rows], return_inverse=True)
         (r, J), freedom = fit.whitened_rows, np.bincount(item)
-        left_out = leave_one_out(r, J, fit.covariance, item)
+        left_out = leave_one_out_residuals(r, J, fit.covariance, item)
         return np.bincount(item, r * left_out) / freedom, freedom
     return drop_outliers(stops[fit.used], len(stops), MIN_STOPS, fitted_to, left_out_squares)
 

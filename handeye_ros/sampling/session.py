@@ -12,7 +12,7 @@ The same Session takes the messages of a bag and those of live topics. A stop pa
    `take_remaining`, with the current one). `stop_on_request` and `early_stop` return the current
    stop already while the robot stands: it may come back with more profiles, unless `mark_done`
    forbids it
-4. evaluated: `result_of` (features.py) makes a Sample or a Reject of it, `with_result` gives it a
+4. evaluated: `result_of` (features.py) makes a Sample or a Reject of it, `numbered` gives it a
    number, and `add_stop` stores it
 """
 from __future__ import annotations
@@ -404,7 +404,7 @@ class Session(Copyable):
     def evaluate_remaining(self) -> None:
         """Evaluate and store all remaining stops; raises InputError as take_remaining does."""
         for stop in self.take_remaining():
-            self.add_stop(self.with_result(stop, result_of(stop, self.config)))
+            self.add_stop(self.numbered(stop, result_of(stop, self.config)))
 
     def early_stop(self) -> Stop | None:
         """
@@ -430,7 +430,7 @@ class Session(Copyable):
         stop = stop.with_profiles(self._profiles.items, self.config)
         return stop if len(stop.settled_profiles(self.config)) >= fewest else None
 
-    def with_result(self, stop: Stop, result: Sample | Reject) -> Stop:
+    def numbered(self, stop: Stop, result: Sample | Reject) -> Stop:
         """Return a stop with its number and result; a duplicate pose gives no sample."""
         earlier = self._stops.get(stop.stamp)  # of the same stop, with fewer profiles
         others = [other for other in self.stops

@@ -28,7 +28,7 @@ estimation, Problem.has_pose_model:
   profiles, and reads every eighth with the other sign of the range too (FLIPPED_EVERY);
   passes_expanded (here) takes a pass apart, with one trajectory for all
 - estimation: problem_with_clocks (here) adds the three unknowns; fewer profiles than stops are
-  enough (Problem.noise_station_count)
+  enough (Problem.enough_stations)
 - session.py: a pass is never a duplicate, nor taken early; guidance advises to sweep on
 - checks: other settings and clocks, and a scale of an answer that fits, are not tried (causes.py);
   with the other sign of the range or other poses the clocks are searched anew (hypotheses.py,

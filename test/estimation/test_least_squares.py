@@ -11,13 +11,13 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import (
     chi2_isf,
     chi2_sf,
-    covariance_of,
+    covariance_from_jacobian,
     LeastSquares,
-    leave_one_out,
+    leave_one_out_residuals,
     many_least_squares,
-    outliers,
     robust_least_squares,
     Rows,
+    worst_outliers,
 )
 from handeye_ros.estimation.noise import prior_variances
 from hypothesis import given
@@ -65,9 +65,9 @@ def test_an_unknown_that_nothing_depends_on_stays_where_it_is() -> None:
 @SEEDS
 def test_what_items_say_without_each_other_is_what_refits_say(seed: int) -> None:
     _, A, b, item = linear(seed)
-    x, C = np.linalg.lstsq(A, b, rcond=None)[0], covariance_of(A)
+    x, C = np.linalg.lstsq(A, b, rcond=None)[0], covariance_from_jacobian(A)
     r = A @ x - b
-    left_out = leave_one_out(r, A, C, item)
+    left_out = leave_one_out_residuals(r, A, C, item)
     in_item = item == 3
     refit = np.linalg.lstsq(A[~in_item], b[~in_item], rcond=None)[0]
     assert np.abs(left_out[in_item] - (A @ refit - b)[in_item]).max() < 1e-6
@@ -90,8 +90,8 @@ def test_wrong_items_are_left_out_and_change_nothing(seed: int) -> None:
 def test_no_more_items_are_dropped_than_can_be_spared() -> None:
     squares = np.full(200, 100.0)
     for spare, dropped in ((0, 0), (1, 1), (3, 3), (100, 4)):
-        assert len(outliers(squares, 2, 200, spare)) == dropped
-    assert not len(outliers(np.full(200, 1.0), 2, 200, 100))
+        assert len(worst_outliers(squares, 2, 200, spare)) == dropped
+    assert not len(worst_outliers(np.full(200, 1.0), 2, 200, 100))
 
 
 @given(st.floats(1e-12, 1 - 1e-6), st.integers(1, 2000))

@@ -13,7 +13,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.estimation.covariance import ONE_WRONG
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE
 from handeye_ros.estimation.posterior import posterior_at
-from handeye_ros.estimation.search import with_systematic_errors
+from handeye_ros.estimation.search import refined_solution
 from handeye_ros.results.truth import errors_against
 from handeye_ros.simulate import FAULTS, SCENARIOS, simulate_samples
 import numpy as np
@@ -191,7 +191,7 @@ def test_a_possibly_wrong_station_counts_only_among_few() -> None:
     shares = []
     for stations in ((3, 3), (9, 9)):
         plate_cell = cell(replace(SCENARIOS['plate'], stations=stations), 0)
-        solution = with_systematic_errors(solved(plate_cell.problem))
+        solution = refined_solution(solved(plate_cell.problem))
         added = solution.added_covariances[ONE_WRONG]
         shares.append((np.diag(added) / np.diag(solution.transform_covariance)).max())
     assert shares[0] > 0.01 > shares[1]

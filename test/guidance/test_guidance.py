@@ -13,7 +13,7 @@ from handeye_ros.config import with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.posterior import posterior_at
-from handeye_ros.estimation.search import with_systematic_errors
+from handeye_ros.estimation.search import refined_solution
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.advice import (
     Advice,
@@ -199,7 +199,7 @@ def test_before_the_first_sample_it_tells_how_to_take_it() -> None:
 
 def test_a_sensor_that_is_not_roughly_known_is_not_aimed(fitted: tuple[Cell, Solution]) -> None:
     simulated_cell, solution = fitted
-    certain = with_systematic_errors(solution)
+    certain = refined_solution(solution)
     vague = replace(certain, report_posterior=certain.posterior,
                     added_covariances={'a test': ROUGHLY_KNOWN ** 2 * 2 * np.eye(6)})
     advice = advice_for((simulated_cell, vague))
