@@ -51,6 +51,7 @@ SOLVED_FROM_FILES = ('points', 'hand_eye', 'tracker')
 RECORD_NAMES = ('operator', 'sensor_serial', 'robot_serial', 'artefact', 'temperature', 'note')
 RECORD_PREFIX = 'record.'
 BASE_FRAME = 'base'
+MAX_TIME_OFFSET = 10.0  # s: of the key time_offset
 UNNAMED_FRAME = 'sensor'  # name for the frame of profiles without a frame_id
 BAD_YAML = yaml.YAMLError, ValueError, RecursionError  # ValueError: of an invalid date or number
 MAX_TEXT_LENGTH = 1000  # characters of a record.*
@@ -400,7 +401,8 @@ class Config(Section):
     kinematics: str = setting(
         '', 'A kinematics.yaml of handeye kinematics: flange poses are those of its corrected arm '
         'at the joint values of joint_topic; empty: those of the controller.')
-    time_offset: float = setting(0.0, 'Added to the stamps of the profiles.', -10.0, 10.0, 's')
+    time_offset: float = setting(0.0, 'Added to the stamps of the profiles.',
+                                 -MAX_TIME_OFFSET, MAX_TIME_OFFSET, 's')
     time_offset_std: float = setting(
         0.05, 'How well time_offset is known (1 sigma), in sampling.mode moving.', 1e-6, 1.0, 's')
     rotation_lag_std: float = setting(

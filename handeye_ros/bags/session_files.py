@@ -273,11 +273,7 @@ def read_session(path: Path) -> StoredSession:
     stops: dict[int, Stop] = {}
     last_number, config = 0, Config()
     for file in files_of(path):
-        try:
-            event, config, stop = _event_of(file)
-        except InputError as error:
-            raise InputError(f'{error}; without this file, moved elsewhere, the session goes on '
-                             'with the others') from error
+        event, config, stop = _event_of(file)
         last_number = max(last_number, stop.number)
         if event == STOP:
             stops[stop.number] = stop
@@ -306,7 +302,8 @@ def _read_file(file: Path, topics: Collection[str] | None = None) -> list[Record
     reader = Reader(file, topics)
     messages = list(reader.messages())
     if reader.warnings:
-        raise InputError(f'{file}: is damaged: {"; ".join(reader.warnings)}')
+        raise InputError(f'{file}: is damaged: {"; ".join(reader.warnings)}; without this file, '
+                         'moved elsewhere, the session goes on with the others')
     return messages
 
 

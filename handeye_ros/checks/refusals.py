@@ -78,11 +78,11 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
     """
     if len(samples) < target.min_samples:
         causes = Counter(without_numbers(reject.reason) for reject in rejects)
-        reasons = Counter(reject.reason for reject in rejects).most_common()
-        examples = sorted((reason for reason, _ in reasons), reverse=True,
-                          key=lambda reason: causes[without_numbers(reason)])
-        why = '' if not rejects else (
-            f' ({count_of(len(rejects), "stop")} gave none, most often: {examples[0]})')
+        reasons = Counter(reject.reason for reject in rejects)
+        example = max(reasons, default='',
+                      key=lambda reason: (causes[without_numbers(reason)], reasons[reason]))
+        why = f' ({count_of(len(rejects), "stop")} gave none, most often: {example})' if (
+            rejects) else ''
         refusal, advice = DataError, 'take more, with the laser across the target'
         if len(samples) + sum(not reject.final for reject in rejects) >= target.min_samples:
             refusal, advice = UnexplainedError, (

@@ -18,6 +18,7 @@ from types import MappingProxyType
 from typing import Any, TYPE_CHECKING
 
 from handeye_ros import se3
+from handeye_ros.config import MAX_TIME_OFFSET
 from handeye_ros.data import Array
 from handeye_ros.node.solver import LiveSolver, Review, summary
 from handeye_ros.output import folder_name
@@ -128,10 +129,12 @@ def _clock_trouble(profiles: MessageCount, poses: MessageCount, time_offset: flo
     ahead = (profiles.stamp - poses.stamp) * 1e-9 + profiles.silence - poses.silence
     if abs(ahead) < MAX_CLOCK_DIFFERENCE:
         return ''
+    offset = time_offset - ahead
+    remedy = f', or set time_offset to {offset:.1f}' if abs(offset) <= MAX_TIME_OFFSET else ''
     return (f'the stamps of the profiles are {abs(ahead):.1f} s '
             f'{"ahead of" if ahead > 0 else "behind"} those of the poses: the clocks of sensor '
-            'and robot differ; set them to one time (PTP or NTP), let one driver stamp as the '
-            f'other does, or set time_offset to {time_offset - ahead:.1f}')
+            'and robot differ; set them to one time (PTP or NTP), or let one driver stamp as the '
+            f'other does{remedy}')
 
 
 def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxyType({})) -> State:

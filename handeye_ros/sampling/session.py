@@ -293,10 +293,9 @@ class Session(Copyable):
         """
         sentences = [f'gave up {count_of(self._expired_count, "stop")}, the oldest that waited '
                      'for profiles'] if self._expired_count else []
-        numbers = [stop.number for stop in self._stops.values()]
-        # one that was removed is missing, too
+        # a sample that was removed had a number
         missing = [n for n in self.config.samples.exclude if n > self.last_number]
-        if missing and numbers:
+        if missing and self._stops:
             sentences.append(f'samples.exclude names no stop of these: {missing}')
         out_of_plane = max((abs(float(across)) for across, *_ in self._centroids), default=0.0)
         return (*self._pose_stream.warnings, *self._profile_stream.warnings,
