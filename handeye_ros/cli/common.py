@@ -34,20 +34,16 @@ file_option, folder_option, length_option = (
     partial(typer.Option, metavar=name) for name in ('FILE', 'DIR', 'L'))
 OptionalPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
 Bag = Annotated[Path, typer.Argument(help='A rosbag2 folder, or an .mcap or .db3 file.')]
-Input = Annotated[Path, typer.Argument(metavar='INPUT', help=(
-    'A bag: a rosbag2 folder, or an .mcap or .db3 file; for points and hand_eye a CSV '
-    'file.'))]
+Input = Annotated[Path, typer.Argument(
+    metavar='INPUT', help='As BAG; a session; or, for points and hand_eye, a CSV file.')]
 ConfigFile = Annotated[OptionalPath, typer.Option(
     help='A ROS parameter file, such as config/plate.yaml; without it, the defaults.')]
-Assignments = Annotated[list[str], typer.Option(
-    '--set', metavar='KEY=VALUE', help='Set a key of the configuration; may be repeated. Plain '
-    'numbers are metres, radians and seconds; 20mm and 0.1deg are understood.')]
-KinematicsFile = Annotated[OptionalPath, file_option('--kinematics', help=(
-    'A kinematics.yaml, for a bag that holds joint values: the flange poses are those of its '
-    'corrected arm.'))]
+Assignments = Annotated[list[str], typer.Option('--set', metavar='KEY=VALUE', help=(
+    'Set a key of the configuration, in SI units or as 20mm and 0.1deg; may be repeated.'))]
+KinematicsFile = Annotated[OptionalPath, file_option(
+    '--kinematics', help='A kinematics.yaml: its arm gives the poses from the joint values.')]
 Angles = Annotated[str, typer.Option(
-    metavar='NOTATION', help='How a table of poses writes orientations: kuka-abc, fanuc-wpr, '
-    'abb-quaternion, ur-rotation-vector, staubli-rxryrz or yaskawa-rxryrz.')]
+    metavar='NOTATION', help='How a table of poses writes orientations, such as kuka-abc.')]
 CalibrationFile = Annotated[Path, file_option(
     '--calibration', help='The calibration.yaml of this sensor, or its folder.')]
 MeasureConfig = Annotated[OptionalPath, typer.Option(
@@ -80,8 +76,9 @@ def open_input(path: Path, config: Path | None, assignments: list[str], angles: 
     """
     Return what a bag, a session's folder or a table holds; print warnings about it.
 
-    angles: the notation of a table of poses; kinematics: as of `configuration`. Raises InputError,
-    DataError.
+    config, assignments, kinematics: the settings, as for `configuration`; those of a session are
+    its own before. angles: the notation in which a table of poses writes orientations. Raises
+    InputError for what cannot be read, and DataError for a recording that cannot be used.
     """
     from handeye_ros.bags.session_files import is_session, read_session
     from handeye_ros.config import SOLVED_FROM_FILES
@@ -108,10 +105,11 @@ def open_input(path: Path, config: Path | None, assignments: list[str], angles: 
 def configuration(file: Path | None, assignments: list[str], base: 'Config | None' = None,
                   kinematics: Path | None = None) -> 'Config':
     """
-    Return the base (default: the defaults) with the keys of a file, and those set by hand.
+    Return settings with the keys of a file, and then those of assignments KEY=VALUE.
 
-    kinematics: a kinematics.yaml, whose frames are set too. Of a key set twice the last assignment
-    counts. Raises InputError.
+    base: the settings to begin with, the defaults where there are none. kinematics: a
+    kinematics.yaml, whose frames are set too. Of a key that is set twice the last assignment
+    counts. Raises InputError for a file that cannot be read, unknown keys and unusable values.
     """
     from handeye_ros.config import Config, load, with_assignments
     base = base or Config()
@@ -125,7 +123,12 @@ def configuration(file: Path | None, assignments: list[str], base: 'Config | Non
 
 def open_calibration(file: Path, config: Path | None, assignments: list[str],
                      kinematics: Path | None) -> 'tuple[Calibration, Config]':
-    """Return a calibration, and the settings to measure with it; raises InputError."""
+    """
+    Return a calibration, and the settings to measure with it.
+
+    file: of the calibration, or its folder. config: a file of settings in place of those that the
+    calibration was made with. Raises InputError for a file that cannot be used.
+    """
     from handeye_ros.config import load
     from handeye_ros.results.calibration_file import config_to_measure, file_of, read_calibration
     calibration = read_calibration(file_of(file))
@@ -139,7 +142,7 @@ def is_table(path: Path) -> bool:
 
 
 def read_bag_shown(bag: Path, settings: 'Config', arm: 'Arm | None' = None) -> 'Recording':
-    """Return the messages of a bag, the poses those of an arm if given; print its warnings."""
+    """Return the messages of a bag, and print its warnings; an arm gives the poses from joints."""
     with progress_bar('reading the recording') as progress:
         from handeye_ros.bags.bag import read
         recording = read(bag, settings, progress, arm)
@@ -204,19 +207,14 @@ def progress_bar(task: str) -> Iterator[Callable[[str | float], None]]:
 
 
 def show(renderable: Any) -> None:
-    """Print a table of rich."""
+    """Print a table of rich; where nobody reads the output any more, BrokenPipeError is raised."""
     from rich.console import Console
-
-    class OutputConsole(Console):
-        """Leaves the end of who reads the output to Verbs."""
-
-        def on_broken_pipe(self) -> None:
-            raise BrokenPipeError
-
-    console = OutputConsole()
+    console = Console()
     if not console.is_terminal:
-        console = OutputConsole(width=160, color_system=None)  # a pipe has no width to wrap at
-    console.print(renderable)
+        console = Console(width=160, color_system=None)  # a pipe has no width to wrap at
+    with console.capture() as output:  # rich itself would end the process at a broken pipe
+        console.print(renderable)
+    typer.echo(output.get(), nl=False)
 
 
 def write_yaml(file: Path | None, values: Any) -> None:
@@ -246,16 +244,6 @@ class Verbs(TyperGroup):
             raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
 
 
-def require_choice(option: str, name: str, choices: Sequence[str]) -> None:
-    """
-    Raise BadParameter for a value of an option that is none of its choices.
-
-    Choices of click would be of another module in each version of typer.
-    """
-    if name not in choices:
-        raise typer.BadParameter(f'{name!r} is not one of {", ".join(choices)}', param_hint=option)
-
-
 app = typer.Typer(cls=Verbs, no_args_is_help=True, rich_markup_mode=None,
                   pretty_exceptions_enable=False)
 
@@ -268,6 +256,5 @@ def _print_version(requested: bool) -> None:
 
 @app.callback()
 def _options(version: Annotated[bool, typer.Option(
-        '--version', callback=_print_version, is_eager=True,
-        help='Print the version and exit.')] = False) -> None:
+        '--version', callback=_print_version, is_eager=True, help='Print it.')] = False) -> None:
     """Hand-eye calibration of laser line profilers."""

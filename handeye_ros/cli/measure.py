@@ -1,6 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """The verbs that use a calibration: to measure, scan and find seams; and whether it holds."""
+from enum import StrEnum
 import math
 import operator
 from pathlib import Path
@@ -22,14 +23,12 @@ from handeye_ros.cli.common import (
     OutFile,
     progress_bar,
     read_bag_shown,
-    require_choice,
     show,
     stream_recording,
     warn,
     warn_of_frame,
     write_yaml,
 )
-from handeye_ros.errors import count_of
 import typer
 
 if TYPE_CHECKING:
@@ -43,24 +42,24 @@ if TYPE_CHECKING:
 
 NOT_AS_WANTED = 1  # exit code: measured, and not passed, or changed
 SAME_STAMP_NS = 100_000  # ns: profiles are further apart, and an offset estimated anew is nearer
+NO_LIMITS = ('-inf', 'inf')
 MAX_PLAIN = 10.0  # a position without a unit that is larger was meant in mm: refused
 THINNING_SIZE = 2e-4  # m: edge of the cubes of which each keeps one point
-PATH_LINES = ('auto', 'centre', 'root', 'first', 'second')  # that the path of a tool may follow
+# that the path of a tool may follow
+PathLine = StrEnum('PathLine', ['auto', 'centre', 'root', 'first', 'second'])
 
 
 @app.command()
 def verify(
     name: Annotated[str, typer.Argument(  # of ROUTINES (test_cli.py), whose import takes long
         metavar='ROUTINE', help='line, plane, point, sphere, ball_bar, step, square or tooth.')],
-    bags: Annotated[list[Path], typer.Argument(metavar='BAG...', help=(
-        'Recordings with stops, one of each face or ball, in their order.'))],
+    bags: Annotated[list[Path], typer.Argument(metavar='BAG...', help='One per face or ball.')],
     calibration_file: CalibrationFile,
     config: MeasureConfig = None,
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
     out: OutFile = None,
-    protocol: Annotated[OptionalPath, file_option(help=(
-        'Write a protocol for the file of an inspector (HTML; print it to PDF).'))] = None,
+    protocol: Annotated[OptionalPath, file_option(help='Write an HTML page to print.')] = None,
 ) -> None:
     """
     Measure something known with a calibration.
@@ -133,24 +132,21 @@ def _warn_of_calibration_samples(bag: Path, stamps: 'Sequence[int]', calibration
 
 @app.command()
 def check(
-    bags: Annotated[list[Path], typer.Argument(
-        metavar='BAG...', help='Short recordings of the same target, the oldest first.')],
-    against: Annotated[Path, file_option(
-        help='The calibration.yaml to be checked, or its folder.')],
+    bags: Annotated[list[Path], typer.Argument(metavar='BAG...', help='The oldest first.')],
+    against: Annotated[Path, file_option(help='The calibration.yaml to check, or its folder.')],
     config: MeasureConfig = None,
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
     out: OutFile = None,
 ) -> None:
     """
-    Check whether a calibration still holds.
+    Check with short recordings of its target whether a calibration still holds.
 
     The exit code is 0 if nothing has changed, 1 for a change, 2 and 3 if that cannot be told.
     """
     from handeye_ros.verification.check import check_recording, plain_values
     calibration, settings = open_calibration(against, config, assignments, kinematics)
     checks: list[tuple[str, Check]] = []
-    since: Path | None = None  # the first of the latest recordings, if these are changed
     try:
         for bag in bags:
             recording = read_bag_shown(bag, settings)
@@ -160,25 +156,20 @@ def check(
                     recording.profiles, recording.poses, calibration, settings)
             _warn_of_calibration_samples(bag, result.stamps, calibration, settings)
             checks.append((str(bag), result))
-            since = None if result.verdict == 'unchanged' else since or bag
             typer.echo(f'{bag} ({result.stations} stations): {result.verdict.upper()}: '
                        f'{result.sentence}')
     finally:  # a recording that is refused loses nothing of the others
         if checks:
             write_yaml(out, plain_values(checks, str(against)))
-    if since and len(checks) > 1:
-        typer.echo(f'since {since}')
     if any(result.verdict != 'unchanged' for _, result in checks):
         raise typer.Exit(NOT_AS_WANTED)
 
 
 @app.command()
 def trend(
-    folder: Annotated[Path, typer.Argument(
-        metavar='DIR', help='All calibration.yaml below this folder are compared.')],
+    folder: Annotated[Path, typer.Argument(metavar='DIR', help='The folder above them.')],
     against: Annotated[OptionalPath, file_option(
-        help='The calibration.yaml, or its folder, with which each of them is compared; default: '
-        'the oldest of them.')] = None,
+        help='Compare with this calibration.yaml; default: with the oldest.')] = None,
     csv: Annotated[OptionalPath, file_option(help='Write the calibrations as CSV.')] = None,
 ) -> None:
     """Show how the calibrations below a folder changed with time."""
@@ -203,16 +194,12 @@ def scan(
     config: MeasureConfig = None,
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
-    voxel: Annotated[str, length_option(
-        help='Keep one point of each cube with this edge (0.2mm, or metres).')] = '0',
+    voxel: Annotated[str, length_option(help='Keep a point of each cube with this edge.')] = '0',
     limits: Annotated[tuple[str, str], typer.Option(
-        '--range', metavar='NEAR FAR', help='Keep points in this range of the sensor.')
-    ] = ('-inf', 'inf'),
+        '--range', metavar='NEAR FAR', help='Keep points within this range.')] = NO_LIMITS,
     incidence: Annotated[float, typer.Option(
-        help='Keep points that the laser meets at no larger angle to the surface normal, as far '
-        'as a profile shows it (0 to 90 degrees).')] = 90.0,
-    std: Annotated[bool, typer.Option(
-        '--std', help='Add the 1 sigma of each point (m): calibration, sensor, robot.')] = False,
+        help='Largest angle between laser and surface normal in a profile (degrees).')] = 90.0,
+    std: Annotated[bool, typer.Option('--std', help='Add the 1 sigma of each point (m).')] = False,
 ) -> None:
     """Put profiles into the base frame, as a cloud of points."""
     from handeye_ros.scanning.cloud import require_suffix, write_cloud
@@ -228,9 +215,8 @@ def scan(
                 update(f'{scanner.profiles} profiles, {scanner.kept} points')
         write_cloud(out, pieces(), f'frame {scanner.frame}, metres')
     typer.echo(f'{scanner.profiles} profiles, {scanner.returns} returns')
-    typer.echo(f'left out: {count_of(scanner.without_pose, "profile")} without a pose, '
-               f'{count_of(scanner.out_of_limits, "point")} outside the limits, {scanner.thinned} '
-               'thinned out')
+    typer.echo(f'left out: {scanner.without_pose} profiles without a pose, '
+               f'{scanner.out_of_limits} points outside the limits, {scanner.thinned} thinned out')
     typer.echo(f'wrote {out.absolute()}: {scanner.kept} points in {scanner.frame}')
 
 
@@ -238,37 +224,27 @@ def scan(
 def seam(
     path: Annotated[Path, typer.Argument(
         metavar='CLOUD_OR_BAG', help='A .ply or .pcd file, or a bag with --calibration.')],
-    out: Annotated[Path, folder_option(
-        help='Where seam.csv and seam.yaml are written.')] = Path('out/seam'),
+    out: Annotated[Path, folder_option(help='For seam.csv and seam.yaml.')] = Path('out/seam'),
     calibration_file: Annotated[OptionalPath, file_option(
         '--calibration', help='The calibration.yaml that puts a bag into the base.')] = None,
     config: MeasureConfig = None,
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
-    pitch: Annotated[str, length_option(
-        help='Distance between tool frames along the seam (5mm, or metres).')] = '5mm',
+    pitch: Annotated[str, length_option(help='Distance between tool frames.')] = '5mm',
     box: Annotated[tuple[str, str, str, str, str, str], typer.Option(
-        metavar='X X Y Y Z Z', help='Use the points between these values; -inf, inf: no limit.')
-    ] = ('-inf', 'inf', '-inf', 'inf', '-inf', 'inf'),
-    widest: Annotated[str, length_option(
-        help='Largest distance between the edges of the seam.')] = '12mm',
+        metavar='X X Y Y Z Z', help='Use the points between these values.')] = 3 * NO_LIMITS,
+    widest: Annotated[str, length_option(help='Largest distance between the edges.')] = '12mm',
     towards: Annotated[tuple[float, float, float], typer.Option(
-        metavar='X Y Z', help='The tool approaches the part this way rather than the other.')
-    ] = (0.0, 0.0, -1.0),
-    travel: Annotated[float, typer.Option(
-        help='The tool leans along the seam (degrees).')] = 0.0,
-    work: Annotated[float, typer.Option(
-        help='The tool leans across the seam (degrees).')] = 0.0,
-    line: Annotated[str, typer.Option(help=(
-        'What the path follows: auto (the root of V and fillet, the centre of butt and lap), '
-        'centre, root, first or second edge.'))] = 'auto',
+        metavar='X Y Z', help='The tool approaches the part this way.')] = (0.0, 0.0, -1.0),
+    travel: Annotated[float, typer.Option(help='Lean along the seam (degrees).')] = 0.0,
+    work: Annotated[float, typer.Option(help='Lean across the seam (degrees).')] = 0.0,
+    line: Annotated[PathLine, typer.Option(
+        help='The path; auto: the root of V and fillet, else the centre.')] = PathLine.auto,
     start: Annotated[tuple[str, str, str], typer.Option(
         metavar='X Y Z', help='A place near the end where the path starts.')] = ('', '', ''),
-    bag: Annotated[bool, typer.Option(
-        '--bag', help='Write nav_msgs/Path and geometry_msgs/PoseArray to DIR/path too.')] = False,
+    bag: Annotated[bool, typer.Option('--bag', help='Write it as ROS messages too.')] = False,
 ) -> None:
     """Find the seam in a cloud, and tool frames along it."""
-    require_choice('--line', line, PATH_LINES)
     if not (abs(travel) < 90.0 and abs(work) < 90.0):
         raise typer.BadParameter('--travel and --work: a tool leans by less than 90 degrees')
     from handeye_ros.config import parse_length
@@ -285,7 +261,7 @@ def seam(
     points, frame = _cloud(path, calibration_file, config, assignments, kinematics)
     points = points[((points >= limits[::2]) & (points <= limits[1::2])).all(axis=1)]
     with progress_bar('looking for the seam'):
-        result = find_seam(points, widest_m, towards, line, start_m or None)
+        result = find_seam(points, widest_m, towards, line.value, start_m or None)
         frames = tool_frames(result, pitch_m, towards, math.radians(travel), math.radians(work))
     write(out, result, frames, frame)
     if bag:

@@ -40,10 +40,9 @@ def solve(
     angles: Angles = '',
     kinematics: KinematicsFile = None,
     out: Annotated[OptionalPath, folder_option(
-        help='Where calibration.yaml is written; if not given, the folder NAME in output_dir, or '
-        'in out.')] = None,
+        help='For calibration.yaml; default: the folder NAME in output_dir, or in out.')] = None,
     budget: Annotated[bool, typer.Option(
-        '--budget', help='Also show which causes the uncertainty comes from.')] = False,
+        '--budget', help='Show what the uncertainty comes from too.')] = False,
 ) -> None:
     """Find the transform from a recording or a file."""
     from handeye_ros.output import folder_name
@@ -52,7 +51,7 @@ def solve(
     opened = open_input(path, config, assignments, angles, kinematics)
     settings = opened.settings
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
-    T_true, causes = true_transform(path, bool(settings.kinematics)), None
+    T_true = true_transform(path, bool(settings.kinematics))
     if opened.table:
         from handeye_ros.tabulated.problem import calibrate_table
         if budget:
@@ -71,9 +70,7 @@ def solve(
             answer = pipeline.answer_session(opened.session, settings)
         if budget and answer.samples_agree:
             solution = answer.require_solution()
-            causes = table.budget_table(budget_of(solution), len(solution.used_stations))
-            if not answer.calibration:  # what a refused answer is uncertain from
-                show(causes)
+            show(table.budget_table(budget_of(solution), len(solution.used_stations)))
         calibration = answer.require_calibration()
         warnings = calibration.provenance.get('warnings', ())
         warn(*warnings)
@@ -84,8 +81,6 @@ def solve(
         T_plane, field, field_text = T_sensor_plane(settings), None, FIELD_TEXT
     saved = exports.save_all(calibration, folder, settings.save.formats)
     show(table.table(calibration))
-    if causes:
-        show(causes)
     if T_true is not None:
         errors = errors_against(calibration.T_flange_sensor @ T_plane, T_true @ T_plane, field)
         typer.echo(table.error_sentence(errors, field_text))
@@ -94,8 +89,7 @@ def solve(
 
 @app.command()
 def calibrate(
-    resume: Annotated[bool, typer.Option(
-        '--resume', help='Continue the last session; the default is a new one.')] = False,
+    resume: Annotated[bool, typer.Option('--resume', help='Continue the last session.')] = False,
     config: ConfigFile = None,
     assignments: Assignments = [],
 ) -> None:
@@ -114,8 +108,7 @@ def calibrate(
 
 @app.command()
 def samples(
-    path: Annotated[Path, typer.Argument(metavar='SESSION', help=(
-        'The folder of a session, or a bag.'))],
+    path: Annotated[Path, typer.Argument(metavar='SESSION', help='Its folder, or a bag.')],
     config: ConfigFile = None,
     assignments: Assignments = [],
 ) -> None:
@@ -130,20 +123,17 @@ def samples(
         answer = pipeline.answer_session(session, settings)
         rows = samples_table(session, answer, settings)
     if answer.refusal:
-        typer.echo(f'{"refused" if answer.solution else "no residuals yet"}: {answer.refusal}',
-                   err=True)
+        typer.echo(f'refused: {answer.refusal}', err=True)
     show(rows)
 
 
 @app.command()
 def report(
-    path: Annotated[Path, typer.Argument(metavar='RESULT', help=(
-        'A calibration.yaml, or the folder that holds it, or the file of a verification.'))],
+    path: Annotated[Path, typer.Argument(
+        metavar='RESULT', help='The file of a calibration, or its folder, or of a verification.')],
     bag: Annotated[OptionalPath, typer.Option(
-        metavar='BAG', help='The recording or session; if not given, the one that the calibration '
-        'names.')] = None,
-    out: Annotated[OptionalPath, file_option(
-        help='If not given, report.html beside the calibration.')] = None,
+        metavar='BAG', help='The recording or session; default: as the calibration says.')] = None,
+    out: Annotated[OptionalPath, file_option(help='Default: a page beside the file.')] = None,
 ) -> None:
     """Show a calibration or verification in one HTML file."""
     from handeye_ros.output import require_html_name, write_atomically
@@ -177,8 +167,8 @@ def export(
     name: Annotated[str, typer.Option(
         '--format', autocompletion=lambda: list(SAVE_FORMATS),
         help=f'One of {", ".join(SAVE_FORMATS)}.')],
-    out: Annotated[OptionalPath, file_option(help=(
-        'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
+    out: Annotated[OptionalPath, file_option(
+        help='The file to write, - for the screen; default: beside the calibration.')] = None,
 ) -> None:
     """Write a saved calibration for other programs."""
     from handeye_ros.results import exports

@@ -3,7 +3,9 @@
 """The other verbs: errors of the arm; many recordings; publish and simulate a recording."""
 from collections import Counter
 from dataclasses import replace
+from enum import StrEnum
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, TYPE_CHECKING
 
@@ -21,7 +23,6 @@ from handeye_ros.cli.common import (
     is_table,
     progress_bar,
     read_bag_shown,
-    require_choice,
     show,
     warn,
 )
@@ -32,31 +33,27 @@ if TYPE_CHECKING:
     from handeye_ros.batch import JobRow
 
 PREFORM_FILE = 'preform.ply'
-BATCH_VERBS = ('solve', 'verify', 'check', 'compare')  # that batch runs
+BatchVerb = StrEnum('BatchVerb', ['solve', 'verify', 'check', 'compare'])  # that batch runs
 
 
 @app.command()
 def kinematics(
     sources: Annotated[list[Path], typer.Argument(metavar='SOURCE...', help=(
-        'A bag with profiles and joint values, a session, or a table of joint values and measured '
-        'points (CSV). Several bags or sessions, each with a target at another place, are '
-        'solved together. State their target, as in --set target.type=sphere.'))],
+        'Bags with profiles and joint values, or sessions, each with the target at another place; '
+        'or a table of joint values and measured points (CSV).'))],
     urdf: Annotated[Path, file_option(help='The URDF of the robot.')],
-    base: Annotated[str, typer.Option(help='The link that the arm stands on; default: the root '
-                                           'of the URDF.')] = '',
-    flange: Annotated[str, typer.Option(help='The link that carries the sensor; default: tool0, '
-                                             'flange, or the last link.')] = '',
+    base: Annotated[str, typer.Option(help='Link of its base; default: the root.')] = '',
+    flange: Annotated[str, typer.Option(
+        help='Link of the sensor; default: tool0, flange, or the last.')] = '',
     config: ConfigFile = None,
     assignments: Assignments = [],
     out: Annotated[Path, folder_option(
-        help='Where corrected.urdf, kinematics.yaml and calibration.yaml are written.')
-    ] = Path('out/kinematics'),
+        help='For corrected.urdf, kinematics.yaml, calibration.yaml.')] = Path('out/kinematics'),
 ) -> None:
     """Estimate the errors of the arm, with the transform."""
     tables = [*filter(is_table, sources)]
     if tables and len(sources) > 1:
-        raise typer.BadParameter('give one table only: its column "target" names several '
-                                 'points')
+        raise typer.BadParameter('give one table only; its column "target" names the points')
     if len({path.resolve() for path in sources}) < len(sources):
         raise typer.BadParameter('give each source once: it would count twice')
     settings = configuration(config, assignments)
@@ -101,25 +98,22 @@ def run_verb(words: list[str]) -> int:
 @app.command()
 def batch(
     ctx: typer.Context,
-    sources: Annotated[list[str], typer.Argument(
-        metavar='SOURCE...', help='Bags, folders of bags, or CSV lists of them (bag, label, '
-        'config, settings, args).')],
+    sources: Annotated[list[str], typer.Argument(metavar='SOURCE...', help=(
+        'Bags, folders of bags, or CSV lists (bag, label, config, settings, args).'))],
     out: Annotated[Path, typer.Option(metavar='FOLDER', help='Where the results are put.')],
-    verb: Annotated[str, typer.Option(help=f'{", ".join(BATCH_VERBS)}.')] = 'solve',
+    verb: Annotated[BatchVerb, typer.Option(help='The command.')] = BatchVerb.solve,
     args: Annotated[str, typer.Option(
-        help='Arguments of the verb before the bag, such as "sphere --calibration FILE".')] = '',
+        help='Its arguments before the bag, such as "sphere --calibration FILE".')] = '',
     config: ConfigFile = None,
     assignments: Assignments = [],
     scheduler: Annotated[str, typer.Option(
-        help='local: one process for each core of this machine; or the address of a Dask '
-        'scheduler, such as tcp://host:8786.')] = 'local',
+        help='local: all cores of this machine; or a Dask scheduler: tcp://host:8786.')] = 'local',
 ) -> None:
     """Run one command on many recordings, again on new ones."""
-    require_choice('--verb', verb, BATCH_VERBS)
     from handeye_ros import batch as batches
     from handeye_ros.output import write_errors_for
     words = batches.words_of(args, config, assignments)
-    jobs = batches.jobs_of(sources, verb, words)
+    jobs = batches.jobs_of(sources, verb.value, words)
     out = out.absolute()
     if all(job.words == words for job in jobs):  # an error in them concerns all jobs
         configuration(config, assignments)
@@ -151,11 +145,9 @@ def replay(
     rate: Annotated[float, typer.Option(help='Speed; 1 is as recorded.')] = 1.0,
 ) -> None:
     """Publish a recording on its topics (needs ROS)."""
-    try:
-        import_module('rclpy')  # first: without ROS its message packages are missing too
-        from handeye_ros.node.replay import replay as publish
-    except ModuleNotFoundError as error:
-        raise NoRosError('replay', str(error.name)) from error
+    if find_spec('rclpy') is None:
+        raise NoRosError('replay', 'rclpy')
+    from handeye_ros.node.replay import replay as publish
     publish(bag, rate)
 
 
@@ -176,18 +168,15 @@ def _print_scenarios(requested: bool) -> None:
 def simulate(
     scenario: Annotated[str, typer.Argument(help='The name of a scenario; see --list.',
                                             autocompletion=_scenarios)],
-    directory: Annotated[Path, typer.Argument(
-        metavar='DIR', help='The folder to make: a bag, or files of measured values.')],
+    directory: Annotated[Path, typer.Argument(metavar='DIR', help='The folder to make.')],
     seed: Annotated[int, typer.Option(min=0, help='The seed of all random numbers.')] = 0,
     force: Annotated[bool, typer.Option('--force', help='Replace a bag that is there.')] = False,
     listed: Annotated[bool, typer.Option(
-        '--list', callback=_print_scenarios, is_eager=True,
-        help='Print the names of all scenarios and exit.')] = False,
+        '--list', callback=_print_scenarios, is_eager=True, help='Print all names.')] = False,
 ) -> None:
     """Make a recording with a known answer."""
     if scenario not in _scenarios():
-        raise UnknownNameError('scenario', scenario, _scenarios(),
-                               'handeye simulate --list')
+        raise UnknownNameError('scenario', scenario, _scenarios(), 'handeye simulate --list')
     with progress_bar('simulating'):
         content = write_simulated(scenario, seed, directory, force)
     typer.echo(f'wrote {directory.absolute()}: {content}')
@@ -197,8 +186,8 @@ def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> 
     """
     Write the folder of a scenario, of a scene of files or of MEASURING_CELL.
 
-    Returns its content in words. force: an existing folder is replaced. Raises InputError,
-    UnwritableError.
+    Returns its content in words. force: whether an existing folder is replaced; without it
+    InputError is raised. Raises UnwritableError where the folder cannot be written.
     """
     from handeye_ros.bags import bag_write
     from handeye_ros.output import yaml_text

@@ -215,8 +215,8 @@ def test_the_verb_on_recordings(tmp_path):
     assert yaml.safe_load((tmp_path / 'c.yaml').read_text())['checks'][0]['stations'] == 12
     run = handeye('check', 'today', 'today', '--against', 'moved.yaml', cwd=tmp_path)
     assert run.returncode == 1, run.stderr
-    assert 'UNCHANGED' not in run.stdout and run.stdout.endswith('since today\n')
+    assert 'UNCHANGED' not in run.stdout
     bag_write.write(tmp_path / 'before', recording.profiles, [
         replace(p, translation=p.translation + [0, 0, 2e-3]) for p in recording.poses])
     run = handeye('check', 'before', 'today', '--against', 'calibration.yaml', cwd=tmp_path)
-    assert run.returncode == 1 and 'since' not in run.stdout, run.stderr
+    assert run.returncode == 1 and ': UNCHANGED' in run.stdout, run.stderr
