@@ -30,9 +30,8 @@ def publisher(paths: Sequence[Path]) -> Node:
     for path in paths:
         calibration = read_calibration(file_of(path).absolute())
         if calibration.child_frame in calibrations:
-            raise InputError(f'{path} is the second of the files that gives the pose of '
-                             f'{calibration.child_frame}, and a frame has one parent: name each '
-                             'sensor once')
+            raise InputError(f'{path} is the second file that gives the pose of '
+                             f'{calibration.child_frame}: name each sensor once')
         calibrations[calibration.child_frame] = calibration
     node = Node('handeye_publish')
     stamp = node.get_clock().now().nanoseconds

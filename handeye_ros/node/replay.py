@@ -31,10 +31,11 @@ ACKNOWLEDGE_TIMEOUT = Duration(seconds=10)
 
 def replay(bag: Path, rate: float = 1.0, timeout: float = 5.0) -> None:
     """
-    Publish a bag at rate times its recorded speed, and return when all messages are sent.
+    Publish a bag, and return when all messages are sent.
 
-    Starts once all its topics have a subscriber, or after timeout seconds. Raises InputError when
-    the bag cannot be read or holds nothing to publish.
+    rate: the speed, 1 as it was recorded. It starts once all topics have a subscriber, after
+    timeout (s) in any case. Raises InputError for a bag that cannot be read or holds nothing to
+    publish, and for a rate that is no positive number.
     """
     if not (math.isfinite(rate) and rate > 0):
         raise InputError(f'the rate is {rate:g}, expected a number above 0')

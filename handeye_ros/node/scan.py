@@ -81,9 +81,8 @@ class ScanNode(Node):
         for pose in poses:
             if not self.config.kinematics and pose.parent_frame.lstrip('/') not in (
                     '', self.config.base_frame):
-                raise UnusableMessageError(
-                    f'PoseStamped message not used: it is given in "{pose.parent_frame}", but '
-                    f'robot_base_frame is "{self.config.base_frame}"')
+                raise UnusableMessageError(f'a pose is given in "{pose.parent_frame}", but '
+                                           f'robot_base_frame is "{self.config.base_frame}"')
             self.message_counts['pose'].add(pose.stamp)
             self._append(self._poses, pose)
 
@@ -120,9 +119,8 @@ class ScanNode(Node):
         points = self._scanner.points(ready, trajectory)
         dropped = self._scanner.without_pose
         if dropped > dropped_before:
-            self.get_logger().warning(
-                f'{dropped} profiles without a pose before and after them were dropped so far',
-                throttle_duration_sec=WARNING_PERIOD)
+            self.get_logger().warning(f'{dropped} profiles without a pose were dropped so far',
+                                      throttle_duration_sec=WARNING_PERIOD)
         if len(points):
             self._points.publish(cloud(points, self._scanner.frame, ready[-1].stamp))
 
@@ -137,15 +135,12 @@ def main() -> int:
     parser.add_argument('--range', nargs=2, type=str.strip, default=('-inf', 'inf'),
                         metavar=('NEAR', 'FAR'), help='keep points in this range of the sensor')
     parser.add_argument('--incidence', type=float, default=90.0, metavar='DEGREES',
-                        help='keep points that the laser meets at no larger angle to the normal')
-    parser.add_argument('--voxel', default='0', metavar='EDGE',
-                        help='keep one point in each cube of this edge')
+                        help='largest angle between laser and surface normal in a profile')
+    parser.add_argument('--voxel', default='0', help='keep a point of each cube with this edge')
     parser.add_argument('--std', action='store_true', help='add the 1 sigma of each point (m)')
     # else argparse takes a negative length, as of --range -200mm -100mm, for an option
-    words = [f' {word}' if re.match(r'-(\d|\.|inf)', word) else word
-             for word in non_ros_arguments()]
-    arguments = parser.parse_args(words)
-    return run_for_exit_code(spin, partial(ScanNode, arguments))
+    words = [f' {word}' if re.match(r'-[\d.i]', word) else word for word in non_ros_arguments()]
+    return run_for_exit_code(spin, partial(ScanNode, parser.parse_args(words)))
 
 
 if __name__ == '__main__':
