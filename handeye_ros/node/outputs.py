@@ -41,9 +41,7 @@ from handeye_ros.node.streams import TFMessage
 from handeye_ros.results.scene import (
     feature_points,
     FLANGE_COLOUR,
-    LASER_COLOUR,
     scene,
-    SEEN_COLOUR,
     sensor_points,
     StopSnapshot,
 )
@@ -210,7 +208,7 @@ def log_new_warnings(node: Node, sentences: Iterable[str], logged: set[str]) -> 
 
 
 def transform_of(calibration: Calibration, stamp: int) -> TransformStamped:
-    """Return the answer as the pose of the sensor in its parent frame; stamp: ns."""
+    """Return the message of T_flange_sensor, the sensor in the parent frame; stamp: ns."""
     T = calibration.T_flange_sensor
     return transform_stamped(T[:3, 3], se3.quaternion(T), calibration.parent_frame,
                              calibration.child_frame, stamp)
@@ -219,9 +217,9 @@ def transform_of(calibration: Calibration, stamp: int) -> TransformStamped:
 def transform_stamped(translation: Iterable[float], rotation: Iterable[float], parent: str,
                       child: str, stamp: int) -> TransformStamped:
     """
-    Return the transform of a child frame in its parent.
+    Return the message of T_parent_child, which maps points of the child frame to the parent.
 
-    translation: x y z (m); rotation: quaternion x y z w; stamp: ns.
+    translation: x, y, z (m); rotation: the quaternion x, y, z, w; stamp: ns.
     """
     transform = Transform(translation=_xyz_message(Vector3, translation),
                           rotation=_xyz_message(Quaternion, rotation))
@@ -242,7 +240,11 @@ def _header(stamp: int, frame_id: str) -> Header:
 
 
 def cloud(points: NDArray[Any], frame_id: str, stamp: int) -> PointCloud2:
-    """Return a message of points (n,), an array with fields of type float32; stamp: ns."""
+    """
+    Return the message of points in a frame.
+
+    points: structured array (n,), whose fields are float32, such as x, y and z (m); stamp: ns.
+    """
     return PointCloud2(
         header=_header(stamp, frame_id), height=1, width=len(points),
         point_step=points.itemsize, row_step=points.nbytes, is_dense=True,
@@ -253,7 +255,7 @@ def cloud(points: NDArray[Any], frame_id: str, stamp: int) -> PointCloud2:
 
 def session_markers(stops: Iterable[Stop], calibration: Calibration | None, config: Config
                     ) -> MarkerArray:
-    """Return the flanges of samples with their numbers and, with an answer, its scene."""
+    """Return the numbers of samples at their flanges and, with an answer, its scene."""
     snapshots = [
         StopSnapshot(stop.number, sample.stamp, mount_poses(sample.T_base_flange, config),
                      np.empty((0, 2)), sample.features)
@@ -261,9 +263,6 @@ def session_markers(stops: Iterable[Stop], calibration: Calibration | None, conf
     parts: list[dict[str, Any]] = [
         {'name': 'numbers', 'color': FLANGE_COLOUR, 'width': 12.0, 'text': str(snapshot.number),
          'points': [snapshot.T_mount[:3, 3]]} for snapshot in snapshots]
-    if snapshots:
-        parts.append({'name': 'flanges', 'color': FLANGE_COLOUR, 'width': 6.0,
-                      'points': [snapshot.T_mount[:3, 3] for snapshot in snapshots]})
     if calibration:
         parts += scene(calibration, snapshots, config)['parts']
     return _markers(parts, config)
@@ -271,18 +270,12 @@ def session_markers(stops: Iterable[Stop], calibration: Calibration | None, conf
 
 def current_markers(current: StopSnapshot | None, calibration: Calibration | None, config: Config
                     ) -> MarkerArray:
-    """Return the current profile and its features, placed by the answer."""
+    """Return the current profile and its features, placed by the answer; nothing without one."""
     if current is None or calibration is None:
         return _markers([], config)
-    T_fixed_sensor = current.T_mount @ calibration.T_flange_sensor
-    points = current.points[np.isfinite(current.points).all(axis=1)]
-    return _markers([{'name': name, 'color': color, 'width': width,
-                      'points': se3.apply(T_fixed_sensor, sensor_points(plane, config))}
-                     for name, color, width, plane in (
-                         ('profile', LASER_COLOUR, 1.5, points),
-                         ('feature', SEEN_COLOUR, 6.0, feature_points(current.features)))
-                     if len(plane)],
-                    config)
+    # without the lines of the scene: sensor, flange and target
+    return _markers([part for part in scene(calibration, [current], config)['parts']
+                     if 'points' in part], config)
 
 
 def _markers(parts: Iterable[Mapping[str, Any]], config: Config) -> MarkerArray:
