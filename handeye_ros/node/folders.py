@@ -35,13 +35,13 @@ class OutputFolders:
         self._locks: dict[Path, int] = {}
 
     def root(self, config: Config) -> Path:
-        """Return the folder above the folders of names, absolute."""
+        """Return the absolute path of the folder above the folders of names."""
         home = os.environ.get('ROS_HOME') or '~/.ros'
         root = config.output_dir or f'{home}/handeye_ros/{self._namespace.strip("/")}'
         return Path(os.path.expanduser(root)).absolute()
 
     def folder(self, config: Config) -> Path:
-        """Return the folder of the name, absolute; raises BadValueError."""
+        """Return the absolute path of the folder of the name; raises BadValueError for it."""
         return self.root(config) / folder_name(config)
 
     def locked_folder(self, config: Config) -> Path:
@@ -61,16 +61,16 @@ def settings_and_session(overrides: Mapping[str, Any], folders: OutputFolders
     """
     Return the settings, and the session to continue, None for a new one.
 
-    overrides: settings of the user by key; all others are those of the session. Raises InputError.
+    overrides: the settings that the user gives, by key; all others are those of the session.
+    Raises InputError for settings that cannot be used, and for a session that cannot be read.
     """
     config = with_values(Config(), overrides, PARAMETER_SOURCE)
     path = Path(config.session).expanduser().absolute() if config.session else None
     if config.session == 'last':
         is_named = 'name' in overrides or 'target.type' in overrides
         of_names = [folders.folder(config)] if is_named else folders.root(config).glob('*')
-        newest_of_each = [session for folder in of_names
-                          for session in islice(sessions_in(folder), 1)]
-        path = max(newest_of_each, key=last_use, default=None)
+        newest = [session for folder in of_names for session in islice(sessions_in(folder), 1)]
+        path = max(newest, key=last_use, default=None)
     if path is None:
         return config, None
     stored = read_session(path)

@@ -23,12 +23,7 @@ from handeye_ros.node.state import State, state_of, troubles_of, with_troubles
 from handeye_ros.node.streams import Streams
 from handeye_ros.output import folder_name, write_errors_for
 from handeye_ros.sampling.session import Session
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -104,8 +99,7 @@ class HandeyeNode(Node):
         self.outputs.publish_changes()
         settings = configuration.flatten(self.live.config)
         declared = _values_by_key(self.get_parameters(DERIVED_KEYS))
-        if changed := {key: settings[key] for key, value in declared.items()
-                       if value != settings[key]}:
+        if changed := {key: settings[key] for key in declared if declared[key] != settings[key]}:
             self.set_values(changed)
 
     def _publish_diagnostics(self) -> None:
@@ -158,10 +152,9 @@ class HandeyeNode(Node):
 
     def _on_auto_sample(self, request: SetBool.Request, response: SetBool.Response
                         ) -> SetBool.Response:
-        refusal = self.set_values({'sampling.mode': 'still' if request.data else 'manual'})
-        response.success, response.message = not refusal, refusal or (
-            'a sample is taken at every stop of the robot' if request.data else
-            'samples are taken by ~/take_sample only')
+        mode = 'still' if request.data else 'manual'
+        refusal = self.set_values({'sampling.mode': mode})
+        response.success, response.message = not refusal, refusal or f'sampling.mode is {mode}'
         return response
 
     def open_session(self, name: str) -> str:
@@ -188,9 +181,6 @@ class HandeyeNode(Node):
         """Apply changed parameters; ROS keeps the values before where that is refused."""
         reason = ''
         try:
-            for change in changes:
-                if change.type_ == RosParameter.Type.NOT_SET:
-                    raise InputError(f'{change.name} cannot be deleted: set it to a value')
             values = _values_by_key(changes)
             # parameters of ROS itself (use_sim_time) change nothing, nor do derived keys, which
             # the worker sets: it must not wait for itself
@@ -213,11 +203,6 @@ class HandeyeNode(Node):
         """
         config, live = self._config_with(values), self.live
         _require_usable_names(config)
-        last_number = live.session.last_number
-        for number in {*config.samples.exclude} - {*live.config.samples.exclude}:
-            if number > last_number:
-                raise InputError(f'there is no sample {number} to exclude: the last stop is '
-                                 f'{last_number}; ~/samples lists all')
         if not self.streams.names_other_topics(config):
             live.configure(config)
             return
@@ -247,8 +232,7 @@ def declare_settings(node: Node, folders: OutputFolders) -> tuple[Config, Stored
         if key.startswith(FILES_ONLY):
             raise InputError(f'{key} is a key of the command line alone: leave it out')
     values, record = configuration.flatten(config), dict(config.record)
-    free_text = ParameterDescriptor(description='Free text, kept with the answer.',
-                                    dynamic_typing=True)
+    free_text = ParameterDescriptor(description='Kept with the answer.', dynamic_typing=True)
     node.declare_parameters('', [
         *((parameter.key, values[parameter.key], _descriptor(parameter))
           for parameter in configuration.parameters()
@@ -269,18 +253,10 @@ def _values_by_key(parameters: Iterable[RosParameter]) -> dict[str, Any]:
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     """Return the descriptor shown by `ros2 param describe`."""
-    constraints = [f'{text} {" or ".join(map(str, values))}' for text, values in (
-        ('number of values:', parameter.length), ('one of', parameter.choices)) if values]
-    descriptor = ParameterDescriptor(
+    return ParameterDescriptor(
         description=parameter.description, dynamic_typing=True,
-        read_only=parameter.key in READ_ONLY_KEYS, additional_constraints='; '.join(constraints))
-    low, high = parameter.minimum, parameter.maximum
-    if low is not None and high is not None:  # rqt_reconfigure makes sliders of them
-        if isinstance(parameter.default, int):
-            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
-        else:
-            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
-    return descriptor
+        read_only=parameter.key in READ_ONLY_KEYS,
+        additional_constraints=f'one of {parameter.choices}' if parameter.choices else '')
 
 
 def _require_usable_names(config: Config) -> None:

@@ -33,8 +33,7 @@ class PoolEndedError(HandeyeError):
 
     def __init__(self) -> None:
         super().__init__('the process that computes ended before it had an answer (killed, or out '
-                         'of memory?); another one is started: call the service again, or '
-                         '~/compute_calibration where none was called')
+                         'of memory?): call the service again, or ~/compute_calibration')
 
 
 class Pool:

@@ -287,23 +287,19 @@ class Streams:
                     f'({", ".join(nodes[:MAX_LISTED])}): let only one publish')
         this_node = (node.get_name(), node.get_namespace())
         if node.get_node_names_and_namespaces().count(this_node) > 1:
-            sentences.append(
-                f'there are two nodes {node.get_fully_qualified_name()}: both publish, and either '
-                'may answer; end one, or rename it (-r __node:=other)')
-        note = ['one that was killed is listed for 20 s more'] if sentences else []
-        return {**troubles, 'session': '; '.join(sentences + note)}
+            sentences.append(f'there are two nodes {node.get_fully_qualified_name()}: end one, or '
+                             'rename it (-r __node:=other)')
+        return {**troubles, 'session': '; '.join(sentences)}
 
     def _trouble_of(self, topic: _Subscribed) -> str:
         """Return why no messages may arrive on a topic, '' if nothing is known against it."""
         name, expected = self._full_name(topic.name), topic.message_type
         if topic.publishers:
             return topic.obstacle if topic.counts.count or topic.qos is RELIABLE_QOS else (
-                'its driver publishes with best effort: large messages may all get lost; publish '
-                'reliably')
+                'its driver publishes with best effort, so large messages get lost: use reliable')
         others = ', '.join([other for other in self.topics_of(expected)
                             if other != name][:MAX_LISTED])  # its own has just begun
-        offered = {info.topic_type
-                   for info in self._node.get_publishers_info_by_topic(topic.name)}
+        offered = {info.topic_type for info in self._node.get_publishers_info_by_topic(topic.name)}
         problem = (f'it carries {", ".join(sorted(offered))}, expected {expected}' if offered else
                    f'{name} has no publisher')
         return problem + (f'; {expected} is on {others}: set {topic.key}' if others else '')

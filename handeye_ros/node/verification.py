@@ -83,7 +83,6 @@ class LiveVerification:
         """
         live, settings = self._live, self._live.config.verify
         live.evaluate_waiting()  # what began before is a sample, or of the part before
-        progress_before = self.text
         measured = any(isinstance(result, Sample) for result in self._parts[-1].values())
         begins = self.routine is None or (measured and len(self._parts) == self._most_parts)
         if begins:
@@ -101,16 +100,15 @@ class LiveVerification:
             self.routine, self._most_parts, self._parts = routine, most_parts, [{}]
         elif measured:
             self._parts = [*self._parts, {}]
-        dropped = (f'; what was measured before is dropped ({progress_before})'
-                   if begins and progress_before else '')
         return (f'{self.text}; move on, and stop with other tilts: what begins from now on '
-                f'counts, until ~/verify_result{dropped}')
+                f'counts, until ~/verify_result')
 
     def add_stop(self, stop: Stop) -> str:
         """
-        Add a stop, in place of an earlier part of it; return the progress.
+        Evaluate a stop for the verification, and return the progress in words.
 
-        Raises DataError for a stop that shows nothing to measure; it is counted too.
+        It takes the place of an earlier part of the same stop. Raises DataError for a stop that
+        shows nothing to measure, which is counted all the same.
         """
         live, routine = self._live, self.routine
         assert routine
@@ -130,8 +128,7 @@ class LiveVerification:
         and where it is neither pass nor fail: the verification then continues.
         """
         if self.routine is None:
-            raise DataError('no verification was started: call ~/verify_start, and measure the '
-                            'artefact')
+            raise DataError('no verification was started: call ~/verify_start first')
         live = self._live
         live.evaluate_all()
         file = live.config.verify.calibration or live.solver.saved

@@ -324,15 +324,6 @@ class Session(Copyable):
                 if stop.sample and stop.sample.centroid is not None]
 
     @property
-    def frame_change_notice(self) -> str:
-        """Return in words that another frame replaced the first, which gave no sample; or ''."""
-        for stream in self._streams:
-            if stream.successor and not self._has_samples:
-                return (f'only {stream.kind}s of frame "{stream.successor}" come now, and none of '
-                        f'"{stream.frame}" gave a sample: the session begins anew')
-        return ''
-
-    @property
     def frame_id(self) -> str:
         """Return the frame of the profiles, empty before the first."""
         frame = self._profile_stream.frame

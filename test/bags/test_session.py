@@ -233,14 +233,13 @@ def test_a_full_disk_is_a_refusal_and_goes_on_where_there_is_room_again(tmp_path
             with pytest.raises(InputError, match='cannot write'):
                 changed(live, **setting)
         assert live.config == before, 'what is used is stored'
-        changed(live, output_dir=str(tmp_path / 'other'))  # where the next session is
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert len(read_session(Path(live.path)).stops) == 2
     changed(live, sampling__min_points=20)
     session = read_session(Path(live.path))
     assert sorted(session.stops) == [1, 2, 3]
-    assert sample_count(state_of(live)) == session.sample_count
+    assert sample_count(state_of(live)) == 3
     assert not list(Path(live.path).glob('.*.tmp'))
     feed(live, stops=4)
     state = state_of(live)

@@ -120,7 +120,7 @@ def test_samples_are_taken_and_removed_by_hand_or_refused(client, node):
         answer = client.call(service)
         assert (answer.success, reason in answer.message) == (False, True), answer.message
     answer = client.call('auto_sample', SetBool.Request(data=False))
-    assert (answer.success, answer.message) == (True, 'samples are taken by ~/take_sample only')
+    assert (answer.success, answer.message) == (True, 'sampling.mode is manual')
     stand_still(client, START)
     assert client.until_counted(profiles=20, poses=20)['samples'] == '0'
     answer = client.call('take_sample')
@@ -166,7 +166,7 @@ def test_every_answer_names_the_cause_of_malformed_messages(client, node):
         client.profiles.publish(profile)
     state = client.until_counted(malformed=22, profiles=20)
     for text in (state['message'], client.call('take_sample').message):
-        assert 'the last 16 profiles cannot be used; the last reason: ' in text
+        assert re.search('of the last [0-9]+ profiles cannot be used; the last reason: ', text)
         assert 'set profile.unit to mm' in text
     client.send(client.profiles, (sphere_profile(START + 4 * NS + i) for i in range(1000)), 1000)
     client.until(lambda: 'cannot be used' not in client.state()['message'], 'that was long ago')
@@ -227,19 +227,20 @@ def test_parameters_that_change_hold_at_once_or_are_refused(client, node):
     assert set_parameter(client, 'noise.robot_class', 'calibrated').successful
     client.until(lambda: parameter(client, 'noise.robot_smooth') == 5e-5, 'a dump shows it')
     for name, value, reason in (
-            ('limits.residual', 3.0, 'Max: 1.0'),
+            ('limits.residual', 3.0, 'limits.residual is 3.0, expected a number from'),
             ('noise.sensor', 'loud', "noise.sensor is 'loud', expected a number from 1e-09"),
             ('profile_topic', 'a b', '"a b" cannot name a topic'),
             ('profile_topic', '/flange_pose', 'each needs its own'),
             ('joint_topic', '/profile', 'each needs its own'),
-            ('record.note', None, 'record.note cannot be deleted: set it to a value'),
+            ('record.note', None, 'record.note is '),
             ('page.port', 1234, 'read-only parameter: page.port')):
         result = set_parameter(client, name, value)
         assert (result.successful, reason in result.reason) == (False, True), result.reason
     stand_still(client, START)
     client.until_counted(profiles=20, poses=20)
     assert client.call('take_sample').success
-    assert 'no sample 99 to exclude' in set_parameter(client, 'samples.exclude', [1, 99]).reason
+    assert set_parameter(client, 'samples.exclude', [99]).successful
+    client.until(lambda: 'names no stop of these' in client.state()['warnings'], 'it says so')
     for topic in ('profile_topic', 'joint_topic'):
         assert 'clear_samples first' in set_parameter(client, topic, '/other').reason
     assert set_parameter(client, 'sampling.min_points', 5000).successful
