@@ -42,8 +42,7 @@ class CorrectedPose(Node):
                                       f'{options.pose_topic} only, not on /tf; {INSTALL_TF2}')
         self.create_subscription(JointState, options.joint_topic, self._on_joints, BEST_EFFORT_QOS,
                                  raw=True)
-        self.get_logger().info(f'{options.joint_topic} becomes {options.pose_topic}: '
-                               f'{arm.flange} in {arm.base}')
+        self.get_logger().info(f'{options.pose_topic} is {arm.flange} in {arm.base}')
 
     def _on_joints(self, data: bytes) -> None:
         try:

@@ -221,10 +221,9 @@ def transform_stamped(translation: Iterable[float], rotation: Iterable[float], p
 
     translation: x, y, z (m); rotation: the quaternion x, y, z, w; stamp: ns.
     """
-    transform = Transform(translation=_xyz_message(Vector3, translation),
-                          rotation=_xyz_message(Quaternion, rotation))
-    return TransformStamped(header=_header(stamp, parent), child_frame_id=child,
-                            transform=transform)
+    T = Transform(translation=_xyz_message(Vector3, translation),
+                  rotation=_xyz_message(Quaternion, rotation))
+    return TransformStamped(header=_header(stamp, parent), child_frame_id=child, transform=T)
 
 
 def pose_stamped(translation: Iterable[float], rotation: Iterable[float], frame_id: str,

@@ -37,9 +37,9 @@ NO_ANSWER = {
     'parent': '', 'child': '', 'translation': None, 'rotation': None, 'rpy': None, 'std': None,
     'residual_rms': None, 'holdout_rms': None, 'used': 0, 'rejected': 0, 'saved': ''}
 SILENCE_TIME = 2.0  # s without a message until it is reported
-RECENT = 1000  # messages, of which those invalid or lost are reported
-BAD_SHARE = 0.01  # of them: if more are
-MIN_MALFORMED = 3  # and at least so many are invalid
+RECENT = 1000  # last messages of a kind, of which too many may be invalid or lost:
+BAD_SHARE = 0.01  # more than this share is reported,
+MIN_MALFORMED = 3  # of invalid ones from this number on
 VALID, MALFORMED, LOST = 'valid', 'malformed', 'lost'  # what a message was
 FRESH_TIME = 1.0  # s: the clocks are compared if the last messages of both kinds are not older
 MAX_CLOCK_DIFFERENCE = 5.0  # s, that a slow network or a queue explains
@@ -127,9 +127,8 @@ def _clock_trouble(profiles: MessageCount, poses: MessageCount, time_offset: flo
     offset = time_offset - ahead
     remedy = f', or set time_offset to {offset:.1f}' if abs(offset) <= MAX_TIME_OFFSET else ''
     return (f'the stamps of the profiles are {abs(ahead):.1f} s '
-            f'{"ahead of" if ahead > 0 else "behind"} those of the poses: the clocks of sensor '
-            'and robot differ; set them to one time (PTP or NTP), or let one driver stamp as the '
-            f'other does{remedy}')
+            f'{"ahead of" if ahead > 0 else "behind"} those of the poses: the two clocks differ; '
+            f'set them to one time (PTP, NTP), or let one stamp as the other does{remedy}')
 
 
 def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxyType({})) -> State:

@@ -142,8 +142,7 @@ class Streams:
             topics.append(_Subscribed(poses, source.message_type, source.name,
                                       partial(self._on_poses, source.read), qos, source.key))
         if len({self._full_name(topic.name) for topic in topics}) < len(topics):
-            raise InputError('two of profile_topic, pose_topic and joint_topic are the same: each '
-                             'needs its own')
+            raise InputError('profile_topic, pose_topic and joint_topic: each needs its own topic')
         return topics
 
     def _subscribe(self, topic: _Subscribed) -> None:

@@ -158,13 +158,12 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
     ...), title and figures of the last of this answer.
     """
     snapshot, calibration = live.current_snapshot(), live.solver.calibration
-    checked = live.verification.content_of_answer
+    verification, checked = live.verification, live.verification.content_of_answer
     return {**state, 'profile': snapshot and _picture(snapshot), 'scene': _scene(live, snapshot),
             'edges': _edges(live), 'has_just_begun': len(state['samples']) <= FEW_STOPS,
             'rows': list(table.transform_rows(calibration)) if calibration else [],
             'verification': {
-                'running': live.verification.text,
-                'next_part': live.verification.has_next_part,
+                'running': verification.text, 'next_part': verification.has_next_part,
                 'verdict': checked.get('verdict', ''),
                 'title': title_of(checked) if checked else '',
                 'figures': reasons_and_figures(checked) if checked else ''}}
