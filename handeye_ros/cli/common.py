@@ -165,19 +165,19 @@ def warn_of_frame(recording: 'Recording', calibration: 'Calibration') -> None:
 
 
 @contextmanager
-def stream_recording(bag: Path, settings: 'Config', task: str, calibration: 'Calibration'
-                     ) -> 'Iterator[tuple[Recording, Trajectory, Callable[[str], None]]]':
+def stream_recording(bag: Path, settings: 'Config', calibration: 'Calibration'
+                     ) -> 'Iterator[tuple[Recording, Trajectory]]':
     """
-    Give a recording whose profiles are read one by one, its poses, and what changes the task.
+    Give a recording to scan, whose profiles are read one by one, and its poses.
 
     The stamps of the profiles are as recorded: what uses them adds the time offset.
     """
     from handeye_ros.bags.bag import read
     from handeye_ros.sampling.trajectory import trajectory_of
-    with progress_bar(task) as update:
+    with progress_bar('scanning'):
         recording = read(bag, replace(settings, time_offset=0.0))
         warn_of_frame(recording, calibration)
-        yield recording, trajectory_of(recording.poses, settings.sampling.max_pose_gap), update
+        yield recording, trajectory_of(recording.poses, settings.sampling.max_pose_gap)
     warn(*recording.warnings)
 
 

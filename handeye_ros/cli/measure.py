@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from handeye_ros.config import Config
     from handeye_ros.data import Array, Calibration, Profile, Reject, Sample
     from handeye_ros.sampling.trajectory import Trajectory
-    from handeye_ros.scanning.cloud import Points
     from handeye_ros.verification.check import Check
 
 NOT_AS_WANTED = 1  # exit code: measured, and not passed, or changed
@@ -102,13 +101,11 @@ def _passes(bags: list[Path], calibration: 'Calibration', config: 'Config'
             ) -> 'Iterator[tuple[Sequence[Profile], Trajectory]]':
     """Yield the profiles and the poses of the pass in each recording."""
     for bag in bags:
-        with stream_recording(bag, config, 'reading the recording', calibration) as (
-                recording, trajectory, _):
+        with stream_recording(bag, config, calibration) as (recording, trajectory):
             yield list(recording.profiles_of_returns()), trajectory
 
 
-def _stops(bag: Path, calibration: 'Calibration', config: 'Config'
-           ) -> 'list[Sample | Reject]':
+def _stops(bag: Path, calibration: 'Calibration', config: 'Config') -> 'list[Sample | Reject]':
     """Return what the stops of a recording gave; print warnings."""
     recording = read_bag_shown(bag, config)
     warn_of_frame(recording, calibration)
@@ -207,13 +204,9 @@ def scan(
     require_suffix(out)
     calibration, settings = open_calibration(calibration_file, config, assignments, kinematics)
     scanner = Scanner(calibration, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
-    with stream_recording(bag, settings, 'reading the poses', calibration) as (
-            recording, trajectory, update):
-        def pieces() -> 'Iterator[Points]':
-            for points in scanner.scan(recording.profiles_of_returns(), trajectory):
-                yield points
-                update(f'{scanner.profiles} profiles, {scanner.kept} points')
-        write_cloud(out, pieces(), f'frame {scanner.frame}, metres')
+    with stream_recording(bag, settings, calibration) as (recording, trajectory):
+        pieces = scanner.scan(recording.profiles_of_returns(), trajectory)
+        write_cloud(out, pieces, f'frame {scanner.frame}, metres')
     typer.echo(f'{scanner.profiles} profiles, {scanner.returns} returns')
     typer.echo(f'left out: {scanner.without_pose} profiles without a pose, '
                f'{scanner.out_of_limits} points outside the limits, {scanner.thinned} thinned out')
@@ -291,6 +284,6 @@ def _cloud(path: Path, calibration_file: Path | None, config: Path | None,
                          'calibration of its sensor: --calibration FILE')
     calibration, settings = open_calibration(calibration_file, config, assignments, kinematics)
     scanner = Scanner(calibration, settings, ScanOptions(voxel=THINNING_SIZE))
-    with stream_recording(path, settings, 'scanning', calibration) as (recording, trajectory, _):
+    with stream_recording(path, settings, calibration) as (recording, trajectory):
         rows = np.concatenate(list(scanner.scan(recording.profiles_of_returns(), trajectory)))
     return np.column_stack([rows[axis] for axis in 'xyz']).astype(float), scanner.frame

@@ -150,11 +150,10 @@ def report(
     else:
         file = file_of(path)
         page, calibration = file.parent / exports.REPORT_FILE, read_calibration(file)
-        with progress_bar('finding the stops'):
-            shown = solved_recording(calibration, bag, file.parent)
-        warn(disagreement(calibration, shown))
         with progress_bar('writing the report'):
+            shown = solved_recording(calibration, bag, file.parent)
             text = html(calibration, shown)
+        warn(disagreement(calibration, shown))
     page = (out or page).expanduser().absolute()
     write_atomically(page, text)
     typer.echo(f'wrote {page}')
