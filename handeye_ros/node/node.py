@@ -181,6 +181,9 @@ class HandeyeNode(Node):
         """Apply changed parameters; ROS keeps the values before where that is refused."""
         reason = ''
         try:
+            for change in changes:
+                if change.type_ == RosParameter.Type.NOT_SET:
+                    raise InputError(f'{change.name} cannot be deleted: set it to a value')
             values = _values_by_key(changes)
             # parameters of ROS itself (use_sim_time) change nothing, nor do derived keys, which
             # the worker sets: it must not wait for itself

@@ -232,7 +232,8 @@ def test_parameters_that_change_hold_at_once_or_are_refused(client, node):
             ('profile_topic', 'a b', '"a b" cannot name a topic'),
             ('profile_topic', '/flange_pose', 'each needs its own'),
             ('joint_topic', '/profile', 'each needs its own'),
-            ('record.note', None, 'record.note is '),
+            ('record.note', None, 'record.note cannot be deleted: set it to a value'),
+            ('samples.exclude', None, 'samples.exclude cannot be deleted'),
             ('page.port', 1234, 'read-only parameter: page.port')):
         result = set_parameter(client, name, value)
         assert (result.successful, reason in result.reason) == (False, True), result.reason
