@@ -43,7 +43,8 @@ Assignments = Annotated[list[str], typer.Option('--set', metavar='KEY=VALUE', he
 KinematicsFile = Annotated[OptionalPath, file_option(
     '--kinematics', help='A kinematics.yaml: its arm gives the poses from the joint values.')]
 Angles = Annotated[str, typer.Option(
-    metavar='NOTATION', help='How a table of poses writes orientations, such as kuka-abc.')]
+    metavar='NOTATION', help='How a table of poses writes orientations: kuka-abc, fanuc-wpr, '
+    'abb-quaternion, ur-rotation-vector, staubli-rxryrz or yaskawa-rxryrz.')]
 CalibrationFile = Annotated[Path, file_option(
     '--calibration', help='The calibration.yaml of this sensor, or its folder.')]
 MeasureConfig = Annotated[OptionalPath, typer.Option(
@@ -256,5 +257,6 @@ def _print_version(requested: bool) -> None:
 
 @app.callback()
 def _options(version: Annotated[bool, typer.Option(
-        '--version', callback=_print_version, is_eager=True, help='Print it.')] = False) -> None:
+        '--version', callback=_print_version, is_eager=True,
+        help='Print the version.')] = False) -> None:
     """Hand-eye calibration of laser line profilers."""

@@ -52,7 +52,8 @@ PathLine = StrEnum('PathLine', ['auto', 'centre', 'root', 'first', 'second'])
 def verify(
     name: Annotated[str, typer.Argument(  # of ROUTINES (test_cli.py), whose import takes long
         metavar='ROUTINE', help='line, plane, point, sphere, ball_bar, step, square or tooth.')],
-    bags: Annotated[list[Path], typer.Argument(metavar='BAG...', help='One per face or ball.')],
+    bags: Annotated[list[Path], typer.Argument(metavar='BAG...', help=(
+        'Recordings with stops, one of each face or ball, in their order.'))],
     calibration_file: CalibrationFile,
     config: MeasureConfig = None,
     assignments: Assignments = [],
@@ -129,7 +130,8 @@ def _warn_of_calibration_samples(bag: Path, stamps: 'Sequence[int]', calibration
 
 @app.command()
 def check(
-    bags: Annotated[list[Path], typer.Argument(metavar='BAG...', help='The oldest first.')],
+    bags: Annotated[list[Path], typer.Argument(
+        metavar='BAG...', help='Short recordings of the same target, the oldest first.')],
     against: Annotated[Path, file_option(help='The calibration.yaml to check, or its folder.')],
     config: MeasureConfig = None,
     assignments: Assignments = [],
@@ -164,7 +166,8 @@ def check(
 
 @app.command()
 def trend(
-    folder: Annotated[Path, typer.Argument(metavar='DIR', help='The folder above them.')],
+    folder: Annotated[Path, typer.Argument(
+        metavar='DIR', help='All calibration.yaml below this folder are compared.')],
     against: Annotated[OptionalPath, file_option(
         help='Compare with this calibration.yaml; default: with the oldest.')] = None,
     csv: Annotated[OptionalPath, file_option(help='Write the calibrations as CSV.')] = None,
@@ -225,17 +228,20 @@ def seam(
     kinematics: KinematicsFile = None,
     pitch: Annotated[str, length_option(help='Distance between tool frames.')] = '5mm',
     box: Annotated[tuple[str, str, str, str, str, str], typer.Option(
-        metavar='X X Y Y Z Z', help='Use the points between these values.')] = 3 * NO_LIMITS,
-    widest: Annotated[str, length_option(help='Largest distance between the edges.')] = '12mm',
+        metavar='X X Y Y Z Z', help='Use the points between these values; -inf, inf: no limit.')
+    ] = 3 * NO_LIMITS,
+    widest: Annotated[str, length_option(
+        help='Largest distance between the edges of the seam.')] = '12mm',
     towards: Annotated[tuple[float, float, float], typer.Option(
         metavar='X Y Z', help='The tool approaches the part this way.')] = (0.0, 0.0, -1.0),
-    travel: Annotated[float, typer.Option(help='Lean along the seam (degrees).')] = 0.0,
-    work: Annotated[float, typer.Option(help='Lean across the seam (degrees).')] = 0.0,
+    travel: Annotated[float, typer.Option(help='The tool leans along the seam (degrees).')] = 0.0,
+    work: Annotated[float, typer.Option(help='The tool leans across it (degrees).')] = 0.0,
     line: Annotated[PathLine, typer.Option(
         help='The path; auto: the root of V and fillet, else the centre.')] = PathLine.auto,
     start: Annotated[tuple[str, str, str], typer.Option(
         metavar='X Y Z', help='A place near the end where the path starts.')] = ('', '', ''),
-    bag: Annotated[bool, typer.Option('--bag', help='Write it as ROS messages too.')] = False,
+    bag: Annotated[bool, typer.Option(
+        '--bag', help='Write nav_msgs/Path and PoseArray to DIR/path too.')] = False,
 ) -> None:
     """Find the seam in a cloud, and tool frames along it."""
     if not (abs(travel) < 90.0 and abs(work) < 90.0):

@@ -101,7 +101,7 @@ def batch(
     sources: Annotated[list[str], typer.Argument(metavar='SOURCE...', help=(
         'Bags, folders of bags, or CSV lists (bag, label, config, settings, args).'))],
     out: Annotated[Path, typer.Option(metavar='FOLDER', help='Where the results are put.')],
-    verb: Annotated[BatchVerb, typer.Option(help='The command.')] = BatchVerb.solve,
+    verb: Annotated[BatchVerb, typer.Option(help='The command to run.')] = BatchVerb.solve,
     args: Annotated[str, typer.Option(
         help='Its arguments before the bag, such as "sphere --calibration FILE".')] = '',
     config: ConfigFile = None,
@@ -172,7 +172,8 @@ def simulate(
     seed: Annotated[int, typer.Option(min=0, help='The seed of all random numbers.')] = 0,
     force: Annotated[bool, typer.Option('--force', help='Replace a bag that is there.')] = False,
     listed: Annotated[bool, typer.Option(
-        '--list', callback=_print_scenarios, is_eager=True, help='Print all names.')] = False,
+        '--list', callback=_print_scenarios, is_eager=True,
+        help='Print the names of all scenarios.')] = False,
 ) -> None:
     """Make a recording with a known answer."""
     if scenario not in _scenarios():

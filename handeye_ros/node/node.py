@@ -23,7 +23,12 @@ from handeye_ros.node.state import State, state_of, troubles_of, with_troubles
 from handeye_ros.node.streams import Streams
 from handeye_ros.output import folder_name, write_errors_for
 from handeye_ros.sampling.session import Session
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -206,6 +211,11 @@ class HandeyeNode(Node):
         """
         config, live = self._config_with(values), self.live
         _require_usable_names(config)
+        last_number = live.session.last_number
+        for number in {*config.samples.exclude} - {*live.config.samples.exclude}:
+            if number > last_number:
+                raise InputError(f'there is no sample {number} to exclude: the last stop is '
+                                 f'{last_number}; ~/samples lists all')
         if not self.streams.names_other_topics(config):
             live.configure(config)
             return
@@ -256,10 +266,17 @@ def _values_by_key(parameters: Iterable[RosParameter]) -> dict[str, Any]:
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     """Return the descriptor shown by `ros2 param describe`."""
-    return ParameterDescriptor(
+    descriptor = ParameterDescriptor(
         description=parameter.description, dynamic_typing=True,
         read_only=parameter.key in READ_ONLY_KEYS,
         additional_constraints=f'one of {parameter.choices}' if parameter.choices else '')
+    low, high = parameter.minimum, parameter.maximum
+    if low is not None and high is not None:  # rqt_reconfigure makes sliders of them
+        if isinstance(parameter.default, int):
+            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+        else:
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    return descriptor
 
 
 def _require_usable_names(config: Config) -> None:

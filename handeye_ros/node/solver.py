@@ -236,8 +236,9 @@ def summary(calibration: Calibration) -> str:
     return (f'{calibration.child_frame} in {calibration.parent_frame}: x, y, z = '
             f'{", ".join(numbers[:3])} mm; roll, pitch, yaw = {", ".join(numbers[3:])} degrees; '
             f'residual {quality.residual_rms * 1e3:.3f} mm '
-            f'RMS, left out {quality.holdout_rms * 1e3:.3f} mm; {quality.samples_used} '
-            f'stations used, {quality.samples_rejected} not{warned}')
+            f'RMS, left out {quality.holdout_rms * 1e3:.3f} mm; '
+            f'{count_of(quality.samples_used, "sample")} used, {quality.samples_rejected} not '
+            f'used{warned}')
 
 
 def _used_samples(session: Session) -> dict[int, tuple[int, int]]:

@@ -104,7 +104,7 @@ def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording() -> No
     text = computed(live)
     offline = pipeline.calibrate(recording.profiles, recording.poses, config)
     assert np.allclose(live.solver.calibration.T_flange_sensor, offline.T_flange_sensor, atol=1e-9)
-    assert ' stations used, ' in text
+    assert ' samples used, ' in text
 
 
 def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:

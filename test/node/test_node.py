@@ -79,7 +79,7 @@ def test_a_bag_through_the_node_gives_the_offline_result(tmp_path: Path, client:
                              malformed=0)
         answer = client.call('compute_calibration')
         assert answer.success, answer.message
-        assert f'{offline.quality.samples_used} stations used' in answer.message
+        assert f'{offline.quality.samples_used} samples used' in answer.message
         calibrations = received_on(client, TransformStamped, '/handeye/calibration')
         client.until(lambda: calibrations, 'the latched calibration comes')
         saved = client.call('save_calibration')
