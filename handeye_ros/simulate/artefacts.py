@@ -70,8 +70,7 @@ def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, s
     return Messages(tuple(profiles), tuple(poses))
 
 
-def _jittering(robot: RobotModel, T: Array, times: Array, rng: Generator
-               ) -> tuple[TimedPose, ...]:
+def _jittering(robot: RobotModel, T: Array, times: Array, rng: Generator) -> tuple[TimedPose, ...]:
     """Return the poses T (4, 4) or (n, 4, 4) as they are streamed at times (n,)."""
     T = se3.perturb(np.broadcast_to(T, (len(times), 4, 4)),
                     rng.normal(size=(len(times), 6)) * robot.jitter)
