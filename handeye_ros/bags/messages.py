@@ -260,7 +260,7 @@ def _require_unit(points: Array, unit: str) -> None:
 
 def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     """
-    Raise for returns (n, 3) outside the plane of the first two axes, of a tilted plane by name.
+    Raise for returns (n, 3) outside the plane of the first two axes.
 
     axes: names of the columns: along the line, range, across the plane.
     """
@@ -269,21 +269,15 @@ def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     spread = np.ptp(points, axis=0)
     centred = points - points.mean(axis=0)
     slopes, *_ = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)
-    slope, distance_rms = slopes[1], rms(centred[:, 2] - centred[:, :2] @ slopes)
-    thin = THIN_SHARE * spread[2]
+    distance_rms, thin = rms(centred[:, 2] - centred[:, :2] @ slopes), THIN_SHARE * spread[2]
     is_flat = min(spread[:2]) < thin  # one of the two axes is orthogonal to the plane
-    if abs(slope) > MIN_SLOPE and distance_rms < thin and not is_flat:
-        raise _error_of(f'the points lie in a plane that is tilted by '
-                        f'{math.degrees(math.atan(abs(slope))):.1f} degrees about {axes[0]} '
-                        f'against that of {axes[0]} and {axes[1]}: let the driver publish them in '
-                        f'a frame of the light plane, where {axes[2]} is 0; a static transform '
-                        'can hold the tilt')
-    if spread[2] > MAX_THICKNESS:
+    is_tilted = abs(slopes[1]) > MIN_SLOPE and distance_rms < thin and not is_flat
+    if is_tilted or spread[2] > MAX_THICKNESS:
         flat = axes[int(np.argmin(spread[:2]))]
         first, second = (axes[2] if axis == flat else axis for axis in axes[:2])
         advice = (f', their {flat} nothing: set profile.axes to [{first}, {second}]' if is_flat
-                  else '; a line profiler measures in one plane: let its driver publish single '
-                  'profiles in its own frame')
+                  else ': let the driver publish single profiles in a frame of the light plane, '
+                  f'where {axes[2]} is 0 (a static transform can hold its tilt)')
         raise _error_of(f'the points do not lie in the plane of {axes[0]} and {axes[1]}: their '
                         f'{axes[2]} spans {spread[2] * 1e3:.1f} mm{advice}')
 
