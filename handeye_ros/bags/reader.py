@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 from contextlib import closing, suppress
 from functools import lru_cache, partial
+from operator import attrgetter
 from pathlib import Path
 import sqlite3
 from typing import Any, BinaryIO, NamedTuple
@@ -52,6 +53,9 @@ class RecordedMessage(NamedTuple):
     fetch: Callable[[], bytes] = bytes
 
 
+by_log_time = attrgetter('log_time')
+
+
 class Reader:
     """
     Reads the messages of a rosbag2 folder or an .mcap or .db3 file, all or those of some topics.
@@ -63,30 +67,20 @@ class Reader:
     files: those that were read
     """
 
-    def __init__(self, path: Path, topics: Collection[str] | None = None,
-                 progress: Callable[[float], None] = lambda share: None) -> None:
-        """
-        Read nothing yet.
-
-        topics: of the messages to be read, None: all; progress: receives the fraction of the bytes
-        that were read.
-        """
+    def __init__(self, path: Path, topics: Collection[str] | None = None) -> None:
+        """Read nothing yet; topics: of the messages to be read, None: all."""
         self.path = path
         self.types: dict[str, str] = {}
         self.warnings: list[str] = []
         self.files: list[Path] = []
         self._topics = None if topics is None else {full_name(topic) for topic in topics}
-        self._progress = progress
-        self._before, self._total = 0, 1  # bytes of files: before the current one, of all
 
     def messages(self) -> Iterator[RecordedMessage]:
         """Yield the messages; raises InputError if there is nothing to read."""
         try:
             self.files = _files(self.path)
-            self._total = sum(file.stat().st_size for file in self.files)
             for file in self.files:
                 yield from self._messages_of(file)
-                self._before += file.stat().st_size
         except OSError as error:
             raise InputError(f'{error.filename or self.path}: cannot be read: '
                              f'{error.strerror or error}') from error
@@ -137,7 +131,6 @@ class Reader:
                                                   _unpacked(record.data),
                                                   partial(_read_again, data_at, start, index))
                 start = stream.tell()
-                self._progress((self._before + start) / self._total)
         if damaged_chunks or not complete:
             left_out = f', left out {damaged_chunks} damaged chunk(s)' if damaged_chunks else ''
             self._warn_of_damage(path, f'read {count_of(message_count, "message")}{left_out}')

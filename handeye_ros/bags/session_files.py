@@ -35,6 +35,7 @@ from handeye_ros.bags.bag_write import (
 )
 from handeye_ros.bags.messages import message_of, pose_from_cdr, ProfileReader
 from handeye_ros.bags.reader import (
+    by_log_time,
     CLOUD_TYPE,
     full_name,
     JOINTS_TYPE,
@@ -226,7 +227,7 @@ def _messages(event: str, config: Config, stop: Stop, joints: Sequence[tuple[int
     for topic, content in ((CONFIGURATION_TOPIC, settings), (OUTCOME_TOPIC, outcome)):
         text = json.dumps({'format': FORMAT, **content})
         messages.append(RecordedMessage(topic, STRING_TYPE, end, string_cdr(text)))
-    return sorted(messages, key=lambda message: message.log_time)
+    return sorted(messages, key=by_log_time)
 
 
 def _number_of(file: Path) -> int:

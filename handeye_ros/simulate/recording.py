@@ -204,8 +204,7 @@ def flange_poses(scenario: Scenario, T_target_sensor: Array, T_mount_sensor: Arr
 
 def _draw_in_flange(scenario: Scenario, rng: Generator) -> Array:
     """Draw the pose in the flange (4, 4) of what is mounted there."""
-    direction = rng.normal(size=3)
-    translation = direction / np.linalg.norm(direction) * rng.uniform(*scenario.lever)
+    translation = se3.unit(rng.normal(size=3)) * rng.uniform(*scenario.lever)
     if scenario.robot.geometry:  # an arm whose flange must look down
         turn = Rotation.from_euler('ZY', rng.uniform([-np.pi, -0.4], [np.pi, 0.4]))
     else:
