@@ -355,10 +355,11 @@ def profiles_of(raw: RawProfile, previous_stamp: int | None) -> list[RawProfile]
     Return the profiles of a message, in the order of their stamps.
 
     With profile.period (s), the stamps of its rows are known. Without, they were taken at some
-    time between two messages (time_margins): such a profile counts if the robot stood
-    still during all of this time.
-    previous_stamp: of the previous message (ns), None for the first, which without a period is
-    left out, as its duration is unknown.
+    time between two messages (time_margins), and such a profile counts if the robot stood still
+    during all of this time.
+
+    previous_stamp: that of the previous message (ns), None for the first message; without a
+        period the first is left out, as its duration is unknown
     """
     if raw.profile_count == 1:
         return [raw]
@@ -390,10 +391,11 @@ def _row_message(fetch: Callable[[], bytes], index: int, stamp: int) -> bytes:
 
 def returns_of(raw: RawProfile) -> Profile:
     """
-    Return only the returns of a profile, in message order.
+    Return only the returns of a profile, in the order of the message (m).
 
-    With the intensity if there is a field of that name. The order along the line, which takes most
-    of the time, is not determined. Raises UnusableMessageError, also for an uncertain stamp.
+    They have an intensity if the message has a field of that name. The points are not ordered
+    along the line, which would take most of the time. Raises UnusableMessageError, also for a
+    profile whose stamp is not certain.
     """
     if raw.time_margins != (0, 0):
         raise _error_of('it holds several profiles, and does not say when each was taken: set '

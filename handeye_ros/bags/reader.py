@@ -42,8 +42,10 @@ class RecordedMessage(NamedTuple):
     """
     A message as it is recorded.
 
-    message_type: such as CLOUD_TYPE; log_time: when it was recorded (ns); data: serialised; fetch:
-    reads the data again, so that they need not be kept; it returns b'' if the file has changed.
+    message_type: the ROS type, such as CLOUD_TYPE
+    log_time: when it was recorded (ns)
+    data: the message, serialised
+    fetch: reads the data again, so that they need not be kept; returns b'' if the file has changed
     """
 
     topic: str
@@ -220,7 +222,8 @@ def _read_again(find: Callable[[int], list[bytes]], place: int, index: int = 0) 
     """
     Return a message of a file again, b'' if the file has changed.
 
-    find: returns the messages at a place in the file; index: of the message among these.
+    find: returns the messages at a place in the file
+    index: that of the message among these
     """
     try:
         return _unpacked(bytes(find(place)[index]))

@@ -146,7 +146,8 @@ class SessionFiles:
         """
         Write an evaluated stop; return it as it is on the disk.
 
-        joints: stamps (ns) and serialised JointState messages. Raises UnwritableError.
+        joints: stamps (ns) and serialised JointState messages, of which those during the stop are
+        written. Raises UnwritableError.
         """
         loaded = stop.load(config)
         joints = [(stamp, data) for stamp, data in joints if loaded.start <= stamp <= loaded.end]
@@ -200,7 +201,8 @@ def lock_folder(folder: Path, refusal: str) -> int:
     """
     Lock a folder until the process ends; return the file descriptor that holds the lock.
 
-    Raises InputError with the refusal if another process has locked it, OSError.
+    Raises InputError with the sentence refusal if another process has locked the folder, and
+    OSError if it cannot be locked.
     """
     lock = os.open(folder / LOCK_FILE, os.O_RDONLY | os.O_CREAT, 0o644)
     try:

@@ -65,8 +65,8 @@ class FlangeFollower:
         """
         Start with an empty tree.
 
-        base, flange: the frame ids; max_gap: largest time between two transforms of a link that
-        moves (s).
+        base, flange: the ids of the two frames
+        max_gap: the largest time between two transforms of a moving link that are interpolated (s)
         """
         self._max_gap = max_gap
         self._base = base.removeprefix('/')
@@ -84,8 +84,8 @@ class FlangeFollower:
         """
         Add the transforms of one message; return the poses T_base_flange that are now known.
 
-        transforms: child frames and their poses, as messages.transforms_from_cdr returns them;
-        static: whether they are of /tf_static.
+        transforms: child frames and their poses, as messages.transforms_from_cdr returns them
+        static: whether they come from /tf_static
         """
         for child, pose in transforms:
             link = self._links.get(child)

@@ -72,7 +72,7 @@ class SeamSections:
 
 
 def edges_of_seam(sheets: Sheets, rough: Course) -> SeamSections:
-    """Return the edges of the seam along a rough course; raises DataError."""
+    """Return the edges along a rough course; raises DataError where they are not one line."""
     is_corner = rough.kind in ('v', 'fillet')
     middle = sheets.points[rough.pairs].mean(axis=1)
     curve = spline(rough.t, middle, STIFF_ONLY)

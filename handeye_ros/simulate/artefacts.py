@@ -45,14 +45,18 @@ class Messages:
 
 
 def draw_pose(rng: Generator, tilt: float = 0.2, low: float = 0.0) -> Array:
-    """Draw the pose of an artefact in the base (4, 4); tilt: largest (rad); low: least z (m)."""
+    """Draw the pose (4, 4) of an artefact in the base, tilted at most so (rad), above low (m)."""
     turn = Rotation.from_euler('xyz', rng.uniform([-tilt, -tilt, -3], [tilt, tilt, 3]))
     return se3.transform(turn.as_matrix(), rng.uniform([0.5, -0.3, low], [0.9, 0.3, 0.4]))
 
 
 def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Placements,
              rng: Generator, start: float = 0.0) -> Messages:
-    """Return the messages at stops from start (s) on, without those between the stops."""
+    """
+    Return the messages of a robot at stops, without those between the stops.
+
+    start: the time of the first stop, since the start of the recording (s)
+    """
     sensor, robot = scenario.sensor, scenario.robot
     T = T_base_target @ stops.T_target_sensor @ se3.inverse(T_flange_sensor)
     T = se3.perturb(T, pose_error(robot, T, rng))

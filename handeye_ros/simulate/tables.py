@@ -86,9 +86,12 @@ def poses_of_target(rng: Generator, robot: Sequence[float] = ROBOT_STDS,
     """
     Return X, Z, T_base_flange and T_camera_target of a camera that a target faces.
 
-    X: (4, 4) of the camera in its mount; Z: (4, 4) of the target where it is fixed; the poses
-    (count, 4, 4) with noise; robot, camera: of translation and rotation, 1 sigma per axis (m,
-    rad); tilts: the largest about each axis of the camera (degrees).
+    X (4, 4) is the camera in its mount, Z (4, 4) the target where it is fixed; the other two are
+    lists (count, 4, 4) of poses with noise.
+
+    robot, camera: noise of their translations and rotations, 1 sigma by axis (m, rad)
+    eye_on_base: whether the camera stands beside the robot, and the target is on the flange
+    tilts: the largest ones about each axis of the camera (degrees)
     """
     near = se3.transform(Rotation.random(random_state=rng).as_matrix(), 0.1 * rng.normal(size=3))
     far = se3.transform(Rotation.random(random_state=rng).as_matrix(), np.array([0.7, 0.1, 0.2]))
@@ -140,9 +143,10 @@ def laser_tracker(rng: Generator, sensor: SensorModel = FILE_SENSOR,
                   noise: float = TRACKER_NOISE, reported: float = JOINT_READING_STD
                   ) -> SimulatedFiles:
     """
-    Return a bag of the sweep over ball and block, and the reflector's positions by kind.
+    Return a bag of the sweep over ball and block, and a table of the reflector's positions.
 
-    noise, reported: of the tracker and P3, 1 sigma per axis (m).
+    noise: that of the tracker, 1 sigma by axis (m)
+    reported: that of the reported positions of P3, 1 sigma by axis (m)
     """
     turn = Rotation.from_euler('xyz', [90, 0, 0] + rng.uniform(-1.5, 1.5, 3), degrees=True)
     X = se3.transform(turn.as_matrix(), rng.uniform([0.04, -0.13, 0.03], [0.07, -0.09, 0.06]))
