@@ -8,6 +8,7 @@ from which it is read again when a stop uses it. Poses are kept, as is /tf while
 """
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -32,6 +33,8 @@ from handeye_ros.errors import (
 from handeye_ros.results.file_values import input_provenance
 from handeye_ros.sampling.stream import (
     by_stamp,
+    FEW_SHARE,
+    FEW_STRAYS,
     in_majority_order,
     LAST_STAMP,
     two_frames_error,
@@ -123,9 +126,7 @@ def read(path: Path | str, config: Config, arm: Arm | None = None) -> Recording:
         # if two settings name one topic, that is the profiles'; its type refuses the poses
         (clouds if raw.topic == clouds.name else pose_topic).add(raw)
     profiles, previous_stamp = list[RawProfile](), None
-    clouds_in_order = clouds.ordered(reader)
-    _require_one_frame('profile', (message.frame_id for message in clouds_in_order))
-    for message in clouds_in_order:
+    for message in _keep_majority_frame('profile', clouds.ordered(reader), 'frame_id', reader):
         profiles += profiles_of(message, previous_stamp)
         previous_stamp = message.stamp
     if not profiles:
@@ -139,7 +140,7 @@ def read(path: Path | str, config: Config, arm: Arm | None = None) -> Recording:
             'they share no time, or are further apart than sampling.max_pose_gap')
         raise InputError(f'{path}: no flange poses in its transforms: {reason}; set '
                          'robot_base_frame and robot_effector_frame')
-    _require_one_frame('pose', (pose.parent_frame for pose in poses))
+    poses = _keep_majority_frame('pose', poses, 'parent_frame', reader)
     joints = np.array([pose.joints for pose in poses if isinstance(pose, ArmPose)])
     if offset := config.offset_ns:
         profiles = [replace(p, stamp=p.stamp + offset) for p in profiles]
@@ -242,8 +243,18 @@ class _RecordedTopic:
         return sorted(compress(self._items, in_order), key=by_stamp)
 
 
-def _require_one_frame(kind: str, frames: Iterable[str]) -> None:
-    """Raise InputError where messages of a kind, in words, are in several frames."""
-    first, *others = dict.fromkeys(frames)
-    if others:
-        raise two_frames_error(kind, first, others[0])
+def _keep_majority_frame(kind: str, items: list[Any], frame: str, reader: Reader) -> list[Any]:
+    """
+    Return the items of the frame of most; a few others are left out, with a warning.
+
+    kind: what they are, in words; frame: their attribute that names it. Raises InputError for two
+    frames.
+    """
+    (name, count), *others = Counter(getattr(item, frame) for item in items).most_common()
+    strays = len(items) - count
+    if strays > max(FEW_STRAYS, FEW_SHARE * len(items)) or 2 * strays >= len(items):
+        raise two_frames_error(kind, name, others[0][0])
+    if strays:
+        reader.warnings.append(f'{strays} of {len(items)} {kind}s were left out: their frame is '
+                               f'"{others[0][0]}", not "{name}"')
+    return [item for item in items if getattr(item, frame) == name]

@@ -136,22 +136,31 @@ def write_metadata(folder: Path, files: Sequence[Path]) -> None:
         for channel_id, channel in part.channels.items():
             message_types[channel.topic] = part.schemas[channel.schema_id].name
             counts[channel.topic] += part.statistics.channel_message_counts.get(channel_id, 0)
-    first = min(part.statistics.message_start_time for part in parts)
-    last = max(part.statistics.message_end_time for part in parts)
     information = {
-        'version': 4,  # newer ones repeat for each file what the files hold
-        'storage_identifier': 'mcap', 'relative_file_paths': [file.name for file in files],
-        'duration': {'nanoseconds': last - first},
-        'starting_time': {'nanoseconds_since_epoch': first}, 'message_count': counts.total(),
+        'version': 9, 'storage_identifier': 'mcap', 'ros_distro': 'jazzy', **_span(parts),
         'topics_with_message_count': [
             {'message_count': counts[topic], 'topic_metadata': {
                 'name': topic, 'type': message_type, 'serialization_format': 'cdr',
-                'offered_qos_profiles': ''}}
+                'offered_qos_profiles': [], 'type_description_hash': ''}}
             for topic, message_type in message_types.items()],
-        'compression_format': '', 'compression_mode': ''}
+        'compression_format': '', 'compression_mode': '',
+        'relative_file_paths': [file.name for file in files],
+        'files': [{'path': file.name, **_span([part])}
+                  for file, part in zip(files, parts, strict=True)],
+        'custom_data': None}
     write_atomically(folder / METADATA, json.dumps({'rosbag2_bagfile_information': information},
                                                    indent=1))
     sync(folder)
+
+
+def _span(parts: Sequence[Summary]) -> dict[str, Any]:
+    """Return the time and the number of messages as in metadata.yaml; parts: one of each file."""
+    statistics = [part.statistics for part in parts]
+    first = min(counts.message_start_time for counts in statistics)
+    last = max(counts.message_end_time for counts in statistics)
+    return {'duration': {'nanoseconds': last - first},
+            'message_count': sum(counts.message_count for counts in statistics),
+            'starting_time': {'nanoseconds_since_epoch': first}}
 
 
 def sync(path: Path) -> None:

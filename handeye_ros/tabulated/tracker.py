@@ -47,7 +47,7 @@ PARTS = ('arc', 'line', 'face_c', 'face_d', *SWEPT_PARTS)  # the ball counts by 
 UNKNOWNS = 28  # number of unknowns in the fits to the points of these parts
 MIN_FORWARD_SHARE = 0.9  # of the way along arc and line
 MAX_TURN = 0.35  # largest angle between the sweep (by the ball) and the line (rad)
-MAX_PART_RMS = 3.0  # sigmas of the points of a part
+MAX_PART_RMS, MAX_ROW_RMS = 3.0, 10.0  # sigmas of the points of a part, of a row
 NOISE_DRAWS = 100  # for the covariance
 # of the sweep
 RIDGE_ANGLE = 0.35  # smallest angle between two faces that meet (rad)
@@ -167,15 +167,19 @@ class TrackerProblem(TableProblem):
             target={'radius': answer.radius, 'face_angle': float(answer.angles[0])})
 
     def require_agreement(self, distances: Mapping[str, Array], residuals: Array) -> None:
-        """Raise DataError where a part is further off than the noise of the instruments."""
-        # the distance of a reflector from a swept face has the noise of both instruments
-        noise = {part: math.hypot(0.0 if part in SWEPT_PARTS else self.config.tracker.noise,
-                                  0.0 if part in ('arc', 'line') else self.config.noise.sensor)
-                 for part in PARTS}
-        contradicting = [
-            (residual, f'{part} of {"profile" if part in SWEPT_PARTS else "row"} {sample}')
-            for (sample, part), residual in zip(self.samples, residuals.tolist(), strict=True)
-            if rms(distances[part]) > MAX_PART_RMS * noise[part]]
+        """Raise DataError where a part or a row is further off than the noise of instruments."""
+        contradicting = list[tuple[float, str]]()
+        for (sample, part), residual in zip(self.samples, residuals.tolist(), strict=True):
+            is_swept = part in SWEPT_PARTS
+            # the distance of a reflector from a swept face has the noise of both instruments
+            noise = math.hypot(0.0 if is_swept else self.config.tracker.noise,
+                               0.0 if part in ('arc', 'line') else self.config.noise.sensor)
+            part_is_off = rms(distances[part]) > MAX_PART_RMS * noise
+            # one profile matters little
+            row_is_off = not is_swept and residual > MAX_ROW_RMS * noise
+            if part_is_off or row_is_off:
+                contradicting.append(
+                    (residual, f'{part} of {"profile" if is_swept else "row"} {sample}'))
         if contradicting:
             distance, worst = max(contradicting)
             raise DataError(

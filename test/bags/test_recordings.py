@@ -396,12 +396,25 @@ def test_joint_states_of_another_device_are_no_fault_beside_those_of_the_arm(tmp
                  arm=arm)
 
 
-@pytest.mark.parametrize(('kind', 'frame', 'items'), [
-    ('pose', 'parent_frame', POSES), ('profile', 'frame_id', PROFILES)])
-def test_messages_of_two_frames_are_refused(tmp_path, kind, frame, items):
-    mixed = [*items[:-1], replace(items[-1], **{frame: 'map'})]
-    refused(f'two frames, "{getattr(items[0], frame)}" and "map"',
-            written(tmp_path, **{f'{kind}s': mixed}))
+@pytest.mark.parametrize('kind, frame, items', [
+    ('pose', 'parent_frame', POSES), ('profile', 'frame_id', PROFILES * 4)])
+def test_messages_of_another_frame_are_strays_and_many_are_refused(tmp_path, kind, frame, items):
+    items = [replace(item, stamp=POSES[0].stamp + i * 10 ** 7) for i, item in enumerate(items)]
+    first = getattr(items[0], frame)
+    for name, others in (('first', [0]), ('last', range(len(items) - 5, len(items))),
+                         ('some', range(1, len(items), 10)), ('half', range(1, len(items), 2))):
+        mixed = [replace(item, **{frame: 'map'}) if i in others else item
+                 for i, item in enumerate(items)]
+        path = written(tmp_path, name=name, **{f'{kind}s': mixed})
+        if name in ('first', 'last'):
+            recording = bag.read(path, CONFIG)
+            kept_stamps = [item.stamp for i, item in enumerate(items) if i not in others]
+            assert [item.stamp for item in getattr(recording, f'{kind}s')] == kept_stamps
+            assert recording.warnings == [
+                f'{len(others)} of {len(items)} {kind}s were left out: their frame is "map", not '
+                f'"{first}"']
+        else:
+            refused(f'two frames, "{first}" and "map"', path)
 
 
 # -- transforms

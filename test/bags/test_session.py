@@ -66,8 +66,7 @@ def test_every_stop_is_a_file_that_stock_readers_read(tmp_path: Path) -> None:
     assert folder.parent == tmp_path / 'sphere'
     text = (folder / 'metadata.yaml').read_text()
     metadata = yaml.safe_load(text)['rosbag2_bagfile_information']
-    assert metadata['message_count'] == sum(
-        topic['message_count'] for topic in metadata['topics_with_message_count']) > 20
+    assert metadata['message_count'] == sum(file['message_count'] for file in metadata['files'])
     assert metadata['relative_file_paths'] == [file.name for file in files_of(folder)] == [
         f'{folder.name}_{i}.mcap' for i in range(3)]
     with AnyReader([folder]) as reader:
