@@ -51,7 +51,7 @@ def field_of(scenario: Scenario) -> np.ndarray:
     (near, far), width = scenario.sensor.range, scenario.sensor.half_width
     x, depth = 0.95 * width * near, far - near
     points = field_points((-x, x), (near + 0.2 * depth, far - 0.2 * depth))
-    return se3.apply(se3.inverse(FRAMES[scenario.layout.frame].T_standard_sensor), points)
+    return se3.apply(se3.inverse(FRAMES[scenario.frame].T_standard_sensor), points)
 
 
 def nees(T: np.ndarray, covariance: np.ndarray, T_true: np.ndarray) -> float:

@@ -8,10 +8,10 @@ Profiles and poses as drivers publish them, and paths.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 import json
-from operator import itemgetter
 import os
 from pathlib import Path
 import shutil
@@ -22,6 +22,7 @@ from typing import Any, BinaryIO
 from handeye_ros import se3
 from handeye_ros.bags.messages import DATATYPES, METRES_PER_UNIT, typestore
 from handeye_ros.bags.reader import (
+    by_log_time,
     CLOUD_TYPE,
     full_name,
     JOINTS_TYPE,
@@ -50,23 +51,27 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
           force: bool = False, joints: Sequence[tuple[int, Array]] = (), dtype: str = 'f4'
           ) -> None:
     """
-    Write a rosbag2 folder.
+    Write profiles and poses as a rosbag2 folder, completely or not at all.
 
-    config: gives the topics and the unit of the coordinates; texts: of other files in the folder,
-    by name; force: an existing bag is replaced; joints: stamps and values of joint_1, joint_2,
-    ...; dtype: of the coordinates, f4 or f8. Raises InputError if the path exists,
-    UnwritableError if it cannot be written.
+    config: names the topics, and the unit of the coordinates in the messages
+    texts: the contents of other files in the folder, by name
+    force: whether a bag that is there is replaced
+    joints: stamps (ns) and values (k,) of the joints joint_1, joint_2 and so on (rad)
+    dtype: the type of the coordinates, f4 or f8
+
+    Raises InputError if the path exists and may not be replaced, and UnwritableError if it cannot
+    be written.
     """
     config = config or Config()
 
-    def messages() -> Iterator[RecordedMessage]:
-        joint_topic, items = full_name(config.joint_topic), list[Any]([*profiles, *poses])
-        for stamp, item in sorted([*((item.stamp, item) for item in items), *joints],
-                                  key=itemgetter(0)):
-            yield (RecordedMessage(joint_topic, JOINTS_TYPE, stamp, joints_cdr(stamp, item))
-                   if isinstance(item, np.ndarray) else recorded_message(item, config, dtype))
+    def fill(folder: Path) -> None:
+        items: list[AnyProfile | TimedPose] = [*profiles, *poses]
+        messages = [recorded_message(item, config, dtype) for item in items]
+        messages += [RecordedMessage(full_name(config.joint_topic), JOINTS_TYPE, stamp,
+                                     joints_cdr(stamp, values)) for stamp, values in joints]
+        _write_bag(folder, sorted(messages, key=by_log_time))
 
-    write_folder(path, texts, lambda folder: _write_bag(folder, messages()), force)
+    write_folder(path, texts, fill, force)
 
 
 def recorded_message(item: AnyProfile | TimedPose, config: Config, dtype: str) -> RecordedMessage:
@@ -104,14 +109,12 @@ def write_mcap(stream: BinaryIO, messages: Iterable[RecordedMessage]) -> None:
 
 
 def summary_of(file: Path) -> Summary:
-    """Return the summary of a whole .mcap file, with statistics; raises InputError."""
-    try:
+    """Return the summary of a whole .mcap file, with statistics; raises InputError for others."""
+    with suppress(Exception):  # damaged bytes cause all kinds of errors in parsers
         summary = _contents(file, file.stat().st_mtime_ns)
         if summary and summary.statistics:
             return summary
-    except Exception as error:  # damaged bytes cause all kinds of errors in parsers
-        raise InputError(f'{file}: is damaged, or cannot be read: {error}') from error
-    raise InputError(f'{file}: is cut off')
+    raise InputError(f'{file}: is damaged or cut off, or cannot be read')
 
 
 @lru_cache(10_000)
@@ -227,9 +230,10 @@ def _pose(translation: Array, quaternion: Array) -> Any:
 
 def write_path(path: Path, T: Array, frame_id: str, stamp: int) -> None:
     """
-    Write poses (n, 4, 4) on the topics /seam/path and /seam/poses; an existing bag is replaced.
+    Write a bag with poses T (n, 4, 4) of the frame frame_id on /seam/path and /seam/poses.
 
-    stamp: of the messages (ns). Raises InputError if the path is no bag, UnwritableError.
+    Both messages have the stamp (ns). A bag that is there is replaced. Raises InputError if there
+    is something else, and UnwritableError.
     """
     header = _header(stamp, frame_id)
     poses = [_pose(*pair) for pair in zip(T[:, :3, 3], se3.quaternion(T), strict=True)]

@@ -260,7 +260,7 @@ def _require_unit(points: Array, unit: str) -> None:
 
 def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     """
-    Raise for returns (n, 3) outside the plane of the first two axes, of a tilted plane by name.
+    Raise for returns (n, 3) outside the plane of the first two axes.
 
     axes: names of the columns: along the line, range, across the plane.
     """
@@ -269,21 +269,15 @@ def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     spread = np.ptp(points, axis=0)
     centred = points - points.mean(axis=0)
     slopes, *_ = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)
-    slope, distance_rms = slopes[1], rms(centred[:, 2] - centred[:, :2] @ slopes)
-    thin = THIN_SHARE * spread[2]
+    distance_rms, thin = rms(centred[:, 2] - centred[:, :2] @ slopes), THIN_SHARE * spread[2]
     is_flat = min(spread[:2]) < thin  # one of the two axes is orthogonal to the plane
-    if abs(slope) > MIN_SLOPE and distance_rms < thin and not is_flat:
-        raise _error_of(f'the points lie in a plane that is tilted by '
-                        f'{math.degrees(math.atan(abs(slope))):.1f} degrees about {axes[0]} '
-                        f'against that of {axes[0]} and {axes[1]}: let the driver publish them in '
-                        f'a frame of the light plane, where {axes[2]} is 0; a static transform '
-                        'can hold the tilt')
-    if spread[2] > MAX_THICKNESS:
+    is_tilted = abs(slopes[1]) > MIN_SLOPE and distance_rms < thin and not is_flat
+    if is_tilted or spread[2] > MAX_THICKNESS:
         flat = axes[int(np.argmin(spread[:2]))]
         first, second = (axes[2] if axis == flat else axis for axis in axes[:2])
         advice = (f', their {flat} nothing: set profile.axes to [{first}, {second}]' if is_flat
-                  else '; a line profiler measures in one plane: let its driver publish single '
-                  'profiles in its own frame')
+                  else ': let the driver publish single profiles in a frame of the light plane, '
+                  f'where {axes[2]} is 0 (a static transform can hold its tilt)')
         raise _error_of(f'the points do not lie in the plane of {axes[0]} and {axes[1]}: their '
                         f'{axes[2]} spans {spread[2] * 1e3:.1f} mm{advice}')
 
@@ -361,10 +355,11 @@ def profiles_of(raw: RawProfile, previous_stamp: int | None) -> list[RawProfile]
     Return the profiles of a message, in the order of their stamps.
 
     With profile.period (s), the stamps of its rows are known. Without, they were taken at some
-    time between two messages (time_margins): such a profile counts if the robot stood
-    still during all of this time.
-    previous_stamp: of the previous message (ns), None for the first, which without a period is
-    left out, as its duration is unknown.
+    time between two messages (time_margins), and such a profile counts if the robot stood still
+    during all of this time.
+
+    previous_stamp: that of the previous message (ns), None for the first message; without a
+        period the first is left out, as its duration is unknown
     """
     if raw.profile_count == 1:
         return [raw]
@@ -396,10 +391,11 @@ def _row_message(fetch: Callable[[], bytes], index: int, stamp: int) -> bytes:
 
 def returns_of(raw: RawProfile) -> Profile:
     """
-    Return only the returns of a profile, in message order.
+    Return only the returns of a profile, in the order of the message (m).
 
-    With the intensity if there is a field of that name. The order along the line, which takes most
-    of the time, is not determined. Raises UnusableMessageError, also for an uncertain stamp.
+    They have an intensity if the message has a field of that name. The points are not ordered
+    along the line, which would take most of the time. Raises UnusableMessageError, also for a
+    profile whose stamp is not certain.
     """
     if raw.time_margins != (0, 0):
         raise _error_of('it holds several profiles, and does not say when each was taken: set '

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 from contextlib import closing, suppress
 from functools import lru_cache, partial
+from operator import attrgetter
 from pathlib import Path
 import sqlite3
 from typing import Any, BinaryIO, NamedTuple
@@ -41,8 +42,10 @@ class RecordedMessage(NamedTuple):
     """
     A message as it is recorded.
 
-    message_type: such as CLOUD_TYPE; log_time: when it was recorded (ns); data: serialised; fetch:
-    reads the data again, so that they need not be kept; it returns b'' if the file has changed.
+    message_type: the ROS type, such as CLOUD_TYPE
+    log_time: when it was recorded (ns)
+    data: the message, serialised
+    fetch: reads the data again, so that they need not be kept; returns b'' if the file has changed
     """
 
     topic: str
@@ -50,6 +53,9 @@ class RecordedMessage(NamedTuple):
     log_time: int
     data: bytes
     fetch: Callable[[], bytes] = bytes
+
+
+by_log_time = attrgetter('log_time')
 
 
 class Reader:
@@ -63,30 +69,20 @@ class Reader:
     files: those that were read
     """
 
-    def __init__(self, path: Path, topics: Collection[str] | None = None,
-                 progress: Callable[[float], None] = lambda share: None) -> None:
-        """
-        Read nothing yet.
-
-        topics: of the messages to be read, None: all; progress: receives the fraction of the bytes
-        that were read.
-        """
+    def __init__(self, path: Path, topics: Collection[str] | None = None) -> None:
+        """Read nothing yet; topics: of the messages to be read, None: all."""
         self.path = path
         self.types: dict[str, str] = {}
         self.warnings: list[str] = []
         self.files: list[Path] = []
         self._topics = None if topics is None else {full_name(topic) for topic in topics}
-        self._progress = progress
-        self._before, self._total = 0, 1  # bytes of files: before the current one, of all
 
     def messages(self) -> Iterator[RecordedMessage]:
         """Yield the messages; raises InputError if there is nothing to read."""
         try:
             self.files = _files(self.path)
-            self._total = sum(file.stat().st_size for file in self.files)
             for file in self.files:
                 yield from self._messages_of(file)
-                self._before += file.stat().st_size
         except OSError as error:
             raise InputError(f'{error.filename or self.path}: cannot be read: '
                              f'{error.strerror or error}') from error
@@ -137,7 +133,6 @@ class Reader:
                                                   _unpacked(record.data),
                                                   partial(_read_again, data_at, start, index))
                 start = stream.tell()
-                self._progress((self._before + start) / self._total)
         if damaged_chunks or not complete:
             left_out = f', left out {damaged_chunks} damaged chunk(s)' if damaged_chunks else ''
             self._warn_of_damage(path, f'read {count_of(message_count, "message")}{left_out}')
@@ -227,7 +222,8 @@ def _read_again(find: Callable[[int], list[bytes]], place: int, index: int = 0) 
     """
     Return a message of a file again, b'' if the file has changed.
 
-    find: returns the messages at a place in the file; index: of the message among these.
+    find: returns the messages at a place in the file
+    index: that of the message among these
     """
     try:
         return _unpacked(bytes(find(place)[index]))

@@ -35,6 +35,7 @@ from handeye_ros.bags.bag_write import (
 )
 from handeye_ros.bags.messages import message_of, pose_from_cdr, ProfileReader
 from handeye_ros.bags.reader import (
+    by_log_time,
     CLOUD_TYPE,
     full_name,
     JOINTS_TYPE,
@@ -140,7 +141,8 @@ class SessionFiles:
         """
         Write an evaluated stop; return it as it is on the disk.
 
-        joints: stamps (ns) and serialised JointState messages. Raises UnwritableError.
+        joints: stamps (ns) and serialised JointState messages, of which those during the stop are
+        written. Raises UnwritableError.
         """
         loaded = stop.load(config)
         joints = [(stamp, data) for stamp, data in joints if loaded.start <= stamp <= loaded.end]
@@ -194,7 +196,8 @@ def lock_folder(folder: Path, refusal: str) -> int:
     """
     Lock a folder until the process ends; return the file descriptor that holds the lock.
 
-    Raises InputError with the refusal if another process has locked it, OSError.
+    Raises InputError with the sentence refusal if another process has locked the folder, and
+    OSError if it cannot be locked.
     """
     lock = os.open(folder / LOCK_FILE, os.O_RDONLY | os.O_CREAT, 0o644)
     try:
@@ -221,7 +224,7 @@ def _messages(event: str, config: Config, stop: Stop, joints: Sequence[tuple[int
     for topic, content in ((CONFIGURATION_TOPIC, settings), (OUTCOME_TOPIC, outcome)):
         text = json.dumps({'format': FORMAT, **content})
         messages.append(RecordedMessage(topic, STRING_TYPE, end, string_cdr(text)))
-    return sorted(messages, key=lambda message: message.log_time)
+    return sorted(messages, key=by_log_time)
 
 
 def _number_of(file: Path) -> int:

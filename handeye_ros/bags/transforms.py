@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 
 from handeye_ros import se3
 from handeye_ros.data import Array, NS, TimedPose
-from handeye_ros.sampling.stream import interpolate, Stream
+from handeye_ros.sampling.stream import by_stamp, interpolate, Stream
 import numpy as np
 
 STILL = 1e-5  # m, rad: a link that moves less between two transforms stands
@@ -33,20 +33,21 @@ class _Link:
 
     def at(self, stamp: int, max_gap: float) -> Array | None:
         """
-        Return T_parent_child (4, 4) at a stamp; None if it is too new, or too old.
+        Return T_parent_child (4, 4) at a stamp; None if it is not known yet.
 
-        It is NaN where the link moved between two transforms that are more than max_gap (s) apart.
+        It is NaN at a stamp before all transforms, and where the link moved between two of them
+        that are more than max_gap (s) apart.
         """
         poses = self.poses
         if self.static:
             return se3.of_pose(poses[0])
-        if not poses or not poses[0].stamp <= stamp <= poses[-1].stamp:
+        if not poses or stamp > poses[-1].stamp:
             return None
-        index = bisect_left(poses, stamp, key=lambda pose: pose.stamp)
+        index = bisect_left(poses, stamp, key=by_stamp)
         if poses[index].stamp == stamp:
             return se3.of_pose(poses[index])
         before, after = poses[index - 1], poses[index]
-        if after.stamp - before.stamp > max_gap * NS and np.abs(
+        if index == 0 or after.stamp - before.stamp > max_gap * NS and np.abs(
                 se3.of_pose(after) - se3.of_pose(before)).max() > STILL:
             return np.full((4, 4), np.nan)
         return interpolate([before, after], [stamp])[0]
@@ -64,10 +65,10 @@ class FlangeFollower:
         """
         Start with an empty tree.
 
-        base, flange: the frame ids; max_gap: largest time between two transforms of a link that
-        moves (s).
+        base, flange: the ids of the two frames
+        max_gap: the largest time between two transforms of a moving link that are interpolated (s)
         """
-        self._max_gap, self._sparse_count = max_gap, 0
+        self._max_gap = max_gap
         self._base = base.removeprefix('/')
         self._flange = flange.removeprefix('/')
         self._links: dict[str, _Link] = {}
@@ -76,18 +77,15 @@ class FlangeFollower:
     @property
     def warnings(self) -> list[str]:
         """Return one sentence for each frame and reason for which transforms were dropped."""
-        sparse = [f'{self._sparse_count} poses of /tf were left out: another link moved, and its '
-                  f'transforms are more than {self._max_gap:g} s apart (sampling.max_pose_gap)'
-                  ] if self._sparse_count else []
-        return [*sparse, *(f'/tf (frame {child}): {warning}' for child, link in self._links.items()
-                           for warning in link.stream.warnings)]
+        return [f'/tf (frame {child}): {warning}' for child, link in self._links.items()
+                for warning in link.stream.warnings]
 
     def add(self, transforms: Sequence[tuple[str, TimedPose]], static: bool) -> list[TimedPose]:
         """
         Add the transforms of one message; return the poses T_base_flange that are now known.
 
-        transforms: child frames and their poses, as messages.transforms_from_cdr returns them;
-        static: whether they are of /tf_static.
+        transforms: child frames and their poses, as messages.transforms_from_cdr returns them
+        static: whether they come from /tf_static
         """
         for child, pose in transforms:
             link = self._links.get(child)
@@ -106,12 +104,11 @@ class FlangeFollower:
         for stamp in [p.stamp for p in timing_link.poses if p.stamp > self._sent_until]:
             T_ancestor_flange, T_ancestor_base = (
                 _product(chain, stamp, self._max_gap) for chain in chains)
-            if T_ancestor_flange is not None and T_ancestor_base is not None:
-                T_base_flange = se3.inverse(T_ancestor_base) @ T_ancestor_flange
-                self._sent_until = stamp
-                if np.isnan(T_base_flange).any():
-                    self._sparse_count += 1
-                    continue
+            if T_ancestor_flange is None or T_ancestor_base is None:
+                break
+            self._sent_until = stamp
+            T_base_flange = se3.inverse(T_ancestor_base) @ T_ancestor_flange
+            if np.isfinite(T_base_flange).all():
                 poses.append(TimedPose(stamp, T_base_flange[:3, 3],
                                        se3.quaternion(T_base_flange), self._base))
         return poses
@@ -136,12 +133,12 @@ class FlangeFollower:
     def _chains(self) -> tuple[list[_Link], list[_Link]] | None:
         """Return the links from flange and base up to their common ancestor, None without one."""
         links = self._links  # which another thread may replace
-        chains = _ancestors(self._flange, links), _ancestors(self._base, links)
-        if chains[0][-1] != chains[1][-1]:
+        of_flange, of_base = (_ancestors(frame, links) for frame in (self._flange, self._base))
+        common = next((frame for frame in of_flange if frame in of_base), None)
+        if common is None:
             return None
-        while all(chains) and chains[0][-1] == chains[1][-1]:
-            chains = chains[0][:-1], chains[1][:-1]
-        to_flange, to_base = ([links[frame] for frame in chain] for chain in chains)
+        to_flange, to_base = ([links[frame] for frame in frames[:frames.index(common)]]
+                              for frames in (of_flange, of_base))
         return to_flange, to_base
 
 

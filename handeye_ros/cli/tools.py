@@ -215,7 +215,7 @@ def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> 
             new_folder.mkdir()
             for part, messages in recordings.items():
                 bag_write.write(new_folder / part, messages.profiles, messages.poses, texts=texts)
-            cloud = artefacts.preform_cloud(artefacts.Preform(), np.random.default_rng(seed))
+            cloud = artefacts.preform_cloud(np.random.default_rng(seed))
             rows = unstructured_to_structured(cloud.points,
                                               np.dtype([(axis, '<f4') for axis in 'xyz']))
             write_cloud(new_folder / PREFORM_FILE, [rows], 'frame base, metres')

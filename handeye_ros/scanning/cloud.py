@@ -22,10 +22,9 @@ Points: TypeAlias = NDArray[np.void]
 CLOUD_SUFFIXES = ('.ply', '.pcd')
 """The endings of the files."""
 COUNT_DIGITS = 15  # reserved for the number of points
-PLY_TYPES = {'char': 'i1', 'uchar': 'u1', 'short': 'i2', 'ushort': 'u2', 'int': 'i4',
-             'uint': 'u4', 'float': 'f4', 'double': 'f8', 'int8': 'i1', 'uint8': 'u1',
-             'int16': 'i2', 'uint16': 'u2', 'int32': 'i4', 'uint32': 'u4', 'float32': 'f4',
-             'float64': 'f8'}
+# types of PLY that numpy calls otherwise
+PLY_TYPES = {'char': 'int8', 'uchar': 'uint8', 'int': 'int32', 'uint': 'uint32',
+             'float': 'float32'}
 MAX_HEADER_LENGTH = 1 << 16
 
 
@@ -37,9 +36,11 @@ def require_suffix(path: Path) -> None:
 
 def write_cloud(path: Path, pieces: Iterable[Points], comment: str = '') -> None:
     """
-    Write the pieces of a cloud, arrays with fields of float32.
+    Write a cloud piece by piece; the file appears only when all pieces are written.
 
-    The file appears only when all are written. Raises InputError, UnwritableError.
+    Each piece is an array with the fields of its points, all float32, among them x, y and z in
+    metres. The comment stands in the header and names the frame. Raises InputError for another
+    file name than those of CLOUD_SUFFIXES, and UnwritableError.
     """
     require_suffix(path)
     fields, count = tuple[str, ...](), 0
@@ -56,25 +57,24 @@ def write_cloud(path: Path, pieces: Iterable[Points], comment: str = '') -> None
 
 def _header(suffix: str, names: Sequence[str], count: int, comment: str) -> bytes:
     """Return the header of a cloud, of the same length for every number of points."""
-    padding = '.' * (COUNT_DIGITS - len(str(count)))
+    padded_count = f'{count:0{COUNT_DIGITS}}'
     if suffix == '.ply':
         lines = ['ply', 'format binary_little_endian 1.0', f'comment {comment}',
-                 f'comment {padding}', f'element vertex {count}',
-                 *(f'property float {name}' for name in names), 'end_header']
+                 f'element vertex {padded_count}', *(f'property float {name}' for name in names),
+                 'end_header']
     else:
-        lines = ['# .PCD v0.7 - Point Cloud Data file format', f'# {comment} {2 * padding}',
-                 'VERSION 0.7', f'FIELDS {" ".join(names)}', f'SIZE{" 4" * len(names)}',
-                 f'TYPE{" F" * len(names)}', f'COUNT{" 1" * len(names)}',
-                 f'WIDTH {count}', 'HEIGHT 1', 'VIEWPOINT 0 0 0 1 0 0 0',
-                 f'POINTS {count}', 'DATA binary']
+        lines = ['# .PCD v0.7 - Point Cloud Data file format', f'# {comment}', 'VERSION 0.7',
+                 f'FIELDS {" ".join(names)}', f'SIZE{" 4" * len(names)}',
+                 f'TYPE{" F" * len(names)}', f'COUNT{" 1" * len(names)}', f'WIDTH {padded_count}',
+                 'HEIGHT 1', 'VIEWPOINT 0 0 0 1 0 0 0', f'POINTS {padded_count}', 'DATA binary']
     return '\n'.join([*lines, '']).encode('ascii', 'backslashreplace')  # a frame in any script
 
 
 def read_cloud(path: Path) -> Array:
     """
-    Return the finite points (n, 3) of a PLY or PCD file (m), ASCII or binary little-endian.
+    Return the finite points (n, 3) of a PLY or PCD file, in metres and in the frame of the file.
 
-    Raises InputError.
+    The file may be ASCII or binary (little-endian). Raises InputError for other files.
     """
     require_suffix(path)
     layout = _ply_layout if path.suffix.lower() == '.ply' else _pcd_layout
@@ -129,7 +129,8 @@ def _ply_layout(lines: list[list[str]]) -> tuple[str, np.dtype[Any], int]:
     if lines[0] != ['ply'] or lines[first][1] != 'vertex' or form == 'binary_big_endian':
         raise ValueError
     properties = takewhile(lambda words: words[0] == 'property', lines[first + 1:])
-    fields = [(name, f'<{PLY_TYPES[kind]}') for _, kind, name in properties]
+    fields = [(name, np.dtype(PLY_TYPES.get(kind, kind)).newbyteorder('<'))
+              for _, kind, name in properties]
     return form.split('_')[0], np.dtype(fields), int(lines[first][2])
 
 

@@ -94,9 +94,11 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> C
     """
     Return the smoothing spline through points (n, 3) at increasing t (n,), without outliers.
 
-    pieces: numbers of pieces between knots of which generalised cross validation takes the best,
-    with each coefficient counted 1.5 times (Kim and Gu 2004: 1.4, else too many). Raises DataError
-    for fewer points than a cubic has coefficients.
+    pieces: the numbers of pieces between knots that are tried. Generalised cross validation takes
+        the best; it counts each coefficient 1.5 times, else it takes too many (Kim and Gu 2004:
+        1.4 times).
+
+    Raises DataError for fewer points than a cubic has coefficients.
     """
     inliers = np.ones(len(t), dtype=bool)
     # first a stiff one alone, which does not follow outliers

@@ -173,10 +173,11 @@ def point_std(calibration: Calibration, noise: NoiseConfig, lever: Array, pose_s
     """
     Return 1 sigma (n,) of measured points in the base, as a length (m).
 
-    lever: (n, 3) from the sensor to the points, in the axes of its mount (m).
-    Its square is the mean squared length of the position's error, the trace of its covariance:
-    of the calibration (6x6), of the range, of single poses (noise), and of the trajectory
-    (pose_std (2,), per axis, m and rad).
+    lever: the vectors (n, 3) from the sensor to the points, in the axes of its mount (m)
+    pose_std: 1 sigma (2,) of the trajectory, translation and rotation by axis (m, rad)
+
+    The square of the result is the trace of the covariance of a point, which comes from the
+    calibration, from the noise of the range and of single poses, and from the trajectory.
     """
     wrt_X = se3.perturbation_jacobian(lever)
     square = ((wrt_X @ calibration.covariance) * wrt_X).sum(axis=(1, 2)) + noise.sensor ** 2

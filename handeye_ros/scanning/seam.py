@@ -27,7 +27,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 FORMAT = 'handeye_ros/seam/1'
-SEAM_NAMES = {'v': 'V seam', 'butt': 'butt seam', 'lap': 'lap seam', 'fillet': 'fillet seam'}
 FRAME_COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'gap', 'mismatch', 'residual',
                  'std')
 NEARBY_LENGTH = 0.01  # m along the seam: sections within it give the residual at a frame
@@ -97,12 +96,16 @@ def find_seam(points: Array, widest: float = MAX_SEAM_WIDTH,
               towards: Sequence[float] = (0.0, 0.0, -1.0), line: str = 'auto',
               start: Sequence[float] | None = None) -> Seam:
     """
-    Return the only seam in a cloud (n, 3).
+    Return the only seam in a cloud of points (n, 3), which are in metres.
 
-    widest: largest distance between its edges (m); towards: (3,) within 90 degrees of the approach
-    of the tool; line: see Seam, or auto: the root of V and fillet, the centre of butt and lap;
-    start: (3,) a point near the end where the seam begins.
-    Raises DataError where there is none, several, or one that is interrupted or not clear.
+    widest: the largest distance between the edges of a seam (m)
+    towards: a direction (3,) within 90 degrees of the approach of the tool
+    line: the line that the path follows, see Seam; auto: the root of V and fillet, the centre of
+        butt and lap
+    start: a point (3,) near the end where the seam begins
+
+    Raises DataError where there is no seam, where there are several, and where the only one is
+    interrupted or not clear.
     """
     points = np.unique(points, axis=0)
     points = points[::max(-(-len(points) // MAX_CLOUD_POINTS), 1)]
@@ -142,11 +145,14 @@ def find_seam(points: Array, widest: float = MAX_SEAM_WIDTH,
 def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, -1.0),
                 travel: float = 0.0, work: float = 0.0) -> ToolFrames:
     """
-    Return frames along the seam up to its end, without uncertain frames at the ends.
+    Return frames of a tool along the seam; frames at the ends that are not certain are left out.
 
-    pitch: distance between them (m); towards: (3,) within 90 degrees of the approach. travel:
-    travel angle, a tilt against the advance, about a; work: work angle, a tilt to the side, about
-    n (rad). Raises DataError where no frame is certain.
+    pitch: distance between two frames (m)
+    towards: a direction (3,) within 90 degrees of the approach
+    travel: the travel angle, by which the tool leans against the advance, about n x o (rad)
+    work: the work angle, by which it leans to the side, about n (rad)
+
+    Raises DataError where no frame is certain.
     """
     lengths, t = seam.curve.arc
     std = seam.std(t)
@@ -185,9 +191,9 @@ def _measures(seam: Seam, t: Array) -> Array:
 
 def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
     """
-    Write seam.csv and seam.yaml: arc length, pose and measures of each frame (m).
+    Write seam.csv and seam.yaml, with arc length, pose and measures of each frame (m).
 
-    Raises UnwritableError.
+    frame_id: the frame of the poses. Raises UnwritableError.
     """
     rows = np.column_stack([frames.lengths, frames.T_base_tool[:, :3, 3],
                             se3.quaternion(frames.T_base_tool), frames.measures])
@@ -207,8 +213,8 @@ def sentences(seam: Seam, frames: ToolFrames) -> list[str]:
     """Return what is told of a seam and its frames, one sentence each."""
     gap, mismatch, _, std = 1e3 * frames.measures.T
     begins, ends = frames.lengths[0], seam.curve.length - frames.lengths[-1]
-    lines = [f'{SEAM_NAMES[seam.kind]} of {seam.curve.length * 1e3:.1f} mm, path along its '
-             f'{seam.line}: {seam.curve.kind}; {len(frames.lengths)} tool frames',
+    lines = [f'{seam.kind} seam of {seam.curve.length * 1e3:.1f} mm, path along its {seam.line}: '
+             f'{seam.curve.kind}; {len(frames.lengths)} tool frames',
              f'gap {gap.min():.2f} to {gap.max():.2f} mm, mismatch {mismatch.min():.2f} to '
              f'{mismatch.max():.2f} mm; its sections scatter by {seam.scatter * 1e3:.3f} mm',
              f'the points are {seam.spacing * 1e3:.2f} mm apart, their noise is '

@@ -217,7 +217,10 @@ def course(sheets: Sheets, widest: float, up: Array) -> Course:
     """
     Return the rough course of the only seam between sheets.
 
-    widest: largest distance between its edges (m); up: (3,) towards the tool. Raises DataError.
+    widest: the largest distance between its edges (m)
+    up: a direction (3,) towards the tool
+
+    Raises DataError where there is no seam, or where there are several.
     """
     pairs, spacing = _facing_pairs(sheets, widest), sheets.spacing
     parts_by_kind = defaultdict[str | None, list[Pairs]](list)

@@ -72,7 +72,7 @@ class SeamSections:
 
 
 def edges_of_seam(sheets: Sheets, rough: Course) -> SeamSections:
-    """Return the edges of the seam along a rough course; raises DataError."""
+    """Return the edges along a rough course; raises DataError where they are not one line."""
     is_corner = rough.kind in ('v', 'fillet')
     middle = sheets.points[rough.pairs].mean(axis=1)
     curve = spline(rough.t, middle, STIFF_ONLY)
@@ -83,18 +83,10 @@ def edges_of_seam(sheets: Sheets, rough: Course) -> SeamSections:
         raise DataError(f'what looks like a seam is not a single open line: it is '
                         f'{mm(2 * widest)} wide at {place} (closed, or branching?): cut a part '
                         'out with --box')
-    # of two sheets the same is on one side everywhere: the sum over all pairs tells
-    labels = sheets.label[rough.pairs]
-    rough = replace(rough, pairs=np.where(
-        labels[:, :1] > labels[:, 1:], rough.pairs[:, ::-1], rough.pairs))
-    labels, (i, j) = np.sort(labels, axis=1), rough.pairs.T
+    i, j = rough.pairs.T
     up = (-sheets.outward[i] - sheets.outward[j] if is_corner
           else sheets.normals[i] + sheets.normals[j])
-    across = np.cross(up, curve.tangent(rough.t))
-    side = _dot(sheets.outward[i] - sheets.outward[j], across)
-    for two in np.unique(labels[labels[:, 0] != labels[:, 1]], axis=0):
-        same = (labels == two).all(axis=1)
-        side[same] = side[same].sum()
+    side = _dot(sheets.outward[i] - sheets.outward[j], np.cross(up, curve.tangent(rough.t)))
     rough = replace(rough, pairs=np.where(side < 0, rough.pairs[:, ::-1], rough.pairs))
     edges = _edges_along(sheets, rough, curve)
     if is_corner:  # out of it the rough course may bend at its ends

@@ -29,6 +29,7 @@ from handeye_ros.simulate.scenario import (
 from handeye_ros.simulate.scenes import Placements, SCENES
 from handeye_ros.simulate.solids import box, Polyhedron, Solid
 import numpy as np
+from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
 STOP_TIME = 0.6  # s of a stop
@@ -43,15 +44,19 @@ class Messages:
     poses: tuple[TimedPose, ...]
 
 
-def draw_pose(rng: np.random.Generator, tilt: float = 0.2, low: float = 0.0) -> Array:
-    """Draw the pose of an artefact in the base (4, 4); tilt: largest (rad); low: least z (m)."""
+def draw_pose(rng: Generator, tilt: float = 0.2, low: float = 0.0) -> Array:
+    """Draw the pose (4, 4) of an artefact in the base, tilted at most so (rad), above low (m)."""
     turn = Rotation.from_euler('xyz', rng.uniform([-tilt, -tilt, -3], [tilt, tilt, 3]))
     return se3.transform(turn.as_matrix(), rng.uniform([0.5, -0.3, low], [0.9, 0.3, 0.4]))
 
 
 def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Placements,
-             rng: np.random.Generator, start: float = 0.0) -> Messages:
-    """Return the messages at stops from start (s) on, without those between the stops."""
+             rng: Generator, start: float = 0.0) -> Messages:
+    """
+    Return the messages of a robot at stops, without those between the stops.
+
+    start: the time of the first stop, since the start of the recording (s)
+    """
     sensor, robot = scenario.sensor, scenario.robot
     T = T_base_target @ stops.T_target_sensor @ se3.inverse(T_flange_sensor)
     T = se3.perturb(T, pose_error(robot, T, rng))
@@ -69,8 +74,7 @@ def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, s
     return Messages(tuple(profiles), tuple(poses))
 
 
-def _jittering(robot: RobotModel, T: Array, times: Array, rng: np.random.Generator
-               ) -> tuple[TimedPose, ...]:
+def _jittering(robot: RobotModel, T: Array, times: Array, rng: Generator) -> tuple[TimedPose, ...]:
     """Return the poses T (4, 4) or (n, 4, 4) as they are streamed at times (n,)."""
     T = se3.perturb(np.broadcast_to(T, (len(times), 4, 4)),
                     rng.normal(size=(len(times), 6)) * robot.jitter)
@@ -110,7 +114,7 @@ class Gauge:
 
 
 def scan_gauge(gauge: Gauge, T_flange_sensor: Array, T_base_gauge: Array, sensor: SensorModel,
-               robot: RobotModel, rng: np.random.Generator) -> tuple[Messages, ...]:
+               robot: RobotModel, rng: Generator) -> tuple[Messages, ...]:
     """Return the passes of a scan; the robot's error is constant during a pass."""
     distance, speed = gauge.length - 0.02, 0.01  # m, m/s along the teeth
     times = np.arange(0.0, distance / speed, 1 / sensor.rate)
@@ -138,7 +142,7 @@ GAUGE_BALL = SphereTarget(0.02, table=None, clutter=False)
 BALL_BAR_LENGTH = 0.2  # m between two balls
 
 
-def measuring_cell(rng: np.random.Generator) -> tuple[dict[str, Messages], dict[str, Any]]:
+def measuring_cell(rng: Generator) -> tuple[dict[str, Messages], dict[str, Any]]:
     """
     Return recordings by name, and what the truth.yaml of each holds.
 
@@ -165,46 +169,11 @@ def measuring_cell(rng: np.random.Generator) -> tuple[dict[str, Messages], dict[
 # -- a preform with a seam
 
 
-@dataclass(frozen=True)
-class Preform:
-    """
-    Geometry and noise of a preform; metres. noise: 1 sigma per axis.
-
-    The sheet is z = f(x, y), the seam y = g(x) in plan. kind lap: the upper sheet lies on the
-    lower one where y > g(x); butt: two sheets end on either side of a gap.
-
-    thickness: height of the lap's step
-    gap: width of the butt's gap
-    bend, arch: radii along and across the seam
-    sway: deviation of the seam from a straight line
-    missing: unscanned fraction of its length (from, to)
-    seams: number, side by side
-    """
-
-    kind: str = 'lap'
-    thickness: float = 5e-3
-    gap: float = 3e-3
-    length: float = 0.2
-    width: float = 0.06
-    spacing: float = 4e-4
-    noise: float = 1e-4
-    bend: float = 0.25
-    arch: float = 0.15
-    sway: float = 8e-3
-    missing: tuple[float, float] = (0.0, 0.0)
-    seams: int = 1
-
-    def sheet(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the points (n, 3) of the sheet, and its normals (n, 3)."""
-        points = np.stack([x, y, -x ** 2 / (2 * self.bend) - y ** 2 / (2 * self.arch)], axis=-1)
-        normals = np.stack([x / self.bend, y / self.arch, np.ones_like(x)], axis=-1)
-        return points, se3.unit(normals)
-
-    def seam(self, x: Array) -> tuple[Array, Array]:
-        """Return y (n,) of the middle seam in plan, and its slope (n,)."""
-        u = 2 * x / self.length
-        return (self.sway * (u ** 2 - 0.6 * u ** 3 - 0.4),
-                self.sway * (2 * u - 1.8 * u ** 2) * 2 / self.length)
+PREFORM_WIDTH = 0.06  # m
+STEP = 5e-3  # m: thickness of the upper sheet, which is the height of the seam
+BEND, ARCH = 0.25, 0.15  # radii of the sheets along and across the seam (m)
+SWAY = 8e-3  # m: deviation of the seam from a straight line
+PREFORM_NOISE = 1e-4  # 1 sigma of each coordinate of a point (m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,25 +185,33 @@ class PreformCloud:
     normals: Array
 
 
-def preform_cloud(preform: Preform, rng: np.random.Generator) -> PreformCloud:
-    """Return a cloud of a preform at a random pose, and its true seam."""
-    size = np.array([preform.length, preform.width])
-    cells = np.argwhere(np.ones(np.ceil(size / preform.spacing).astype(int)))
-    x, y = ((cells + rng.random(cells.shape)) * preform.spacing - size / 2).T
-    missing = (np.array(preform.missing) - 0.5) * preform.length
-    keep = ~((x > missing[0]) & (x < missing[1]))
-    sheets, (middle, slope) = np.zeros(len(x)), preform.seam(x)
-    for offset in (np.arange(preform.seams) - (preform.seams - 1) / 2) * preform.width / 2:
-        across = (y - offset - middle) / np.hypot(1, slope)
-        sheets += across > 0
-        if preform.kind == 'butt':
-            keep &= np.abs(across) > preform.gap / 2
-    points, normals = preform.sheet(x, y)
-    along = np.linspace(-0.5, 0.5, 2001) * preform.length
-    centre, upwards = preform.sheet(along, preform.seam(along)[0])
-    if preform.kind == 'lap':
-        points = points + preform.thickness * sheets[:, None] * normals
-        centre = centre + 0.5 * preform.thickness * upwards
+def preform_cloud(rng: Generator, length: float = 0.2, spacing: float = 4e-4) -> PreformCloud:
+    """
+    Return a cloud of a preform at a random pose in the base, and its true seam.
+
+    A sheet of this length lies on another one; its rim is the seam. Both sheets are curved, the
+    lower one is z = f(x, y). spacing: of the points (m).
+    """
+    size = np.array([length, PREFORM_WIDTH])
+    cells = np.argwhere(np.ones(np.ceil(size / spacing).astype(int)))
+    x, y = ((cells + rng.random(cells.shape)) * spacing - size / 2).T
+    points, normals = _sheet(x, y)
+    points += STEP * (y > _seam(x, length))[:, None] * normals
+    along = np.linspace(-0.5, 0.5, 2001) * length
+    centre, upwards = _sheet(along, _seam(along, length))
+    centre += 0.5 * STEP * upwards
     T = draw_pose(rng, 0.5, 0.1)
-    points = points[keep] + preform.noise * rng.normal(size=(int(keep.sum()), 3))
+    points += PREFORM_NOISE * rng.normal(size=points.shape)
     return PreformCloud(se3.apply(T, points), se3.apply(T, centre), upwards @ T[:3, :3].T)
+
+
+def _sheet(x: Array, y: Array) -> tuple[Array, Array]:
+    """Return the points (n, 3) of the lower sheet, and its normals (n, 3)."""
+    points = np.stack([x, y, -x ** 2 / (2 * BEND) - y ** 2 / (2 * ARCH)], axis=-1)
+    return points, se3.unit(np.stack([x / BEND, y / ARCH, np.ones_like(x)], axis=-1))
+
+
+def _seam(x: Array, length: float) -> Array:
+    """Return y (n,) of the seam in plan."""
+    u = 2 * x / length
+    return SWAY * (u ** 2 - 0.6 * u ** 3 - 0.4)

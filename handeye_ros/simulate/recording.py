@@ -21,6 +21,7 @@ from handeye_ros.simulate.scenes import many_stops, Placements, SCENES
 from handeye_ros.simulate.sensor import FRAMES
 from handeye_ros.simulate.solids import relief, table
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
@@ -107,7 +108,7 @@ class Simulated:
 
 def settings(scenario: Scenario) -> dict[str, Any]:
     """Return the configuration by dotted key for the recordings of a scenario."""
-    frame, target = FRAMES[scenario.layout.frame], scenario.target
+    frame, target = FRAMES[scenario.frame], scenario.target
     values: dict[str, Any] = {
         'calibration_type': scenario.calibration_type, 'target.type': scenario.scene,
         'profile.axes': list(frame.axes), 'profile.range_sign': frame.range_sign,
@@ -153,21 +154,20 @@ class Cell:
 
     def truth(self, spans: NDArray[np.int64]) -> Truth:
         """Return the true values; spans (n, 2): stamps of the stops."""
-        T_true_sensor = FRAMES[self.scenario.layout.frame].T_standard_sensor
+        T_true_sensor = FRAMES[self.scenario.frame].T_standard_sensor
         if self.distortion:
             T_true_sensor = self.distortion.T_true_reported @ T_true_sensor
         corrected = None
         if self.arm and self.scenario.calibration_type == 'eye_in_hand':
             corrected = self.arm.flange @ self.T_mount_sensor @ T_true_sensor
-        stations = tuple(TrueStation(int(start), int(end), *of_stop)
-                         for (start, end), *of_stop in zip(
-            spans, self.stops.labels, self.stops.points, self.T_base_flange,
+        stations = tuple(TrueStation(*span, *of_stop) for span, *of_stop in zip(
+            spans.tolist(), self.stops.labels, self.stops.points, self.T_base_flange,
             self.T_base_flange_reported, strict=True))
         return Truth(self.T_mount_best @ T_true_sensor, self.T_world_target, stations,
                      T_corrected_sensor=corrected)
 
 
-def draw(scenario: Scenario, rng: np.random.Generator) -> Cell:
+def draw(scenario: Scenario, rng: Generator) -> Cell:
     """Draw a cell in which the sensor reaches the stops of its scene, and the robot's errors."""
     stops = SCENES[scenario.scene].stops(scenario, rng)
     number = len(stops.labels)
@@ -175,7 +175,7 @@ def draw(scenario: Scenario, rng: np.random.Generator) -> Cell:
     return cell_of(scenario, stops.ordered(np.tile(programme, scenario.repeats)), rng)
 
 
-def cell_of(scenario: Scenario, stops: Placements, rng: np.random.Generator) -> Cell:
+def cell_of(scenario: Scenario, stops: Placements, rng: Generator) -> Cell:
     """Draw a cell in which the sensor reaches the given stops, and the robot's errors."""
     in_flange, in_base = _draw_in_flange(scenario, rng), _draw_in_base(rng)
     X, Z = ((in_base, in_flange) if scenario.calibration_type == 'eye_on_base' else
@@ -202,10 +202,9 @@ def flange_poses(scenario: Scenario, T_target_sensor: Array, T_mount_sensor: Arr
     return np.asarray(T_world_target @ T_target_sensor @ se3.inverse(T_mount_sensor))
 
 
-def _draw_in_flange(scenario: Scenario, rng: np.random.Generator) -> Array:
+def _draw_in_flange(scenario: Scenario, rng: Generator) -> Array:
     """Draw the pose in the flange (4, 4) of what is mounted there."""
-    direction = rng.normal(size=3)
-    translation = direction / np.linalg.norm(direction) * rng.uniform(*scenario.lever)
+    translation = se3.unit(rng.normal(size=3)) * rng.uniform(*scenario.lever)
     if scenario.robot.geometry:  # an arm whose flange must look down
         turn = Rotation.from_euler('ZY', rng.uniform([-np.pi, -0.4], [np.pi, 0.4]))
     else:
@@ -213,7 +212,7 @@ def _draw_in_flange(scenario: Scenario, rng: np.random.Generator) -> Array:
     return se3.transform(turn.as_matrix(), translation)
 
 
-def _draw_in_base(rng: np.random.Generator) -> Array:
+def _draw_in_base(rng: Generator) -> Array:
     """Draw the pose in the base (4, 4) of what stands in front of the robot."""
     translation = rng.uniform([0.5, -0.3, 0.0], [0.9, 0.3, 0.4])
     angles = rng.uniform([-0.2, -0.2, -np.pi], [0.2, 0.2, np.pi])
@@ -259,13 +258,13 @@ def timed_profiles(times: Array, points: Iterable[Array], axes: tuple[str, str] 
                  for stamp, p in zip(stamps(times), points, strict=True))
 
 
-def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulated:
+def simulate(scenario: Scenario, rng: Generator) -> Simulated:
     """Return a recording of a robot that moves from stop to stop, or sweeps past them."""
     cell = replace(draw(scenario, rng), distortion=sensors.draw_distortion(scenario.sensor, rng))
     return _sweeping(cell, scenario.sweep, rng) if scenario.sweep else _stopping(cell, rng)
 
 
-def _stopping(cell: Cell, rng: np.random.Generator) -> Simulated:
+def _stopping(cell: Cell, rng: Generator) -> Simulated:
     """Return the recording of a robot that stops for dwell, and moves on for move seconds."""
     sensor, robot, stops = cell.scenario.sensor, cell.scenario.robot, len(cell.stops.labels)
     period, arrivals = robot.dwell + robot.move, np.arange(stops) * (robot.dwell + robot.move)
@@ -308,7 +307,7 @@ def _between(T: Array, station: NDArray[np.int64], fraction: Array) -> Array:
     return se3.transform(R @ se3.exp_rotation(fraction[:, None] * turn), t)
 
 
-def _sweeping(cell: Cell, sweep: Sweep, rng: np.random.Generator) -> Simulated:
+def _sweeping(cell: Cell, sweep: Sweep, rng: Generator) -> Simulated:
     """Return the recording of a robot on a smooth path through all stops."""
     scenario, T_target_sensor = cell.scenario, cell.stops.T_target_sensor
     sensor, knots = scenario.sensor, np.arange(len(T_target_sensor)) * sweep.knot
@@ -349,7 +348,7 @@ def _sweeping(cell: Cell, sweep: Sweep, rng: np.random.Generator) -> Simulated:
     return Simulated(scenario, profiles, poses, replace(truth, time_offset=-sensor.delay))
 
 
-def _exact(cell: Cell, T_target_sensor: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+def _exact(cell: Cell, T_target_sensor: Array, rng: Generator) -> tuple[Array, Array]:
     """
     Return ranges and angles of incidence (m, n) of n columns at poses (m, 4, 4) (m, rad).
 
@@ -366,11 +365,11 @@ def _exact(cell: Cell, T_target_sensor: Array, rng: np.random.Generator) -> tupl
     return z, angle
 
 
-def _profiles(cell: Cell, z: Array, angle: Array, times: Array, rng: np.random.Generator
+def _profiles(cell: Cell, z: Array, angle: Array, times: Array, rng: Generator
               ) -> tuple[Profile, ...]:
     """Return the profiles measured of ranges and angles of incidence (m, n); times: (m,) (s)."""
-    sensor, layout = cell.scenario.sensor, cell.scenario.layout
-    frame, mark = FRAMES[layout.frame], layout.no_return
+    sensor, frame = cell.scenario.sensor, FRAMES[cell.scenario.frame]
+    mark = cell.scenario.no_return
     ranges = sensors.measure(sensor, z, angle, rng, cell.distortion)
     points = frame.published(sensors.plane_points(sensor, ranges, cell.distortion))
     missing = np.asarray(np.isnan(points).any(axis=2))
@@ -379,15 +378,14 @@ def _profiles(cell: Cell, z: Array, angle: Array, times: Array, rng: np.random.G
         points, missing, strict=True)), frame.axes)
 
 
-def simulate_samples(scenario: Scenario, rng: np.random.Generator
-                     ) -> tuple[tuple[Sample, ...], Truth]:
+def simulate_samples(scenario: Scenario, rng: Generator) -> tuple[tuple[Sample, ...], Truth]:
     """
     Return the samples of a recording, and their truth.
 
     Each feature has exactly its stated noise (white sensor noise, averaged over the profiles of a
     stop), each pose the robot's error. Standard sensor frame; without convention errors.
     """
-    scenario = replace(scenario, layout=replace(scenario.layout, frame='standard'))
+    scenario = replace(scenario, frame='standard')
     cell, dwell = draw(scenario, rng), scenario.robot.dwell
     starts = np.arange(len(cell.stops.labels)) * int((dwell + scenario.robot.move) * 1e9)
     truth = cell.truth(np.stack([starts, starts + int(dwell * 1e9)], axis=1))

@@ -17,6 +17,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.simulate.scenario import RobotModel
 import numpy as np
+from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
 URDF = Path(__file__).with_name('assets').joinpath('arm.urdf').read_text(encoding='utf-8')
@@ -56,7 +57,7 @@ class ArmErrors:
                           @ se3.perturb(np.eye(4), self.links[5]))
 
 
-def draw_arm(sigma: float, rng: np.random.Generator) -> ArmErrors:
+def draw_arm(sigma: float, rng: Generator) -> ArmErrors:
     """Return errors with 1 sigma of each length (m) and of each angle (sigma over 1 m)."""
     links = rng.normal(size=(6, 6)) * sigma
     offsets, eccentricity = rng.normal(size=(2, 6)) * sigma
@@ -106,7 +107,7 @@ def reported_error(T: Array, errors: ArmErrors) -> Array:
     return se3.difference(forward(joints), forward(joints, errors))
 
 
-def pose_error(robot: RobotModel, T: Array, rng: np.random.Generator) -> Array:
+def pose_error(robot: RobotModel, T: Array, rng: Generator) -> Array:
     """
     Return errors (n, 6) of the reported poses at T (n, 4, 4), random and smooth.
 
@@ -121,7 +122,7 @@ def pose_error(robot: RobotModel, T: Array, rng: np.random.Generator) -> Array:
     return np.asarray(random + amplitude * np.sin(scaled @ wave.T + phase))
 
 
-def bumped(T: Array, count: int, rng: np.random.Generator) -> Array:
+def bumped(T: Array, count: int, rng: Generator) -> Array:
     """Return the poses (n, 4, 4), count of them with errors of 1-3 mm and 0.1-0.3 degrees."""
     error = np.zeros((len(T), 6))
     size = np.repeat(rng.uniform([1e-3, 2e-3], [3e-3, 5e-3], (count, 2)), 3, axis=1)

@@ -156,19 +156,6 @@ class WedgeTarget:
 
 
 @dataclass(frozen=True)
-class Layout:
-    """
-    The frame and the message layout of the driver.
-
-    frame: 'standard' (x along the line, z the range), or one of the others of
-    sensor.FRAMES. no_return: 'nan', 'inf', or 'omit' for points that are left out.
-    """
-
-    frame: str = 'standard'
-    no_return: str = 'nan'
-
-
-@dataclass(frozen=True)
 class Sweep:
     """
     A path through all stops without stopping, a knot of a smooth curve at each; seconds.
@@ -200,6 +187,8 @@ class Scenario:
     All parameters of a recording.
 
     scene: key of scenes.SCENES
+    frame: of the driver: 'standard' (x along the line, z the range), or another of sensor.FRAMES
+    no_return: 'nan', 'inf', or 'omit' for points that are left out of the message
     stations: number at edges p and q of the plate; of other targets their sum counts
     motion: key of scenes.MOTIONS
     tilt: largest tilt about each sensor axis
@@ -219,7 +208,8 @@ class Scenario:
     target: Any = PlateTarget()  # the one of the scene
     sensor: SensorModel = field(default_factory=SensorModel)
     robot: RobotModel = field(default_factory=RobotModel)
-    layout: Layout = field(default_factory=Layout)
+    frame: str = 'standard'
+    no_return: str = 'nan'
     stations: tuple[int, int] = (9, 9)
     motion: str = 'general'
     tilt: float = math.radians(30)
@@ -293,9 +283,9 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     # sensors and drivers
     changed(PLATE, 'plate_resampled', sensor={'sampling': 'x', 'resolution': 1e-6}),
     changed(PLATE, 'plate_reflections', sensor={'reflections': 0.3, 'outliers': 0.02}),
-    changed(PLATE, 'plate_inf', layout={'no_return': 'inf'}),
-    changed(PLATE, 'plate_omit', layout={'no_return': 'omit'}),
-    *(changed(PLATE, f'plate_{frame}', layout={'frame': frame})
+    changed(PLATE, 'plate_inf', no_return='inf'),
+    changed(PLATE, 'plate_omit', no_return='omit'),
+    *(changed(PLATE, f'plate_{frame}', frame=frame)
       for frame in ('z_up', 'x_reversed', 'y_along_line')),
     # robots
     changed(PLATE, 'plate_real_robot', robot=REAL_ROBOT),
@@ -376,7 +366,7 @@ FAULTS: dict[str, Scenario] = {s.name: s for s in (
     *each(BASELINES[:2], 'frozen speckle 20 um', sensor={'noise': 4 * UM, 'speckle': 20 * UM},
           stated=(('noise.sensor', 20 * UM),)),
     *each(BASELINES, 'wide off-centre', sensor=OFF_CENTRE, lever=(0.5, 2.0),
-          layout=Layout('off_centre')),
+          frame='off_centre'),
     # robots
     *(changed(BASELINE, f'joints and links {error} mm', robot={'geometry': error * MM})
       for error in (0.1, 0.3)),

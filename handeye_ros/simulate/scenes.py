@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 import math
+from typing import TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature
@@ -18,8 +19,12 @@ from handeye_ros.simulate.scenario import PlateTarget, Scenario, SphereTarget, W
 from handeye_ros.simulate.sensor import fan, lift
 from handeye_ros.simulate.solids import Ball, box, slab, Solid, table
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+Features: TypeAlias = list[tuple[Feature, ...]]
+"""What each stop shows."""
 
 # -- stops
 
@@ -70,16 +75,15 @@ class Placements:
         return Placements(self.T_target_sensor[order], labels, self.points[order])
 
 
-def strata(rng: np.random.Generator, n: int, low: Array, high: Array) -> Array:
+def strata(rng: Generator, n: int, low: Array, high: Array) -> Array:
     """Return (n, k) values from low to high (k,), one in each n-th of it, in random order."""
     order = rng.permuted(np.tile(np.arange(n), (len(low), 1)), axis=1).T
     return np.asarray(low + (order + rng.random(order.shape)) / n * (high - low))
 
 
-def tilts(scenario: Scenario, rng: np.random.Generator, counts: tuple[int, ...]) -> Array:
+def tilts(scenario: Scenario, rng: Generator, counts: tuple[int, ...]) -> Array:
     """Return (n, 3, 3) rotations of the sensor about its own axes, for groups of these counts."""
-    motion = MOTIONS[scenario.motion]
-    limit = np.full(3, scenario.tilt)
+    motion, limit = MOTIONS[scenario.motion], np.full(3, scenario.tilt)
     constant = rng.uniform(-limit, limit, (len(counts), 3)) * (not motion.level)
     if not motion.per_edge:
         constant[:] = constant[0]
@@ -88,7 +92,7 @@ def tilts(scenario: Scenario, rng: np.random.Generator, counts: tuple[int, ...])
     return np.asarray(Rotation.from_euler('xyz', np.concatenate(groups)).as_matrix())
 
 
-def seeing(scenario: Scenario, rng: np.random.Generator, nominal: Array, spots: Array,
+def seeing(scenario: Scenario, rng: Generator, nominal: Array, spots: Array,
            seen: Array, groups: Sequence[Sequence[str]]) -> Placements:
     """
     Return stops of tilted sensors that see spots of the target at given points of their frame.
@@ -101,7 +105,7 @@ def seeing(scenario: Scenario, rng: np.random.Generator, nominal: Array, spots: 
     return Placements(T, tuple(chain(*groups)), seen[:, [0, 2]])
 
 
-def _places(scenario: Scenario, rng: np.random.Generator, n: int, width: float, depth: float,
+def _places(scenario: Scenario, rng: Generator, n: int, width: float, depth: float,
             *others: tuple[float, float]) -> Array:
     """
     Return stratified values (n, k + 2): k others (low, high), then points of the field of view.
@@ -187,10 +191,9 @@ def edge_frames(target: PlateTarget) -> dict[str, Array]:
             for label, (turn, start) in starts.items()}
 
 
-def plate_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
+def plate_stops(scenario: Scenario, rng: Generator) -> Placements:
     """Draw stops whose laser line crosses an edge inside the field of view."""
-    target: PlateTarget = scenario.target
-    counts = scenario.stations
+    target, counts = scenario.target, scenario.stations
     labels = ['p'] * counts[0] + ['q'] * counts[1]
     for k in rng.permutation(len(labels))[:scenario.wrong_edges]:
         labels[k] += '2'
@@ -209,8 +212,7 @@ def plate_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     return seeing(scenario, rng, nominal @ SENSOR_FACING, spots, lift(points), groups)
 
 
-def plate_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
-                   ) -> list[tuple[Feature, ...]]:
+def plate_features(scenario: Scenario, stops: Placements, rng: Generator) -> Features:
     """Return (FaceLine, EdgePoint) of each stop, with the noise of all its profiles."""
     T, frames = stops.T_target_sensor, edge_frames(scenario.target)
     inwards, in_target = _along(T, 2, np.array([frames[label][:3, 1] for label in stops.labels]))
@@ -235,8 +237,7 @@ def plate_solids(scenario: Scenario) -> tuple[Solid, ...]:
     if target.clutter is None:
         return solids
     bottom, (length, width) = -target.thickness, target.size
-    near = target.clutter_gap
-    far = near + target.clutter_width
+    near, far = target.clutter_gap, target.clutter_gap + target.clutter_width
     return (*solids, box((-0.02, -far, bottom), (length, -near, target.clutter)),
             box((-far, -0.005, bottom), (-near, width, target.clutter)))
 
@@ -244,18 +245,15 @@ def plate_solids(scenario: Scenario) -> tuple[Solid, ...]:
 # -- plane: the middle of a plate
 
 
-def plane_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
+def plane_stops(scenario: Scenario, rng: Generator) -> Placements:
     """Draw stops with the sensor aimed at the middle third of the plate."""
-    target: PlateTarget = scenario.target
-    n = sum(scenario.stations)
-    third = (1 / 3, 2 / 3)
+    n, third = sum(scenario.stations), (1 / 3, 2 / 3)
     in_face, points = np.split(_places(scenario, rng, n, 0.3, 0.3, third, third), [2], axis=1)
-    spots = np.column_stack([in_face * target.size, np.zeros(n)])
+    spots = np.column_stack([in_face * scenario.target.size, np.zeros(n)])
     return seeing(scenario, rng, SENSOR_FACING, spots, lift(points), [['plane'] * n])
 
 
-def plane_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
-                   ) -> list[tuple[Feature, ...]]:
+def plane_features(scenario: Scenario, stops: Placements, rng: Generator) -> Features:
     """Return the FaceLine of each stop, with the noise of all its profiles."""
     T = stops.T_target_sensor
     along, _ = _along(T, 2, T[:, :3, 0])
@@ -279,24 +277,20 @@ def facing(target: WedgeTarget) -> Array:
     return np.column_stack([line, np.cross(light, line), light])
 
 
-def wedge_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
+def wedge_stops(scenario: Scenario, rng: Generator) -> Placements:
     """Draw stops whose laser line crosses the edge in the middle half of the field of view."""
-    target: WedgeTarget = scenario.target
-    n = sum(scenario.stations)
+    target, n = scenario.target, sum(scenario.stations)
     along, points = np.split(_places(
         scenario, rng, n, 0.35, 0.3, (MARGIN, target.length - MARGIN)), [1], axis=1)
     spots = np.column_stack([along, np.zeros((n, 2))])
     return seeing(scenario, rng, facing(target), spots, lift(points), [['wedge'] * n])
 
 
-def wedge_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
-                   ) -> list[tuple[Feature, ...]]:
+def wedge_features(scenario: Scenario, stops: Placements, rng: Generator) -> Features:
     """Return the two FaceLines of each stop, left one first, with the noise of its profiles."""
-    target: WedgeTarget = scenario.target
-    T = stops.T_target_sensor
+    T, faces = stops.T_target_sensor, []
     noise = rng.normal(size=(len(T), 2, 2))
-    faces = []
-    upwards = np.array([0.0, 0.0, 1.0 if target.concave else -1.0])
+    upwards = np.array([0.0, 0.0, 1.0 if scenario.target.concave else -1.0])
     for k, (normal, into) in enumerate(((2, np.array([0.0, 1.0, 0.0])), (1, upwards))):
         along, _ = _along(T, normal, into)
         length = _length_in_view(scenario, stops.points, along)
@@ -321,11 +315,9 @@ def wedge_solids(scenario: Scenario) -> tuple[Solid, ...]:
 ARC_POINTS = 12  # mean points that represent an arc
 
 
-def sphere_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
+def sphere_stops(scenario: Scenario, rng: Generator) -> Placements:
     """Draw stops whose laser plane cuts the ball within 0.6 radii of its centre."""
-    target: SphereTarget = scenario.target
-    n = sum(scenario.stations)
-    radius, (near, far) = target.radius, scenario.sensor.range
+    n, radius, (near, far) = sum(scenario.stations), scenario.target.radius, scenario.sensor.range
     margin = 0.45 * scenario.sensor.half_width * near
     low = np.array([-margin, -0.6 * radius, near + 0.12 * (far - near)])
     high = np.array([margin, 0.6 * radius, near + 0.45 * (far - near)])
@@ -335,8 +327,7 @@ def sphere_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     return seeing(scenario, rng, down, np.zeros(3), centre, [['sphere'] * n])
 
 
-def sphere_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
-                    ) -> list[tuple[Feature, ...]]:
+def sphere_features(scenario: Scenario, stops: Placements, rng: Generator) -> Features:
     """Return the Arc of each stop: points between the rims and within the field of view."""
     y = (stops.T_target_sensor[:, :3, 1] * stops.T_target_sensor[:, :3, 3]).sum(axis=1)
     radii = np.sqrt(scenario.target.radius**2 - y**2)
@@ -344,10 +335,9 @@ def sphere_features(scenario: Scenario, stops: Placements, rng: np.random.Genera
             for centre, radius in zip(stops.points, radii, strict=True)]
 
 
-def _arc(scenario: Scenario, centre: Array, radius: float, rng: np.random.Generator) -> Arc:
+def _arc(scenario: Scenario, centre: Array, radius: float, rng: Generator) -> Arc:
     """Return an arc; its mean points are on the circle except for their stated noise."""
-    sensor = scenario.sensor
-    rim = np.sin(sensor.max_incidence)
+    sensor, rim = scenario.sensor, np.sin(scenario.sensor.max_incidence)
     pitch = 2 * sensor.half_width * (centre[1] - radius) / sensor.columns
     sine = np.arange(-rim, rim, pitch / radius)
     points = _points_on_circle(centre, radius, sine, np.zeros(len(sine)))
@@ -389,8 +379,8 @@ class Scene:
     solids: target and surroundings, in the target frame, of a cell that is not empty
     """
 
-    stops: Callable[[Scenario, np.random.Generator], Placements]
-    features: Callable[[Scenario, Placements, np.random.Generator], list[tuple[Feature, ...]]]
+    stops: Callable[[Scenario, Generator], Placements]
+    features: Callable[[Scenario, Placements, Generator], Features]
     solids: Callable[[Scenario], tuple[Solid, ...]]
 
 

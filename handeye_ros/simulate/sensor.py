@@ -12,6 +12,7 @@ from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.simulate.solids import cast, hidden, Relief, Solid
 import numpy as np
 from numpy.polynomial.legendre import legval2d
+from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d, gaussian_filter1d
 
@@ -83,7 +84,7 @@ def _render(sensor: SensorModel, solids: Sequence[Solid], T: Array, relief: Reli
     return np.where(visible, z, np.nan), np.where(visible, angle, np.nan)
 
 
-def measure(sensor: SensorModel, z: Array, angle: Array, rng: np.random.Generator,
+def measure(sensor: SensorModel, z: Array, angle: Array, rng: Generator,
             distortion: Distortion | None = None) -> Array:
     """Return the reported ranges (m, n) of exact ones (m) and their angles of incidence (rad)."""
     rim = (angle / sensor.max_incidence)**8
@@ -179,7 +180,7 @@ def _smoothed(sensor: SensorModel, z: Array) -> Array:
     return np.where(visible, total / np.maximum(count, 1), np.nan)
 
 
-def speckle(sensor: SensorModel, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+def speckle(sensor: SensorModel, shape: tuple[int, ...], rng: Generator) -> Array:
     """Return an error (m, n) that is correlated along each row."""
     white = rng.normal(size=shape)
     smooth = gaussian_filter1d(white, sensor.speckle_columns, axis=1, mode='wrap')
@@ -227,7 +228,7 @@ class Distortion:
         return se3.align_points(reported, true)
 
 
-def draw_distortion(sensor: SensorModel, rng: np.random.Generator) -> Distortion | None:
+def draw_distortion(sensor: SensorModel, rng: Generator) -> Distortion | None:
     """Return the distortion of a sensor, None without one."""
     if not (sensor.distortion or sensor.scale):
         return None

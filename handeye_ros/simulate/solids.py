@@ -11,6 +11,7 @@ from typing import TypeAlias
 from handeye_ros.data import Array
 from handeye_ros.simulate.scenario import PlateTarget
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 Crossings: TypeAlias = tuple[Array, Array, Array]
@@ -155,7 +156,7 @@ Relief: TypeAlias = Callable[[Array, Array], Array]
 """The height of a face over its nominal plane at positions; at its border for those outside."""
 
 
-def relief(target: object, rng: np.random.Generator) -> Relief | None:
+def relief(target: object, rng: Generator) -> Relief | None:
     """Return the bow and the waves of a plate, None for a flat one and for other targets."""
     if not isinstance(target, PlateTarget) or not (target.bow or target.waves):
         return None

@@ -21,6 +21,7 @@ from handeye_ros.simulate.recording import timed_poses, timed_profiles
 from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.simulate.solids import Ball, box
 import numpy as np
+from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
 TABLE_DIGITS = 9  # after the point in the tables
@@ -54,7 +55,7 @@ class SimulatedFiles:
                 'noise': self.noise, 'settings': self.settings}
 
 
-def points_in_two_frames(rng: np.random.Generator, T_base_camera: Array, noise: float = 3e-5,
+def points_in_two_frames(rng: Generator, T_base_camera: Array, noise: float = 3e-5,
                          count: int = 10, middle: Sequence[float] = MIDDLE
                          ) -> tuple[Array, Array]:
     """
@@ -67,7 +68,7 @@ def points_in_two_frames(rng: np.random.Generator, T_base_camera: Array, noise: 
     return camera + noise * rng.normal(size=base.shape), base
 
 
-def points(rng: np.random.Generator, noise: float = 3e-5, count: int = 10) -> SimulatedFiles:
+def points(rng: Generator, noise: float = 3e-5, count: int = 10) -> SimulatedFiles:
     """Return the tip of a tool at several positions, 0.5 m from a camera beside the robot."""
     R = Rotation.random(random_state=rng).as_matrix()
     X = se3.transform(R, MIDDLE - R @ [0.0, 0.0, 0.5])
@@ -78,16 +79,19 @@ def points(rng: np.random.Generator, noise: float = 3e-5, count: int = 10) -> Si
                           {'target.type': 'points', 'calibration_type': 'eye_on_base'})
 
 
-def poses_of_target(rng: np.random.Generator, robot: Sequence[float] = ROBOT_STDS,
+def poses_of_target(rng: Generator, robot: Sequence[float] = ROBOT_STDS,
                     camera: Sequence[float] = CAMERA_STDS, eye_on_base: bool = False,
                     count: int = 12, tilts: Sequence[float] = (30.0, 30.0, 60.0)
                     ) -> tuple[Array, Array, Array, Array]:
     """
     Return X, Z, T_base_flange and T_camera_target of a camera that a target faces.
 
-    X: (4, 4) of the camera in its mount; Z: (4, 4) of the target where it is fixed; the poses
-    (count, 4, 4) with noise; robot, camera: of translation and rotation, 1 sigma per axis (m,
-    rad); tilts: the largest about each axis of the camera (degrees).
+    X (4, 4) is the camera in its mount, Z (4, 4) the target where it is fixed; the other two are
+    lists (count, 4, 4) of poses with noise.
+
+    robot, camera: noise of their translations and rotations, 1 sigma by axis (m, rad)
+    eye_on_base: whether the camera stands beside the robot, and the target is on the flange
+    tilts: the largest ones about each axis of the camera (degrees)
     """
     near = se3.transform(Rotation.random(random_state=rng).as_matrix(), 0.1 * rng.normal(size=3))
     far = se3.transform(Rotation.random(random_state=rng).as_matrix(), np.array([0.7, 0.1, 0.2]))
@@ -102,7 +106,7 @@ def poses_of_target(rng: np.random.Generator, robot: Sequence[float] = ROBOT_STD
     return X, Z, flange, seen
 
 
-def hand_eye(rng: np.random.Generator, eye_on_base: bool = False, noise: float = 1.0,
+def hand_eye(rng: Generator, eye_on_base: bool = False, noise: float = 1.0,
              count: int = 12, tilts: Sequence[float] = (30.0, 30.0, 60.0)) -> SimulatedFiles:
     """Return a table of `poses_of_target`; noise: a factor."""
     robot, camera = ([noise * std for std in stds] for stds in (ROBOT_STDS, CAMERA_STDS))
@@ -135,13 +139,14 @@ def arm(turn: float, q3: float) -> Array:
     return se3.transform(R, R[:, 2] * q3)
 
 
-def laser_tracker(rng: np.random.Generator, sensor: SensorModel = FILE_SENSOR,
+def laser_tracker(rng: Generator, sensor: SensorModel = FILE_SENSOR,
                   noise: float = TRACKER_NOISE, reported: float = JOINT_READING_STD
                   ) -> SimulatedFiles:
     """
-    Return a bag of the sweep over ball and block, and the reflector's positions by kind.
+    Return a bag of the sweep over ball and block, and a table of the reflector's positions.
 
-    noise, reported: of the tracker and P3, 1 sigma per axis (m).
+    noise: that of the tracker, 1 sigma by axis (m)
+    reported: that of the reported positions of P3, 1 sigma by axis (m)
     """
     turn = Rotation.from_euler('xyz', [90, 0, 0] + rng.uniform(-1.5, 1.5, 3), degrees=True)
     X = se3.transform(turn.as_matrix(), rng.uniform([0.04, -0.13, 0.03], [0.07, -0.09, 0.06]))
@@ -170,7 +175,7 @@ def laser_tracker(rng: np.random.Generator, sensor: SensorModel = FILE_SENSOR,
         profiles, timed_poses(times, positions, se3.quaternion(T)))
 
 
-def _reflector(T_base_target: Array, rng: np.random.Generator) -> dict[str, Array]:
+def _reflector(T_base_target: Array, rng: Generator) -> dict[str, Array]:
     """Return the true positions (n, 3) of the reflector in the tracker's frame by kind (m)."""
     T_tracker_base = se3.transform(Rotation.from_euler('xyz', [3, -4, 50], degrees=True
                                                        ).as_matrix(), np.array([3.0, 1.7, -0.6]))
@@ -187,7 +192,7 @@ def _reflector(T_base_target: Array, rng: np.random.Generator) -> dict[str, Arra
     return {kind: se3.apply(T_tracker_base, points) for kind, points in in_base.items()}
 
 
-FILE_SCENES: dict[str, Callable[[np.random.Generator], SimulatedFiles]] = {
+FILE_SCENES: dict[str, Callable[[Generator], SimulatedFiles]] = {
     'points': points,
     'hand_eye': hand_eye,
     'hand_eye_on_base': partial(hand_eye, eye_on_base=True),

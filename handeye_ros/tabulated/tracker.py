@@ -254,9 +254,12 @@ def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], confi
     """
     Return what a sweep shows of each of SWEPT_PARTS, and the reading of P3 in its middle (m).
 
-    profiles, poses: in the order of their stamps; config: tracker.first_reading of P3 at the
-    first pose, noise.sensor, target.radius of the ball (0: unknown), sampling.min_points. Raises
-    DataError.
+    profiles, poses: those of the sweep, in the order of their stamps
+    config: gives tracker.first_reading, the reading of P3 at the first pose, noise.sensor,
+        target.radius of the ball (0: unknown) and sampling.min_points
+
+    Raises DataError for a flange that does not move along its z alone, and for a sweep that does
+    not show ball and block in enough profiles.
     """
     first, last = poses[0].stamp, poses[-1].stamp
     profiles = [profile for profile in profiles if first <= profile.stamp <= last]

@@ -291,7 +291,7 @@ def test_what_lost_points_hold_does_not_change_the_order(far: float) -> None:
     ((NOISY, 0 * LINE, LINE), ('x', 'z'), r'follow each other along z, not along x: .*\[z, x]'),
     ((0 * LINE, LINE, EDGE), ('x', 'z'), r'their y spans 60.0 mm, their x nothing: .*\[y, z]'),
     ((LINE, EDGE, 0 * LINE), ('x', 'z'), r'their y spans 23.0 mm, their z nothing: .*\[x, y]'),
-    ((LINE, 0.5 * LINE, EDGE), ('x', 'z'), 'spans 30.0 mm; a line profiler measures in one'),
+    ((LINE, 0.5 * LINE, EDGE), ('x', 'z'), 'spans 30.0 mm: let the driver publish single'),
     ((LINE, 0 * LINE, EDGE), ('-y', 'z'), r'their x spans 60.0 mm, their y nothing: .*\[x, z]')])
 def test_wrong_axes_are_named(columns: tuple, axes: tuple[str, str], advice: str) -> None:
     x, y, z = columns

@@ -13,7 +13,6 @@ from handeye_ros.checks.settings import setting_hypotheses, with_few_profiles
 from handeye_ros.config import with_flipped_range
 from handeye_ros.errors import DataError
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, scenes
-from handeye_ros.simulate.scenario import Layout
 from handeye_ros.simulate.solids import box, Solid
 import numpy as np
 import pytest
@@ -75,7 +74,7 @@ def test_a_wedge_beside_a_block_is_answered(monkeypatch: pytest.MonkeyPatch, see
     monkeypatch.setitem(scenes.SCENES, 'beside', replace(
         scenes.SCENES['wedge'], solids=beside_another))
     scenario = replace(FAULTS['wedge'], scene='beside', stated=(('target.type', 'wedge'),),
-                       layout=Layout(no_return='omit'), stations=(18, 0))
+                       no_return='omit', stations=(18, 0))
     recording = simulated(scenario, seed)
     assert squared_error(recording.calibrate(), recording.truth) < ONE_IN_20
 

@@ -15,7 +15,7 @@ from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.scanning.cloud import write_cloud
 from handeye_ros.scanning.curves import spline
 from handeye_ros.scanning.seam import find_seam, sentences, tool_frames
-from handeye_ros.simulate.artefacts import Preform, preform_cloud, PreformCloud
+from handeye_ros.simulate.artefacts import preform_cloud, PreformCloud
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
@@ -38,7 +38,8 @@ class Joint:
 
     segments: lines (u, h, u, h) of the section; line: (u, h) of the true seam; toward: the angle
     of the true approach from straight down. bend: radius of the seam in plan, 0: straight.
-    below: what lies there beyond the ends of the part, nan: nothing.
+    below: what lies there beyond the ends of the part, nan: nothing. missing: length in the middle
+    that was not scanned.
     """
 
     segments: tuple[tuple[float, float, float, float], ...]
@@ -50,6 +51,7 @@ class Joint:
     spatter: int = 0
     noise: float = 0.03
     below: float = float('nan')
+    missing: float = 0.0
 
 
 def butt(gap: float, depth: float, half: float = FAR, **more) -> Joint:
@@ -95,7 +97,7 @@ def scanned(joint: Joint, rng: np.random.Generator) -> PreformCloud:
                              rng.uniform(0.5, 1.5, joint.spatter)])
     for at in y:
         shift = at ** 2 / (2 * joint.bend) if joint.bend else 0.0
-        inside = abs(at) <= joint.length / 2
+        inside = joint.missing / 2 <= abs(at) <= joint.length / 2
         segments = joint.segments if inside else (
             ((-80, joint.below, 80, joint.below),) if np.isfinite(joint.below) else ())
         if not segments:
@@ -148,6 +150,8 @@ def _rays(joint: Joint, segments: Array, balls: Array, at: float, rng: np.random
     return ends[:, 0], ends[:, 1]
 
 
+STAIRS = Joint(((-FAR, 10, -12, 10), (-12, 10, -12, 5), (-12, 5, 12, 5), (12, 5, 12, 0),
+                (12, 0, FAR, 0)), (0.0, 0.0))
 JOINTS = {
     **{f'butt 3, backing {d}': butt(3, d) for d in (1, 2, 5, 10)},
     'butt 3, no backing': butt(3, float('nan')),
@@ -172,13 +176,13 @@ JOINTS = {
 
 START, PERIOD = 1_700_000_000_000_000_000, 10_000_000
 KINDS = {'butt': 'butt', 'lap': 'lap', 'vee': 'v', 'tee': 'fillet', 'corner': 'fillet'}
-QUICK = ('vee 6, root 2', 'tee 30, lean 45', 'vee whose plates noise joins to its bevels')
+QUICK = ('butt 2, lean 15, bent', 'vee 6, root 2', 'tee 30, lean 45',
+         'vee whose plates noise joins to its bevels')
 # lean 45: its rough course bends at the ends
 
 
-def cloud_of(**values):
-    preform = Preform(**{'length': 0.12, 'spacing': 5e-4} | values)
-    return preform_cloud(preform, np.random.default_rng(0))
+def preform():
+    return preform_cloud(np.random.default_rng(0), 0.12, 5e-4)
 
 
 def joint_of(name, seed=0):
@@ -201,13 +205,12 @@ def away_from(truth, T):
             np.degrees(np.arccos(-(T[:, :3, 1] * normal).sum(axis=1).max())))
 
 
-@pytest.mark.parametrize('kind', ['lap', 'butt'])
-def test_centre_line_and_approach_of_a_preform_are_the_true_ones(kind):
-    truth = cloud_of(kind=kind)
+def test_centre_line_and_approach_of_a_preform_are_the_true_ones():
+    truth = preform()
     seam = find_seam(truth.points)
     frames = tool_frames(seam, 5e-3, -truth.normals.mean(axis=0))
     away, angle = away_from(truth, frames.T_base_tool)
-    assert seam.kind == kind and seam.sections.noise == pytest.approx(1e-4, rel=0.1)
+    assert seam.kind == 'lap' and seam.sections.noise == pytest.approx(1e-4, rel=0.1)
     assert away.max() < 1e-4 and angle < 1.0
     std = frames.measures[:, 3]
     assert std.max() < 5e-5 and np.sqrt((away ** 2).mean()) < 2 * std.mean()
@@ -247,7 +250,7 @@ def test_the_path_follows_what_is_asked_for_from_where_it_is_asked():
 
 
 def test_frames_are_rotations_at_the_pitch_and_lean_as_asked():
-    truth = cloud_of()
+    truth = preform()
     seam, towards = find_seam(truth.points), -truth.normals.mean(axis=0)
     frames = tool_frames(seam, 3e-3, towards, 0.2, -0.1)
     R = frames.T_base_tool[:, :3, :3]
@@ -269,15 +272,13 @@ def test_frames_are_rotations_at_the_pitch_and_lean_as_asked():
 
 
 @pytest.mark.parametrize(('shape', 'words'), [
-    ({'seams': 2}, '2 seams .*--box'),
-    ({'missing': (0.45, 0.55), 'kind': 'butt'}, '2 seams .*, 1[0-9].* mm apart.* scan again'),
-    ({'thickness': 5e-4}, 'no seam.*scan more densely'),
+    (STAIRS, '2 seams .*--box'),
+    (butt(3, 5, missing=12.0), '2 seams .*, 1[0-9].* mm apart.* scan again'),
     (vee(6, 1.5, noise=0.15), r'sheets beside the seam are 0\.\d+ mm thick.* less noise'),
     (lap(0.3), r'no seam.* noise is 0\.03\d* mm, .* for a corner'),
     (butt(14, 5), '2 seams .*, 14 mm apart.* larger --widest')])
 def test_why_there_is_no_single_seam_is_named(shape, words):
-    truth = cloud_of(**shape) if isinstance(shape, dict) else scanned(
-        replace(shape, length=40.0), np.random.default_rng(0))
+    truth = scanned(replace(shape, length=40.0), np.random.default_rng(0))
     with pytest.raises(DataError, match=words):
         find_seam(truth.points)
 
@@ -326,7 +327,7 @@ def test_clouds_of_other_things_are_refused():
     flat = rng.uniform(-0.03, 0.03, (12000, 2))
     plane = np.column_stack([flat, np.zeros(len(flat))])
     ring = np.column_stack([flat, 4e-3 * (np.hypot(*flat.T) > 0.018)])
-    ragged = cloud_of(kind='butt', gap=4e-3).points
+    ragged = scanned(butt(4, 5), rng).points
     along = (ragged - ragged.mean(axis=0)) @ np.linalg.svd(
         ragged - ragged.mean(axis=0), full_matrices=False)[2][0]
     uneven = ragged[np.sin(along / 2e-3) + 0.01 * np.arange(len(along)) % 1 < 0.8]
@@ -359,7 +360,7 @@ def test_a_straight_seam_is_a_cubic_and_a_wound_one_a_spline():
 
 
 def test_the_verb_writes_what_others_read(tmp_path):
-    truth = cloud_of()
+    truth = preform()
     rows = np.zeros(len(truth.points), [(axis, '<f4') for axis in 'xyz'])
     for axis, column in zip('xyz', truth.points.T, strict=True):
         rows[axis] = column

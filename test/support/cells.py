@@ -122,7 +122,7 @@ def map_solution(problem: Problem, start: Estimate) -> Solution:
 
 def field_error(T: Array, truth: Truth, scenario: Scenario) -> float:
     """Return the RMS error over the field of view that is x +-20 mm, range 160-190 mm."""
-    T_sensor_standard = se3.inverse(FRAMES[scenario.layout.frame].T_standard_sensor)
+    T_sensor_standard = se3.inverse(FRAMES[scenario.frame].T_standard_sensor)
     return errors_against(T @ T_sensor_standard,
                           truth.T_flange_sensor @ T_sensor_standard).mapped_points
 
