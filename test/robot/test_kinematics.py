@@ -168,19 +168,12 @@ def test_few_poses_do_not_make_an_error_less_certain_than_before():
     assert (np.sqrt(np.diag(arm.covariance)) < 1.2 * arm.priors[arm.free]).all()
 
 
-COUPLED = np.eye(6) - np.outer(np.eye(6)[2], np.eye(6)[1])
-
-
-@pytest.mark.parametrize(('words', 'joints', 'in_hand'), [
-    ('joint_5 seems to turn the other way', np.diag([1, 1, 1, 1, -1, 1]), True),
-    *(pytest.param(*case, marks=pytest.mark.thorough) for case in (
-        ('radians stated as degrees', np.eye(6) * np.radians(1), True),
-        ('joint_3 seems to be counted from the horizontal', COUPLED, True),
-        ('check that .* calibration_type', np.eye(6), False))),
-])
-def test_joint_values_that_contradict_the_points_are_named(from_table, words, joints, in_hand):
+@pytest.mark.parametrize(('joints', 'in_hand'), [
+    (np.diag([1, 1, 1, 1, -1, 1]), True),
+    pytest.param(np.eye(6), False, marks=pytest.mark.thorough)])
+def test_joint_values_that_contradict_the_points_are_refused(from_table, joints, in_hand):
     cell, data = from_table[0], from_table[0].data
-    with pytest.raises(HandeyeError, match=words):
+    with pytest.raises(HandeyeError, match='check that .* the sign of each .* calibration_type'):
         solve_points([replace(data, q=data.q @ joints.T, in_hand=in_hand)], cell.arm.freed(()),
                      1e-3)
 
