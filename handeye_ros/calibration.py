@@ -149,13 +149,11 @@ def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
     if fold is None:
         fold = np.arange(n) % min(n, MAX_FOLDS)
     estimates, poses = solution.posterior.estimates_without(fold)
-    T = poses @ np.array([estimate.X for estimate in estimates])[fold]
-    p = mapped(measured.points, T[measured.station])
-    fold_of_point, left_out = fold[measured.station], np.empty(len(p))
+    fold_of_point = fold[measured.station]
+    left_out = np.empty(len(fold_of_point))
     for k, estimate in enumerate(estimates):
-        in_fold = np.flatnonzero(fold_of_point == k)
-        left_out[in_fold] = problem.target.conditions(
-            p[in_fold], measured.kind[in_fold], estimate.state, problem.config).g
+        in_fold = fold_of_point == k
+        left_out[in_fold] = measured.select(in_fold).residuals(problem, estimate, poses)
     return measured, measured.residuals(
         problem, solution.estimate, solution.posterior.corrected_poses()), left_out
 
@@ -180,6 +178,10 @@ class MeasuredPoints:
     points: Array
     kind: NDArray[np.intp]
     station: NDArray[np.intp]
+
+    def select(self, keep: NDArray[np.bool_] | slice) -> MeasuredPoints:
+        """Return some of the points."""
+        return MeasuredPoints(self.points[keep], self.kind[keep], self.station[keep])
 
     def residuals(self, problem: Problem, estimate: Estimate, poses: Array | None = None
                   ) -> Array:
@@ -206,7 +208,7 @@ def measured_points(used: Sequence[Sample], problem: Problem) -> MeasuredPoints:
     station = np.repeat(np.arange(len(used)), [len(kind) for _, kind in parts])
     points, kind = map(np.concatenate, zip(*parts, strict=True))
     step = max(-(-len(kind) // MAX_POINTS), 1)
-    return MeasuredPoints(points[::step], kind[::step], station[::step])
+    return MeasuredPoints(points, kind, station).select(slice(None, None, step))
 
 
 @dataclass(frozen=True)

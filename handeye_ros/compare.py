@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 import math
 import time
 from typing import Any, ClassVar, TypeAlias
@@ -108,12 +109,6 @@ class _FixedTransformProblem(Problem):
 ComparedData: TypeAlias = ComparedStations | PairedRows
 """What estimators are given: both can be counted, cut to a subset, and give residuals of an X."""
 
-OwnAnswer: TypeAlias = tuple[ComparedData, Array, DataError | None]
-"""
-The answer of the target's own method: what it believes, and all estimators are given; its
-transform (4, 4) from the mount to the sensor plane; why it is no answer, or None.
-"""
-
 
 @dataclass(frozen=True)
 class Estimator:
@@ -129,14 +124,12 @@ class Estimator:
     refit: bool = True
 
 
-def _fit_by_method(name: str) -> Callable[[ComparedStations], Array]:
-    """Return the fit by one of the own methods."""
-    def fit(stations: ComparedStations) -> Array:
-        config = replace(stations.problem.config, method=name)
-        solution = pipeline.answer_samples(stations.samples, (), config).require_solution()
-        require_certain(solution.transform_covariance, config, missing_motion(solution, config))
-        return solution.estimate.X
-    return fit
+def _by_own_method(name: str, stations: ComparedStations) -> Array:
+    """Return X (4, 4) by one of the own methods, such as plane; raises DataError."""
+    config = replace(stations.problem.config, method=name)
+    solution = pipeline.answer_samples(stations.samples, (), config).require_solution()
+    require_certain(solution.transform_covariance, config, missing_motion(solution, config))
+    return solution.estimate.X
 
 
 def _edges(stations: ComparedStations) -> tuple[Array, Array, Array]:
@@ -188,7 +181,7 @@ def _park(pairs: PosePairs) -> Array:
 
 OTHER_ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
     'plate': (
-        Estimator('plane, the face lines alone', _fit_by_method('plane')),
+        Estimator('plane, the face lines alone', partial(_by_own_method, 'plane')),
         Estimator('Chen 2023, nine parameters', lambda given: chen2023.solve_nine(*_edges(given))),
         Estimator('Chen 2023, on SE(3)', lambda given: chen2023.solve_rigid(*_edges(given)))),
     'sphere': (
@@ -205,7 +198,7 @@ OTHER_ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
             *cn105021139a.motions(given.robot, given.seen)))),
 }
 ESTIMATORS = {
-    name: (Estimator(name, _fit_by_method(name) if name in TARGETS else _from_files),
+    name: (Estimator(name, partial(_by_own_method, name) if name in TARGETS else _from_files),
            *OTHER_ESTIMATORS.get(name, ())) for name in {**TARGETS, **OTHER_ESTIMATORS}}
 """By target, its own method first."""
 
@@ -260,18 +253,16 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
     BadValueError for a target or method that does not exist.
     """
     targets.target_for(config)
-    config = replace(config, method='auto')
-
-    def solve_own() -> OwnAnswer:
-        answer = pipeline.answer_samples(samples, rejects, config, session=session)
-        solution = answer.require_solution()
-        # the others know no motion
-        used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used_stations)
-        stations = ComparedStations(used, solution.problem, solution.estimate,
-                                    solution.posterior.noise)
-        return stations, solution.estimate.X, answer.refusal
-    return _comparison(config.target.type, solve_own, len(samples) + len(rejects), T_true, folds,
-                       progress)
+    started, config = time.perf_counter(), replace(config, method='auto')
+    progress(config.target.type)
+    answer = pipeline.answer_samples(samples, rejects, config, session=session)
+    solution = answer.require_solution()
+    # the others know no motion
+    used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used_stations)
+    stations = ComparedStations(used, solution.problem, solution.estimate,
+                                solution.posterior.noise)
+    return _comparison(config.target.type, stations, answer.refusal or solution.estimate.X,
+                       started, len(samples) + len(rejects), T_true, folds, progress)
 
 
 def compare_files(given: TableProblem, T_true: Array | None = None, folds: int = FOLD_COUNT,
@@ -280,27 +271,29 @@ def compare_files(given: TableProblem, T_true: Array | None = None, folds: int =
     if not isinstance(given, PairedRows):
         raise InputError(f'for target.type {given.name} there is one estimator alone: use '
                          '"handeye solve"')
+    started = time.perf_counter()
+    progress(given.name)
+    answer = answer_table(given)
+    own: Array | DataError = answer.X
+    try:
+        answer.require_trusted(given)
+    except DataError as refusal:
+        own = refusal
+    believed = given.subset(np.flatnonzero(answer.used))
+    return _comparison(given.name, believed, own, started, len(given), T_true, folds, progress)
 
-    def solve_own() -> OwnAnswer:
-        answer, refusal = answer_table(given), None
-        try:
-            answer.require_trusted(given)
-        except DataError as error:
-            refusal = error
-        return given.subset(np.flatnonzero(answer.used)), answer.X, refusal
-    return _comparison(given.name, solve_own, len(given), T_true, folds, progress)
 
+def _comparison(target: str, data: ComparedData, own: Array | DataError, started: float,
+                count: int, T_true: Array | None, folds: int, progress: Progress) -> Comparison:
+    """
+    Return the rows of the target's own method, and of the others, from the same data.
 
-def _comparison(target: str, solve_own: Callable[[], OwnAnswer], count: int,
-                T_true: Array | None, folds: int, progress: Progress) -> Comparison:
-    """Return the rows of the target's own method, and of the others; count: of all samples."""
+    own: transform (4, 4) of the own method, from the mount to the sensor plane, or why it is no
+    answer; started: when it began (s); count: of all samples.
+    """
     own_method, *others = ESTIMATORS[target]
-    progress(target)
-    start = time.perf_counter()
-    data, X_own, refusal = solve_own()
 
-    def row(estimator: Estimator, outcome: Array | Exception, start: float
-            ) -> EstimatorResult:
+    def row(estimator: Estimator, outcome: Array | Exception, start: float) -> EstimatorResult:
         seconds, every = time.perf_counter() - start, np.arange(len(data))
         if isinstance(outcome, Exception):
             return EstimatorResult(estimator.name, {'seconds': seconds}, failure=str(outcome))
@@ -313,7 +306,7 @@ def _comparison(target: str, solve_own: Callable[[], OwnAnswer], count: int,
         return EstimatorResult(estimator.name, {**figures, 'seconds': seconds},
                                outcome @ se3.inverse(data.T_sensor_plane))
 
-    rows = [row(own_method, refusal or X_own, start)]
+    rows = [row(own_method, own, started)]
     for estimator in others:
         progress(estimator.name)
         start = time.perf_counter()
@@ -322,6 +315,7 @@ def _comparison(target: str, solve_own: Callable[[], OwnAnswer], count: int,
         except ESTIMATOR_FAILURES as error:
             outcome = error
         rows.append(row(estimator, outcome, start))
+    refusal = own if isinstance(own, DataError) else None
     return Comparison(tuple(rows), len(data), count - len(data), refusal, data.field_text)
 
 

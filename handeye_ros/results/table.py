@@ -7,7 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 import math
 import re
-from typing import Any, NamedTuple
+from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import RECORD_PREFIX
@@ -27,20 +27,11 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-
-class ShownEstimate(NamedTuple):
-    """How the table shows the estimates whose keys match a pattern."""
-
-    keys: str
-    label: str  # '' is that of the key
-    words: str  # around the value
-    factor: float  # to the unit in the words
-    digits: int
-
-
 FOUND_MM = '{} mm (1 sigma, found and allowed for)'
 FOUND_DEGREES = '{} degrees (1 sigma, found and allowed for)'
-ESTIMATES = tuple(ShownEstimate(*columns) for columns in (
+# How estimates are shown: a pattern of their keys, the label ('': that of the key), the words
+# around the value, the factor to the unit in these words, and the number of digits.
+ESTIMATES = (
     ('(centre|point|radius|distance|size|setback).*', '', '{} mm', 1e3, 3),
     ('.*angle', '', '{} degrees', math.degrees(1), 4),
     ('normal.*|direction', '', '{}', 1.0, 6),
@@ -53,7 +44,7 @@ ESTIMATES = tuple(ShownEstimate(*columns) for columns in (
     ('distortion_error', 'sensor, bent field', FOUND_MM, 1e3, 4),
     ('line_bend', 'sensor, bent laser line', FOUND_MM, 1e3, 4),
     ('flatness_error', 'target, flatness', FOUND_MM, 1e3, 4),
-))
+)
 
 
 def table(calibration: Calibration) -> RenderableType:
@@ -159,7 +150,7 @@ def weakest(calibration: Calibration) -> str:
 def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the other estimates, of target, sensor and robot, in mm and degrees."""
     for key, value in target.items():
-        shown = next((shown for shown in ESTIMATES if re.fullmatch(shown.keys, str(key))), None)
+        shown = next((shown for keys, *shown in ESTIMATES if re.fullmatch(keys, str(key))), None)
         name = f'target {str(key).replace("_", " ")}'
         if key == 'pose':
             T = se3.transform_from_values(value)
@@ -170,12 +161,13 @@ def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         elif key.endswith('_std') or key == 'joint':
             continue
         elif shown and not isinstance(value, str):
-            factor, digits, std = shown.factor, shown.digits, target.get(f'{key}_std')
+            label, words, factor, digits = shown
+            std = target.get(f'{key}_std')
             numbers = value.values() if isinstance(value, Mapping) else np.atleast_1d(value)
-            text = shown.words.format(' '.join(f'{v * factor:.{digits}f}' for v in numbers))
+            text = words.format(' '.join(f'{v * factor:.{digits}f}' for v in numbers))
             sigma = '' if std is None else (
                 f', 1 sigma {std * factor:.{digits}f}' if std else ', given')
-            yield shown.label or name, text + sigma
+            yield label or name, text + sigma
         else:
             yield name, str(value)
 
