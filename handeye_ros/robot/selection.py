@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-import math
 
 from handeye_ros.arm import (
     ALL_KINDS,
@@ -199,11 +198,9 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
         if low < joint.lower - tolerance or high > joint.upper + tolerance:
             raise DataError(
                 f'{joint.name} goes from {low:.4g} to {high:.4g}, and the URDF limits it to '
-                f'{joint.lower:.4g} to {joint.upper:.4g} (radians or metres): check '
-                + ('the unit of the joint values (are they degrees stated as radians?)'
-                   if max(-low, high) > 2 * math.pi else
-                   'sign, zero, and order of the joint values, whether it is counted from the '
-                   'horizontal') + ', or the limits in the URDF')
+                f'{joint.lower:.4g} to {joint.upper:.4g} (radians or metres): check unit (degrees '
+                'stated as radians?), sign, zero, and order of the joint values, whether it is '
+                'counted from the horizontal, and the limits in the URDF')
         if high - low < UNMOVED_SPREAD[joint.kind]:
             size = (degrees if joint.kind == REVOLUTE else mm)(float(high - low))
             sentences.append(f'{joint.name} moves by {size} only: these configurations do not '

@@ -53,6 +53,7 @@ from handeye_ros.targets import problem_of_known_poses, target_for
 from handeye_ros.targets.profile_target import xyz
 import numpy as np
 from scipy.interpolate import PchipInterpolator
+from scipy.spatial import KDTree
 
 MAX_GAP = NS  # 1 s, between a sample and joint values
 UNCORRECTED_STD = 5e-4  # 1 sigma of the robot's error before its correction (m)
@@ -107,11 +108,8 @@ def _joints_at(samples: Sequence[Sample], recording: Recording, joints: Array) -
     times = np.array([sample.stamp + round(sample.clock_values.offset * 1e9)
                       for sample in samples])
     stamps, first = np.unique([pose.stamp for pose in recording.poses], return_index=True)
-    after = np.searchsorted(stamps, times)
-    gaps = np.minimum(*(np.abs(stamps[np.clip(after - k, 0, len(stamps) - 1)] - times)
-                        for k in (0, 1)))
-    missing = int((gaps > MAX_GAP).sum())
-    if missing:
+    gaps, _ = KDTree(stamps[:, None]).query(times[:, None])
+    if missing := int((gaps > MAX_GAP).sum()):
         raise InputError(
             f'{missing} of {len(times)} samples have no joint values of their time: joint values '
             'and profiles must be recorded together, with clocks that agree')

@@ -17,7 +17,6 @@ from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.robot import sources
-from handeye_ros.robot.selection import joint_notes
 from handeye_ros.robot.sources import solve_points
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import robot as simulated_arm
@@ -154,12 +153,6 @@ def test_bad_tables_are_refused_in_a_sentence(from_table, tmp_path, change, word
     table.write_text(change((from_table[2] / 'points.csv').read_text()))
     with pytest.raises(HandeyeError, match=words):
         sources.solve_table(table, arm_of(bench.urdf(bench.SIX)), Config(), ())
-
-
-def test_values_beyond_a_limit_are_called_degrees_only_if_they_may_be():
-    arm = arm_of(bench.urdf(bench.SIX))
-    with pytest.raises(HandeyeError, match='check sign, zero, and order'):
-        joint_notes(arm, np.outer([0, 1], [0, 2.5, 0, 0, 0, 0]))
 
 
 def test_few_poses_do_not_make_an_error_less_certain_than_before():
