@@ -51,8 +51,6 @@ ROW_FIGURES = {  # of a row: the head of its column, in which unit, with how man
 ZHENG_START_OFF = np.repeat([0.01, math.radians(5)], 3) / 3 ** 0.5
 """Offset of the start of Zheng 2018 from our answer: 10 mm and 5 degrees."""
 
-Progress: TypeAlias = Callable[[str], None]
-
 
 @dataclass(frozen=True, eq=False)
 class ComparedStations:
@@ -240,21 +238,19 @@ class Comparison:
 
 
 def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
-            T_true: Array | None = None, folds: int = FOLD_COUNT,
-            progress: Progress = lambda text: None, session: Session | None = None
+            T_true: Array | None = None, folds: int = FOLD_COUNT, session: Session | None = None
             ) -> Comparison:
     """
     Return the rows of all estimators for the target, from samples in any order.
 
     rejects: stations that gave no sample; T_true: T_flange_sensor (4, 4), where it is known;
-    folds: how many parts of the stations are left out in turn, 0 for none; progress: receives
-    what is being done; session: as in pipeline.answer_samples. All estimators are given the
-    stations that the target's own method believes. Raises DataError where it believes none,
-    BadValueError for a target or method that does not exist.
+    folds: how many parts of the stations are left out in turn, 0 for none; session: as in
+    pipeline.answer_samples. All estimators are given the stations that the target's own method
+    believes. Raises DataError where it believes none, BadValueError for a target or method that
+    does not exist.
     """
     targets.target_for(config)
     started, config = time.perf_counter(), replace(config, method='auto')
-    progress(config.target.type)
     answer = pipeline.answer_samples(samples, rejects, config, session=session)
     solution = answer.require_solution()
     # the others know no motion
@@ -262,17 +258,16 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
     stations = ComparedStations(used, solution.problem, solution.estimate,
                                 solution.posterior.noise)
     return _comparison(config.target.type, stations, answer.refusal or solution.estimate.X,
-                       started, len(samples) + len(rejects), T_true, folds, progress)
+                       started, len(samples) + len(rejects), T_true, folds)
 
 
-def compare_files(given: TableProblem, T_true: Array | None = None, folds: int = FOLD_COUNT,
-                  progress: Progress = lambda text: None) -> Comparison:
+def compare_files(given: TableProblem, T_true: Array | None = None, folds: int = FOLD_COUNT
+                  ) -> Comparison:
     """Return the rows of all estimators for values read from files; see `compare`."""
     if not isinstance(given, PairedRows):
         raise InputError(f'for target.type {given.name} there is one estimator alone: use '
                          '"handeye solve"')
     started = time.perf_counter()
-    progress(given.name)
     answer = answer_table(given)
     own: Array | DataError = answer.X
     try:
@@ -280,11 +275,11 @@ def compare_files(given: TableProblem, T_true: Array | None = None, folds: int =
     except DataError as refusal:
         own = refusal
     believed = given.subset(np.flatnonzero(answer.used))
-    return _comparison(given.name, believed, own, started, len(given), T_true, folds, progress)
+    return _comparison(given.name, believed, own, started, len(given), T_true, folds)
 
 
 def _comparison(target: str, data: ComparedData, own: Array | DataError, started: float,
-                count: int, T_true: Array | None, folds: int, progress: Progress) -> Comparison:
+                count: int, T_true: Array | None, folds: int) -> Comparison:
     """
     Return the rows of the target's own method, and of the others, from the same data.
 
@@ -299,7 +294,7 @@ def _comparison(target: str, data: ComparedData, own: Array | DataError, started
             return EstimatorResult(estimator.name, {'seconds': seconds}, failure=str(outcome))
         figures = {'residual_rms': rms(data.residuals(outcome, every, every))}
         if folds and estimator.refit:
-            figures |= _left_out(data, estimator, min(folds, len(data)), progress)
+            figures |= _left_out(data, estimator, min(folds, len(data)))
         if T_true is not None:
             errors = errors_against(outcome, T_true @ data.T_sensor_plane, data.field())
             figures |= {f'error_{name}': value for name, value in asdict(errors).items()}
@@ -308,7 +303,6 @@ def _comparison(target: str, data: ComparedData, own: Array | DataError, started
 
     rows = [row(own_method, own, started)]
     for estimator in others:
-        progress(estimator.name)
         start = time.perf_counter()
         try:
             outcome: Array | Exception = estimator.fit(data)
@@ -319,12 +313,10 @@ def _comparison(target: str, data: ComparedData, own: Array | DataError, started
     return Comparison(tuple(rows), len(data), count - len(data), refusal, data.field_text)
 
 
-def _left_out(data: ComparedData, estimator: Estimator, folds: int, progress: Progress
-              ) -> dict[str, float]:
+def _left_out(data: ComparedData, estimator: Estimator, folds: int) -> dict[str, float]:
     """Return holdout_rms, of samples that the estimator was not given; nothing if it fails."""
     residuals, every = [], np.arange(len(data))
     for part in range(folds):
-        progress(f'{estimator.name}: left out, part {part + 1} of {folds}')
         in_part = every % folds == part
         try:
             X = estimator.fit(data.subset(every[~in_part]))
