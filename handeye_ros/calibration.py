@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
 import math
 from typing import Any
 
@@ -36,7 +35,6 @@ from handeye_ros.frames import mount_frame, T_sensor_plane, weakest_position
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_POINTS = 200_000  # measured points of which residuals are computed
 MAX_FOLDS = 20  # of the cross-validation
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
              'crosses the edge at too small an angle')
@@ -179,8 +177,8 @@ class MeasuredPoints:
     kind: NDArray[np.intp]
     station: NDArray[np.intp]
 
-    def select(self, keep: NDArray[np.bool_] | slice) -> MeasuredPoints:
-        """Return some of the points."""
+    def select(self, keep: NDArray[np.bool_]) -> MeasuredPoints:
+        """Return some of the points, by a mask (k,)."""
         return MeasuredPoints(self.points[keep], self.kind[keep], self.station[keep])
 
     def residuals(self, problem: Problem, estimate: Estimate, poses: Array | None = None
@@ -196,19 +194,14 @@ class MeasuredPoints:
 
 
 def measured_points(used: Sequence[Sample], problem: Problem) -> MeasuredPoints:
-    """
-    Return all measured points of samples, in the order of the problem's stations.
-
-    Of more than MAX_POINTS every second, third, ... is taken: their RMS is the same.
-    """
+    """Return all measured points of samples, in the order of the problem's stations."""
     obs = problem.observations
     bounds = np.searchsorted(obs.station, np.arange(len(used) + 1))
     parts = [problem.target.measured(sample, obs.points[first:last], obs.kind[first:last])
              for sample, first, last in zip(used, bounds[:-1], bounds[1:], strict=True)]
     station = np.repeat(np.arange(len(used)), [len(kind) for _, kind in parts])
     points, kind = map(np.concatenate, zip(*parts, strict=True))
-    step = max(-(-len(kind) // MAX_POINTS), 1)
-    return MeasuredPoints(points, kind, station).select(slice(None, None, step))
+    return MeasuredPoints(points, kind, station)
 
 
 @dataclass(frozen=True)
@@ -319,13 +312,11 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     estimates, reported = map(block_estimates, (solution.posterior, solution.report_posterior))
     values = target.measures(solution.estimate.state)
     stds = dict(zip(target.parameter_names, solution.target_std.tolist(), strict=True))
-    freed = [name for name, (_, tolerance) in measures.items()
-             if name in stated_to_solver and stated_to_solver[name][1] > tolerance]
-    # each freed length may be any of those that are stated
-    stated_of_freed = min(
-        (dict(zip(freed, lengths, strict=True))
-         for lengths in permutations(measures[name][0] for name in freed)),
-        key=lambda lengths: sum(abs(lengths[name] - values[name]) for name in freed))
+    freed = sorted((name for name, (_, tolerance) in measures.items()
+                    if name in stated_to_solver and stated_to_solver[name][1] > tolerance),
+                   key=values.__getitem__)
+    # each freed length may be any of those that are stated: the nearest are in the same order
+    stated_of_freed = dict(zip(freed, sorted(measures[name][0] for name in freed), strict=True))
     for name, (stated, tolerance) in measures.items():
         value, std = values.get(name, stated), stds[name]
         if name not in reported:  # it was freed, to make the stations agree

@@ -154,8 +154,7 @@ def _parameters_of(section: Any) -> dict[str, Parameter]:
 class ProfileConfig(Section):
     """How to read the messages of the profiler's driver."""
 
-    unit: str = setting(
-        'm', 'Unit of the coordinates in the profile messages.', choices=('m', 'mm'))
+    unit: str = setting('m', 'Unit of the coordinates in the messages.', choices=('m', 'mm'))
     axes: tuple[str, ...] = setting(
         ('x', 'z'), 'Two signed axes of the message: along the laser line, and range.',
         choices=SIGNED_AXES, length=(2,))
@@ -607,8 +606,7 @@ def load(path: Path | str, config: Config | None = None) -> Config:
     for_ours = [node for node in sections if node.split('/')[-1] == NODE_NAME]
     if not for_all and not for_ours:
         raise InputError(f'{path} holds the parameters of {", ".join(sections) or "no node"}, and '
-                         f'none of them is "{NODE_NAME}": give the calibration a section "/**:" '
-                         'or of that name, below it "ros__parameters:", below it the keys')
+                         f'none of them is "{NODE_NAME}" or "/**", with keys in "ros__parameters"')
     if len(for_ours) > 1:
         raise InputError(f'{path} holds the parameters of {", ".join(for_ours)}: keep those of '
                          f'one "{NODE_NAME}"')

@@ -151,9 +151,8 @@ class Table:
                 + '; write ' + ' or '.join(f'{name} [{u}]' if u else name for u in factors))
         values = factors[unit] * np.array([_number(text) for text in texts])
         for row in np.flatnonzero(~(np.abs(values) <= MAX_VALUE))[:1]:
-            raise TableError(self.path, f'row {row + 1}: {name} is ' + (
-                f'{texts[row]}, which is beyond all measure' if np.isfinite(values[row]) else
-                f'"{texts[row]}", expected a number, with a point before its decimals'))
+            raise TableError(self.path, f'row {row + 1}: {name} is "{texts[row]}", expected a '
+                             f'number with a decimal point, at most {MAX_VALUE:g} in SI units')
         return values
 
 

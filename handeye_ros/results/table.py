@@ -104,10 +104,8 @@ def rpy_std(T: Array, covariance: Array) -> Array:
     _, pitch, yaw = se3.rpy(T)
     if abs(math.cos(pitch)) < 1e-3:
         return np.full(3, math.inf)
-    about_z = se3.exp_rotation(np.array([0.0, 0.0, yaw]))
-    about_y = se3.exp_rotation(np.array([0.0, pitch, 0.0]))
-    axes = np.column_stack([about_z @ about_y[:, 0], about_z[:, 1], [0.0, 0.0, 1.0]])
-    to_rpy = np.linalg.inv(axes)
+    turned_y = [-math.sin(yaw), math.cos(yaw), 0.0]
+    to_rpy = np.linalg.inv(np.column_stack([T[:3, 0], turned_y, [0.0, 0.0, 1.0]]))
     return np.asarray(np.sqrt(np.diag(to_rpy @ covariance @ to_rpy.T)))
 
 
@@ -150,7 +148,7 @@ def weakest(calibration: Calibration) -> str:
 def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the other estimates, of target, sensor and robot, in mm and degrees."""
     for key, value in target.items():
-        shown = next((shown for keys, *shown in ESTIMATES if re.fullmatch(keys, str(key))), None)
+        shown = next((row for row in ESTIMATES if re.fullmatch(row[0], str(key))), None)
         name = f'target {str(key).replace("_", " ")}'
         if key == 'pose':
             T = se3.transform_from_values(value)
@@ -161,7 +159,7 @@ def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         elif key.endswith('_std') or key == 'joint':
             continue
         elif shown and not isinstance(value, str):
-            label, words, factor, digits = shown
+            _, label, words, factor, digits = shown
             std = target.get(f'{key}_std')
             numbers = value.values() if isinstance(value, Mapping) else np.atleast_1d(value)
             text = words.format(' '.join(f'{v * factor:.{digits}f}' for v in numbers))
