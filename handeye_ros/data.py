@@ -42,7 +42,7 @@ def robust_std(deviations: Array) -> float:
 
 
 def even_indices(n: int, most: int) -> Indices:
-    """Return the indices of at most `most` of n items, evenly spaced from the first to the last."""
+    """Return at most `most` indices of n items, evenly spaced from the first to the last."""
     return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.intp)
 
 
