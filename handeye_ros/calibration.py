@@ -46,10 +46,10 @@ LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
 def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solution: Solution,
                    config: Config, frame_id: str, warnings: Sequence[str] = ()) -> Calibration:
     """
-    Return the calibration of a solution.
+    Return the calibration of a solution, with the residuals of its samples and its remarks.
 
-    samples: in the order of its stations; rejects: stops that gave none; frame_id: of the
-    profiles; warnings: in words.
+    samples: in the order of the stations of the solution; rejects: the stops that gave no sample;
+    config: the settings as the user stated them; frame_id: of the profiles; warnings: sentences.
     """
     problem, offset = solution.problem, clock_estimate(solution, TIME_OFFSET)
     if offset:  # to add to received stamps
@@ -95,7 +95,11 @@ def assemble_calibration(config: Config, method: str, sensor_frame: str, T_flang
 
 
 def report_of_row(number: int, kind: str, used: bool, off: float) -> SampleReport:
-    """Return the report of a sample of a table; number: of its row, or its stamp."""
+    """
+    Return the report of a sample of a table.
+
+    number: of its row, or its stamp (ns); kind: what it is, as `arc`; off: its residual (m).
+    """
     return SampleReport(int(number), bool(used), kind, float(off),
                         '' if used else 'contradicts the others')
 
@@ -126,7 +130,7 @@ def _joint_covariance(solution: Solution) -> dict[str, Any]:
 
 
 def edges_used(problem: Problem) -> list[tuple[str, ...]]:
-    """Return for each station the edges of the target that it shows."""
+    """Return for each station of a problem the names of the edges of the target that it shows."""
     obs, target = problem.observations, problem.target
     return [tuple(dict.fromkeys(  # each once, in the order of the points
         target.kinds[k] for k in obs.kind[obs.station == station] if k in target.required_edges))
@@ -137,10 +141,11 @@ def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
                            fold: NDArray[np.intp] | None = None
                            ) -> tuple[MeasuredPoints, Array, Array]:
     """
-    Return the measured points of used samples, their residuals (k,) and those left out (k,).
+    Return the measured points of used samples, their residuals (k,) and those left out (k,), in m.
 
-    A left-out residual is against what the other folds of stations predict. fold: (n,) of each
-    station, from 0; by default each station is a fold, of many stations some share one.
+    A left-out residual is the distance from the target as the other folds of stations predict it.
+    fold: (n,) the fold of each station, counted from 0; by default each station is a fold of its
+    own, and of many stations some share one.
     """
     problem, n = solution.problem, len(used)
     measured = measured_points(used, problem)
@@ -220,7 +225,7 @@ class BlockEstimate:
 
 
 def block_estimates(posterior: Posterior) -> dict[str, BlockEstimate]:
-    """Return the first parameter of each block, by the name of the block."""
+    """Return value and 1 sigma of the first parameter of each block, by the name of the block."""
     estimates = dict[str, BlockEstimate]()
     variances = np.diag(posterior.covariance)[posterior.unknown_count:]
     for block, columns in blocks_with_columns(posterior.blocks):
@@ -235,7 +240,12 @@ def block_estimates(posterior: Posterior) -> dict[str, BlockEstimate]:
 
 
 def reported_parameters(solution: Solution) -> dict[str, Any]:
-    """Return the reported nuisance parameters: values of single ones, scales of others."""
+    """
+    Return the nuisance parameters that are reported, by key, in SI units.
+
+    Of a block of one parameter that is its value with 1 sigma, of any other the 1 sigma of its
+    parameters, as the data show it.
+    """
     report_posterior, report = solution.report_posterior, dict[str, Any]()
     estimates = block_estimates(report_posterior)
     for block in sorted(report_posterior.blocks, key=lambda block: block.count > 1):
@@ -250,7 +260,11 @@ def reported_parameters(solution: Solution) -> dict[str, Any]:
 
 
 def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
-    """Return value and 1 sigma of a parameter of the clocks, None without it."""
+    """
+    Return a parameter of the clocks (s, or s per second) with 1 sigma, None without it.
+
+    name: TIME_OFFSET, ROTATION_LAG or CLOCK_DRIFT.
+    """
     estimate = block_estimates(solution.posterior).get(name)
     if estimate is None:
         return None

@@ -55,9 +55,11 @@ ZHENG_START_OFF = np.repeat([0.01, math.radians(5)], 3) / 3 ** 0.5
 @dataclass(frozen=True, eq=False)
 class ComparedStations:
     """
-    The stations for all estimators, with the solution of the target's own method.
+    The stations that all estimators are given, with the solution of the target's own method.
 
-    samples: in the order of their stamps; problem: of the same stations, labelled.
+    samples: in the order of their stamps
+    problem: the same stations, each observation with the edge or face that it is on
+    estimate, noise: the solution of the target's own method, and the noise that it found
     """
 
     samples: tuple[Sample, ...]
@@ -86,7 +88,12 @@ class ComparedStations:
                        problem=self.problem.subset(stations))
 
     def residuals(self, X: Array, fitted: Indices, measured: Indices) -> Array:
-        """Return distances (m) of `measured` stations for X, the target fitted to `fitted`."""
+        """
+        Return the distances (k,) of the points of some stations from the target (m).
+
+        X: (4, 4) from the mount to the sensor plane; fitted: the stations to which the target is
+        fitted, with X held; measured: the stations whose points are returned. Both are indices.
+        """
         part = self.problem.subset(fitted)
         target_alone = _FixedTransformProblem(
             part.target, part.poses, part.observations, part.config)
@@ -113,8 +120,9 @@ class Estimator:
     """
     One estimator of the transform.
 
-    fit: returns X (4, 4), from the mount to the sensor plane; raises DataError. refit: whether it
-    is fast enough for cross-validation.
+    fit: returns X (4, 4), the pose of the sensor plane in the mount, from the compared data;
+        raises DataError or LinAlgError where it finds none
+    refit: whether it is fast enough for cross-validation
     """
 
     name: str
@@ -329,9 +337,8 @@ def _left_out(data: ComparedData, estimator: Estimator, folds: int) -> dict[str,
 def tables(comparison: Comparison) -> RenderableType:
     """Return the transforms of all rows, and below them their figures."""
     rows = comparison.rows
-    with_errors = any('error_mapped_points' in row.figures for row in rows)
     shown = {name: column for name, column in ROW_FIGURES.items()
-             if with_errors or not name.startswith('error')}
+             if any(name in row.figures for row in rows)}
     transforms = figures_table('estimator', 'x, y, z (mm)\nroll, pitch, yaw (degrees)',
                                rows=((row.name, _transform_text(row)) for row in rows))
     figures = figures_table(
@@ -344,7 +351,7 @@ def tables(comparison: Comparison) -> RenderableType:
              'they need.')
     legend = ('residual: RMS of what the first method minimises, with each transform, the target '
               'fitted to it; left out: of samples the estimator was not given')
-    if with_errors:
+    if 'error_mapped_points' in shown:
         legend += f'\nerror: against truth.yaml; mapped: RMS over {comparison.field_text}'
     return Group(Text(title), transforms, figures, Text(legend))
 

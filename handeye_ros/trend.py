@@ -93,7 +93,11 @@ def _frames(calibration: Calibration) -> str:
 
 
 def difference_of(a: Calibration, b: Calibration) -> tuple[Array, Array, float]:
-    """Return the difference (6,) of a from b, its 1 sigma (6,) and its p-value."""
+    """
+    Return the difference (6,) of calibration a from b, its 1 sigma (6,) and its p-value.
+
+    The difference is x y z rx ry rz in the axes of the mount (m, rad).
+    """
     difference = se3.difference(a.T_flange_sensor, b.T_flange_sensor)
     covariance = a.covariance + b.covariance
     p_value = float(chi2_sf(difference @ np.linalg.solve(covariance, difference), 6))
