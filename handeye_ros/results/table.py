@@ -3,7 +3,7 @@
 """Tables of a calibration: millimetres and degrees, each with its unit and 1 sigma; words."""
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 import math
 import re
@@ -120,14 +120,10 @@ def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
                       'the others)'
     yield 'weakest', weakest(calibration)
     yield 'samples', f'{quality.samples_used} used, {quality.samples_rejected} rejected'
-    causes = defaultdict[str, list[str]](list)
-    for sample in calibration.samples:
-        if not sample.used:
-            reason = sample.reason or 'no reason given'
-            causes[without_numbers(reason)].append(reason)
-    for reasons in causes.values():
-        first = ', the first' if len(set(reasons)) > 1 else ''
-        yield '', f'{len(reasons)} rejected{first}: {reasons[0]}'
+    reasons = [sample.reason for sample in calibration.samples if not sample.used]
+    for cause, count in Counter(map(without_numbers, reasons)).items():
+        first = next(reason for reason in reasons if without_numbers(reason) == cause)
+        yield '', f'{count} rejected{", the first" if count > 1 else ""}: {first}'
     if offset := calibration.time_offset:
         yield 'time offset', (f'{offset.value * 1e3:.3f} ms, 1 sigma {offset.std * 1e3:.3f} '
                               '(to be added to the stamps of the profiles)')
