@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import partial
-import glob
 import io
 import json
 import os
@@ -75,8 +74,15 @@ class Job:
 
 def files_below(path: Path) -> list[Path]:
     """Return the files in a folder, following links, or a file itself; none of another path."""
-    found = glob.iglob(f'{glob.escape(str(path))}/**', recursive=True, include_hidden=True)
-    return [path] if path.is_file() else sorted(filter(Path.is_file, map(Path, found)))
+    if path.is_file():
+        return [path]
+    files: list[Path] = []
+    for folder, inside, names in os.walk(path, followlinks=True):
+        real = Path(folder).resolve()
+        inside[:] = [name for name in inside  # without links to a folder above
+                     if (real / name).resolve() not in (real, *real.parents)]
+        files += filter(Path.is_file, (Path(folder, name) for name in names))
+    return sorted(files)
 
 
 def jobs_of(sources: Sequence[str], verb: str, words: tuple[str, ...] = ()) -> list[Job]:

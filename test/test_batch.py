@@ -88,6 +88,7 @@ def test_each_job_costs_itself_and_is_computed_once(tmp_path):
 def test_links_to_recordings_are_followed(tmp_path):
     (tmp_path / 'store/night').mkdir(parents=True)
     (tmp_path / 'store/night/metadata.yaml').touch()
+    (tmp_path / 'store/night/up').symlink_to(tmp_path / 'store')  # back, and not for ever
     (tmp_path / 'store/single.mcap').touch()
     (tmp_path / 'cell').mkdir()
     (tmp_path / 'cell/monday').symlink_to(tmp_path / 'store/night')
