@@ -233,7 +233,7 @@ def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
     start = fit_of_sources(sources, arm_of(robot.URDF))
     used = np.concatenate([np.arange(len(one.q)) < 0.75 * len(one.q) for one in start.measured])
     fit = with_estimated_weights(replace(start, used=used))
-    outcome = corrected_arm(fit, start.q[used], LIMIT, lambda joints: fit.residual_rms)
+    outcome = corrected_arm(fit, used.sum(), LIMIT)
     before, after = (float(np.sqrt((m.fit.distances[~used] ** 2).mean())) * 1e3
                      for m in (outcome.models[0], outcome.chosen))
     return before, after, trials.nees(outcome.chosen.fit.X, outcome.covariance,

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
 import math
 from typing import Any
 
@@ -36,7 +35,6 @@ from handeye_ros.frames import mount_frame, T_sensor_plane, weakest_position
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_POINTS = 200_000  # measured points of which residuals are computed
 MAX_FOLDS = 20  # of the cross-validation
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
              'crosses the edge at too small an angle')
@@ -48,10 +46,10 @@ LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
 def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solution: Solution,
                    config: Config, frame_id: str, warnings: Sequence[str] = ()) -> Calibration:
     """
-    Return the calibration of a solution.
+    Return the calibration of a solution, with the residuals of its samples and its remarks.
 
-    samples: in the order of its stations; rejects: stops that gave none; frame_id: of the
-    profiles; warnings: in words.
+    samples: in the order of the stations of the solution; rejects: the stops that gave no sample;
+    config: the settings as the user stated them; frame_id: of the profiles; warnings: sentences.
     """
     problem, offset = solution.problem, clock_estimate(solution, TIME_OFFSET)
     if offset:  # to add to received stamps
@@ -97,7 +95,11 @@ def assemble_calibration(config: Config, method: str, sensor_frame: str, T_flang
 
 
 def report_of_row(number: int, kind: str, used: bool, off: float) -> SampleReport:
-    """Return the report of a sample of a table; number: of its row, or its stamp."""
+    """
+    Return the report of a sample of a table.
+
+    number: of its row, or its stamp (ns); kind: what it is, as `arc`; off: its residual (m).
+    """
     return SampleReport(int(number), bool(used), kind, float(off),
                         '' if used else 'contradicts the others')
 
@@ -128,7 +130,7 @@ def _joint_covariance(solution: Solution) -> dict[str, Any]:
 
 
 def edges_used(problem: Problem) -> list[tuple[str, ...]]:
-    """Return for each station the edges of the target that it shows."""
+    """Return for each station of a problem the names of the edges of the target that it shows."""
     obs, target = problem.observations, problem.target
     return [tuple(dict.fromkeys(  # each once, in the order of the points
         target.kinds[k] for k in obs.kind[obs.station == station] if k in target.required_edges))
@@ -139,23 +141,22 @@ def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
                            fold: NDArray[np.intp] | None = None
                            ) -> tuple[MeasuredPoints, Array, Array]:
     """
-    Return the measured points of used samples, their residuals (k,) and those left out (k,).
+    Return the measured points of used samples, their residuals (k,) and those left out (k,), in m.
 
-    A left-out residual is against what the other folds of stations predict. fold: (n,) of each
-    station, from 0; by default each station is a fold, of many stations some share one.
+    A left-out residual is the distance from the target as the other folds of stations predict it.
+    fold: (n,) the fold of each station, counted from 0; by default each station is a fold of its
+    own, and of many stations some share one.
     """
     problem, n = solution.problem, len(used)
     measured = measured_points(used, problem)
     if fold is None:
         fold = np.arange(n) % min(n, MAX_FOLDS)
     estimates, poses = solution.posterior.estimates_without(fold)
-    T = poses @ np.array([estimate.X for estimate in estimates])[fold]
-    p = mapped(measured.points, T[measured.station])
-    fold_of_point, left_out = fold[measured.station], np.empty(len(p))
+    fold_of_point = fold[measured.station]
+    left_out = np.empty(len(fold_of_point))
     for k, estimate in enumerate(estimates):
-        in_fold = np.flatnonzero(fold_of_point == k)
-        left_out[in_fold] = problem.target.conditions(
-            p[in_fold], measured.kind[in_fold], estimate.state, problem.config).g
+        in_fold = fold_of_point == k
+        left_out[in_fold] = measured.select(in_fold).residuals(problem, estimate, poses)
     return measured, measured.residuals(
         problem, solution.estimate, solution.posterior.corrected_poses()), left_out
 
@@ -181,6 +182,10 @@ class MeasuredPoints:
     kind: NDArray[np.intp]
     station: NDArray[np.intp]
 
+    def select(self, keep: NDArray[np.bool_]) -> MeasuredPoints:
+        """Return some of the points, by a mask (k,)."""
+        return MeasuredPoints(self.points[keep], self.kind[keep], self.station[keep])
+
     def residuals(self, problem: Problem, estimate: Estimate, poses: Array | None = None
                   ) -> Array:
         """
@@ -194,19 +199,14 @@ class MeasuredPoints:
 
 
 def measured_points(used: Sequence[Sample], problem: Problem) -> MeasuredPoints:
-    """
-    Return all measured points of samples, in the order of the problem's stations.
-
-    Of more than MAX_POINTS every second, third, ... is taken: their RMS is the same.
-    """
+    """Return all measured points of samples, in the order of the problem's stations."""
     obs = problem.observations
     bounds = np.searchsorted(obs.station, np.arange(len(used) + 1))
     parts = [problem.target.measured(sample, obs.points[first:last], obs.kind[first:last])
              for sample, first, last in zip(used, bounds[:-1], bounds[1:], strict=True)]
     station = np.repeat(np.arange(len(used)), [len(kind) for _, kind in parts])
     points, kind = map(np.concatenate, zip(*parts, strict=True))
-    step = max(-(-len(kind) // MAX_POINTS), 1)
-    return MeasuredPoints(points[::step], kind[::step], station[::step])
+    return MeasuredPoints(points, kind, station)
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ class BlockEstimate:
 
 
 def block_estimates(posterior: Posterior) -> dict[str, BlockEstimate]:
-    """Return the first parameter of each block, by the name of the block."""
+    """Return value and 1 sigma of the first parameter of each block, by the name of the block."""
     estimates = dict[str, BlockEstimate]()
     variances = np.diag(posterior.covariance)[posterior.unknown_count:]
     for block, columns in blocks_with_columns(posterior.blocks):
@@ -240,7 +240,12 @@ def block_estimates(posterior: Posterior) -> dict[str, BlockEstimate]:
 
 
 def reported_parameters(solution: Solution) -> dict[str, Any]:
-    """Return the reported nuisance parameters: values of single ones, scales of others."""
+    """
+    Return the nuisance parameters that are reported, by key, in SI units.
+
+    Of a block of one parameter that is its value with 1 sigma, of any other the 1 sigma of its
+    parameters, as the data show it.
+    """
     report_posterior, report = solution.report_posterior, dict[str, Any]()
     estimates = block_estimates(report_posterior)
     for block in sorted(report_posterior.blocks, key=lambda block: block.count > 1):
@@ -255,7 +260,11 @@ def reported_parameters(solution: Solution) -> dict[str, Any]:
 
 
 def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
-    """Return value and 1 sigma of a parameter of the clocks, None without it."""
+    """
+    Return a parameter of the clocks (s, or s per second) with 1 sigma, None without it.
+
+    name: TIME_OFFSET, ROTATION_LAG or CLOCK_DRIFT.
+    """
     estimate = block_estimates(solution.posterior).get(name)
     if estimate is None:
         return None
@@ -317,13 +326,11 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     estimates, reported = map(block_estimates, (solution.posterior, solution.report_posterior))
     values = target.measures(solution.estimate.state)
     stds = dict(zip(target.parameter_names, solution.target_std.tolist(), strict=True))
-    freed = [name for name, (_, tolerance) in measures.items()
-             if name in stated_to_solver and stated_to_solver[name][1] > tolerance]
-    # each freed length may be any of those that are stated
-    stated_of_freed = min(
-        (dict(zip(freed, lengths, strict=True))
-         for lengths in permutations(measures[name][0] for name in freed)),
-        key=lambda lengths: sum(abs(lengths[name] - values[name]) for name in freed))
+    freed = sorted((name for name, (_, tolerance) in measures.items()
+                    if name in stated_to_solver and stated_to_solver[name][1] > tolerance),
+                   key=values.__getitem__)
+    # each freed length may be any of those that are stated: the nearest are in the same order
+    stated_of_freed = dict(zip(freed, sorted(measures[name][0] for name in freed), strict=True))
     for name, (stated, tolerance) in measures.items():
         value, std = values.get(name, stated), stds[name]
         if name not in reported:  # it was freed, to make the stations agree

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 import math
 import time
 from typing import Any, ClassVar, TypeAlias
@@ -50,15 +51,15 @@ ROW_FIGURES = {  # of a row: the head of its column, in which unit, with how man
 ZHENG_START_OFF = np.repeat([0.01, math.radians(5)], 3) / 3 ** 0.5
 """Offset of the start of Zheng 2018 from our answer: 10 mm and 5 degrees."""
 
-Progress: TypeAlias = Callable[[str], None]
-
 
 @dataclass(frozen=True, eq=False)
 class ComparedStations:
     """
-    The stations for all estimators, with the solution of the target's own method.
+    The stations that all estimators are given, with the solution of the target's own method.
 
-    samples: in the order of their stamps; problem: of the same stations, labelled.
+    samples: in the order of their stamps
+    problem: the same stations, each observation with the edge or face that it is on
+    estimate, noise: the solution of the target's own method, and the noise that it found
     """
 
     samples: tuple[Sample, ...]
@@ -87,7 +88,12 @@ class ComparedStations:
                        problem=self.problem.subset(stations))
 
     def residuals(self, X: Array, fitted: Indices, measured: Indices) -> Array:
-        """Return distances (m) of `measured` stations for X, the target fitted to `fitted`."""
+        """
+        Return the distances (k,) of the points of some stations from the target (m).
+
+        X: (4, 4) from the mount to the sensor plane; fitted: the stations to which the target is
+        fitted, with X held; measured: the stations whose points are returned. Both are indices.
+        """
         part = self.problem.subset(fitted)
         target_alone = _FixedTransformProblem(
             part.target, part.poses, part.observations, part.config)
@@ -108,20 +114,15 @@ class _FixedTransformProblem(Problem):
 ComparedData: TypeAlias = ComparedStations | PairedRows
 """What estimators are given: both can be counted, cut to a subset, and give residuals of an X."""
 
-OwnAnswer: TypeAlias = tuple[ComparedData, Array, DataError | None]
-"""
-The answer of the target's own method: what it believes, and all estimators are given; its
-transform (4, 4) from the mount to the sensor plane; why it is no answer, or None.
-"""
-
 
 @dataclass(frozen=True)
 class Estimator:
     """
     One estimator of the transform.
 
-    fit: returns X (4, 4), from the mount to the sensor plane; raises DataError. refit: whether it
-    is fast enough for cross-validation.
+    fit: returns X (4, 4), the pose of the sensor plane in the mount, from the compared data;
+        raises DataError or LinAlgError where it finds none
+    refit: whether it is fast enough for cross-validation
     """
 
     name: str
@@ -129,14 +130,12 @@ class Estimator:
     refit: bool = True
 
 
-def _fit_by_method(name: str) -> Callable[[ComparedStations], Array]:
-    """Return the fit by one of the own methods."""
-    def fit(stations: ComparedStations) -> Array:
-        config = replace(stations.problem.config, method=name)
-        solution = pipeline.answer_samples(stations.samples, (), config).require_solution()
-        require_certain(solution.transform_covariance, config, missing_motion(solution, config))
-        return solution.estimate.X
-    return fit
+def _by_own_method(name: str, stations: ComparedStations) -> Array:
+    """Return X (4, 4) by one of the own methods, such as plane; raises DataError."""
+    config = replace(stations.problem.config, method=name)
+    solution = pipeline.answer_samples(stations.samples, (), config).require_solution()
+    require_certain(solution.transform_covariance, config, missing_motion(solution, config))
+    return solution.estimate.X
 
 
 def _edges(stations: ComparedStations) -> tuple[Array, Array, Array]:
@@ -188,7 +187,7 @@ def _park(pairs: PosePairs) -> Array:
 
 OTHER_ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
     'plate': (
-        Estimator('plane, the face lines alone', _fit_by_method('plane')),
+        Estimator('plane, the face lines alone', partial(_by_own_method, 'plane')),
         Estimator('Chen 2023, nine parameters', lambda given: chen2023.solve_nine(*_edges(given))),
         Estimator('Chen 2023, on SE(3)', lambda given: chen2023.solve_rigid(*_edges(given)))),
     'sphere': (
@@ -205,7 +204,7 @@ OTHER_ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
             *cn105021139a.motions(given.robot, given.seen)))),
 }
 ESTIMATORS = {
-    name: (Estimator(name, _fit_by_method(name) if name in TARGETS else _from_files),
+    name: (Estimator(name, partial(_by_own_method, name) if name in TARGETS else _from_files),
            *OTHER_ESTIMATORS.get(name, ())) for name in {**TARGETS, **OTHER_ESTIMATORS}}
 """By target, its own method first."""
 
@@ -247,90 +246,85 @@ class Comparison:
 
 
 def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
-            T_true: Array | None = None, folds: int = FOLD_COUNT,
-            progress: Progress = lambda text: None, session: Session | None = None
+            T_true: Array | None = None, folds: int = FOLD_COUNT, session: Session | None = None
             ) -> Comparison:
     """
     Return the rows of all estimators for the target, from samples in any order.
 
     rejects: stations that gave no sample; T_true: T_flange_sensor (4, 4), where it is known;
-    folds: how many parts of the stations are left out in turn, 0 for none; progress: receives
-    what is being done; session: as in pipeline.answer_samples. All estimators are given the
-    stations that the target's own method believes. Raises DataError where it believes none,
-    BadValueError for a target or method that does not exist.
+    folds: how many parts of the stations are left out in turn, 0 for none; session: as in
+    pipeline.answer_samples. All estimators are given the stations that the target's own method
+    believes. Raises DataError where it believes none, BadValueError for a target or method that
+    does not exist.
     """
     targets.target_for(config)
-    config = replace(config, method='auto')
-
-    def solve_own() -> OwnAnswer:
-        answer = pipeline.answer_samples(samples, rejects, config, session=session)
-        solution = answer.require_solution()
-        # the others know no motion
-        used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used_stations)
-        stations = ComparedStations(used, solution.problem, solution.estimate,
-                                    solution.posterior.noise)
-        return stations, solution.estimate.X, answer.refusal
-    return _comparison(config.target.type, solve_own, len(samples) + len(rejects), T_true, folds,
-                       progress)
+    started, config = time.perf_counter(), replace(config, method='auto')
+    answer = pipeline.answer_samples(samples, rejects, config, session=session)
+    solution = answer.require_solution()
+    # the others know no motion
+    used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used_stations)
+    stations = ComparedStations(used, solution.problem, solution.estimate,
+                                solution.posterior.noise)
+    return _comparison(config.target.type, stations, answer.refusal or solution.estimate.X,
+                       started, len(samples) + len(rejects), T_true, folds)
 
 
-def compare_files(given: TableProblem, T_true: Array | None = None, folds: int = FOLD_COUNT,
-                  progress: Progress = lambda text: None) -> Comparison:
+def compare_files(given: TableProblem, T_true: Array | None = None, folds: int = FOLD_COUNT
+                  ) -> Comparison:
     """Return the rows of all estimators for values read from files; see `compare`."""
     if not isinstance(given, PairedRows):
         raise InputError(f'for target.type {given.name} there is one estimator alone: use '
                          '"handeye solve"')
+    started = time.perf_counter()
+    answer = answer_table(given)
+    own: Array | DataError = answer.X
+    try:
+        answer.require_trusted(given)
+    except DataError as refusal:
+        own = refusal
+    believed = given.subset(np.flatnonzero(answer.used))
+    return _comparison(given.name, believed, own, started, len(given), T_true, folds)
 
-    def solve_own() -> OwnAnswer:
-        answer, refusal = answer_table(given), None
-        try:
-            answer.require_trusted(given)
-        except DataError as error:
-            refusal = error
-        return given.subset(np.flatnonzero(answer.used)), answer.X, refusal
-    return _comparison(given.name, solve_own, len(given), T_true, folds, progress)
 
+def _comparison(target: str, data: ComparedData, own: Array | DataError, started: float,
+                count: int, T_true: Array | None, folds: int) -> Comparison:
+    """
+    Return the rows of the target's own method, and of the others, from the same data.
 
-def _comparison(target: str, solve_own: Callable[[], OwnAnswer], count: int,
-                T_true: Array | None, folds: int, progress: Progress) -> Comparison:
-    """Return the rows of the target's own method, and of the others; count: of all samples."""
+    own: transform (4, 4) of the own method, from the mount to the sensor plane, or why it is no
+    answer; started: when it began (s); count: of all samples.
+    """
     own_method, *others = ESTIMATORS[target]
-    progress(target)
-    start = time.perf_counter()
-    data, X_own, refusal = solve_own()
 
-    def row(estimator: Estimator, outcome: Array | Exception, start: float
-            ) -> EstimatorResult:
+    def row(estimator: Estimator, outcome: Array | Exception, start: float) -> EstimatorResult:
         seconds, every = time.perf_counter() - start, np.arange(len(data))
         if isinstance(outcome, Exception):
             return EstimatorResult(estimator.name, {'seconds': seconds}, failure=str(outcome))
         figures = {'residual_rms': rms(data.residuals(outcome, every, every))}
         if folds and estimator.refit:
-            figures |= _left_out(data, estimator, min(folds, len(data)), progress)
+            figures |= _left_out(data, estimator, min(folds, len(data)))
         if T_true is not None:
             errors = errors_against(outcome, T_true @ data.T_sensor_plane, data.field())
             figures |= {f'error_{name}': value for name, value in asdict(errors).items()}
         return EstimatorResult(estimator.name, {**figures, 'seconds': seconds},
                                outcome @ se3.inverse(data.T_sensor_plane))
 
-    rows = [row(own_method, refusal or X_own, start)]
+    rows = [row(own_method, own, started)]
     for estimator in others:
-        progress(estimator.name)
         start = time.perf_counter()
         try:
             outcome: Array | Exception = estimator.fit(data)
         except ESTIMATOR_FAILURES as error:
             outcome = error
         rows.append(row(estimator, outcome, start))
+    refusal = own if isinstance(own, DataError) else None
     return Comparison(tuple(rows), len(data), count - len(data), refusal, data.field_text)
 
 
-def _left_out(data: ComparedData, estimator: Estimator, folds: int, progress: Progress
-              ) -> dict[str, float]:
+def _left_out(data: ComparedData, estimator: Estimator, folds: int) -> dict[str, float]:
     """Return holdout_rms, of samples that the estimator was not given; nothing if it fails."""
     residuals, every = [], np.arange(len(data))
     for part in range(folds):
-        progress(f'{estimator.name}: left out, part {part + 1} of {folds}')
         in_part = every % folds == part
         try:
             X = estimator.fit(data.subset(every[~in_part]))
@@ -343,9 +337,8 @@ def _left_out(data: ComparedData, estimator: Estimator, folds: int, progress: Pr
 def tables(comparison: Comparison) -> RenderableType:
     """Return the transforms of all rows, and below them their figures."""
     rows = comparison.rows
-    with_errors = any('error_mapped_points' in row.figures for row in rows)
     shown = {name: column for name, column in ROW_FIGURES.items()
-             if with_errors or not name.startswith('error')}
+             if any(name in row.figures for row in rows)}
     transforms = figures_table('estimator', 'x, y, z (mm)\nroll, pitch, yaw (degrees)',
                                rows=((row.name, _transform_text(row)) for row in rows))
     figures = figures_table(
@@ -358,7 +351,7 @@ def tables(comparison: Comparison) -> RenderableType:
              'they need.')
     legend = ('residual: RMS of what the first method minimises, with each transform, the target '
               'fitted to it; left out: of samples the estimator was not given')
-    if with_errors:
+    if 'error_mapped_points' in shown:
         legend += f'\nerror: against truth.yaml; mapped: RMS over {comparison.field_text}'
     return Group(Text(title), transforms, figures, Text(legend))
 

@@ -39,8 +39,8 @@ WITH_UNIT = re.compile(r'(?<![\w.])([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) *
 MICRO = re.compile('[\u00b5\u03bc]')  # of µm, in the two ways that it is written
 NOT_SET = math.nan  # default of a number that changes an answer by its full size: it has none
 # Accuracy classes of robots: 1 sigma of the smooth error of each axis (m), half of the largest
-# error in data sheets.
-ROBOT_CLASSES = {'calibrated': 5e-5, 'standard': 1.5e-4, 'unknown': 3e-4}
+# error in data sheets; '' is no class.
+ROBOT_CLASSES = {'': 1.5e-4, 'calibrated': 5e-5, 'standard': 1.5e-4, 'unknown': 3e-4}
 SIGNED_AXES = ('x', 'y', 'z', '-x', '-y', '-z')
 # FORMATS of results/exports.py says how each is written; test_exports.py compares the two.
 SAVE_FORMATS = ('yaml', 'urdf', 'launch', 'easy_handeye2', 'matrix', 'json', 'kuka',
@@ -62,7 +62,7 @@ ROS_OWN_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_ove
 
 def setting(default: Any, description: str, minimum: float | None = None,
             maximum: float | None = None, unit: str = '', **limits: Any) -> Any:
-    """Declare a key, with the range of a number; limits: choices, length and integers."""
+    """Declare a key, with the range of a number; limits: choices and length."""
     return field(default=default, metadata={
         'description': description + (f' In {unit}.' if unit else ''), 'minimum': minimum,
         'maximum': maximum, 'unit': unit, **limits})
@@ -80,7 +80,6 @@ class Parameter:
     unit: str = ''  # of a number: m, rad or s
     choices: tuple[Any, ...] = ()
     length: tuple[int, ...] = ()  # of a list; empty: any
-    integers: bool = False  # a list of them
 
     def checked(self, value: Any) -> Any:
         """Return a value in the type of the default; raises BadValueError for a wrong one."""
@@ -90,7 +89,7 @@ class Parameter:
         if not isinstance(items, list | tuple) or self.length and len(items) not in self.length:
             lengths = ' or '.join(map(str, self.length)) or 'any number of'
             raise BadValueError(self.key, value, f'a list of {lengths} values')
-        kind = int if self.integers else str if self.choices else float
+        kind = str if self.choices else type(self.minimum)
         return tuple(self._checked_item(item, kind) for item in items)
 
     def _checked_item(self, value: Any, kind: type[Any]) -> Any:
@@ -155,8 +154,7 @@ def _parameters_of(section: Any) -> dict[str, Parameter]:
 class ProfileConfig(Section):
     """How to read the messages of the profiler's driver."""
 
-    unit: str = setting(
-        'm', 'Unit of the coordinates in the profile messages.', choices=('m', 'mm'))
+    unit: str = setting('m', 'Unit of the coordinates in the messages.', choices=('m', 'mm'))
     axes: tuple[str, ...] = setting(
         ('x', 'z'), 'Two signed axes of the message: along the laser line, and range.',
         choices=SIGNED_AXES, length=(2,))
@@ -252,8 +250,7 @@ class SamplesConfig(Section):
     """The samples used for the answer."""
 
     exclude: tuple[int, ...] = setting(
-        (), 'Numbers of the samples left out; taking a number away brings it back.', 1, 10**6,
-        integers=True)
+        (), 'Numbers of the samples left out; taking a number away brings it back.', 1, 10**6)
 
 
 @dataclass(frozen=True)
@@ -291,7 +288,7 @@ class NoiseConfig(Section):
         1.5e-4, 'Smooth error of the robot over its workspace, each axis.', 0.0, 0.01, 'm')
     robot_class: str = setting(
         '', 'Accuracy of the robot by its data sheet: calibrated (0.1 mm), standard (0.3 mm) or '
-        'unknown; sets robot_smooth where that is not given too.', choices=('', *ROBOT_CLASSES))
+        'unknown; sets robot_smooth where that is not given too.', choices=tuple(ROBOT_CLASSES))
     robot_scale: float = setting(7e-4, 'Relative error of the lengths of the robot.', 0.0, 0.1)
 
 
@@ -492,10 +489,8 @@ def with_values(config: Config, values: Mapping[str, Any], source: str = 'values
     require_type('values', values, Mapping)
     known = [p.key for p in parameters()]
     robot = values.get('noise.robot_class')
-    if isinstance(robot, str) and robot in ROBOT_CLASSES:
+    if isinstance(robot, str) and robot in ROBOT_CLASSES and (robot or config.noise.robot_class):
         values = {'noise.robot_smooth': ROBOT_CLASSES[robot], **values}
-    elif robot == '' and config.noise.robot_class:
-        values = {'noise.robot_smooth': NoiseConfig().robot_smooth, **values}
     for key, value in values.items():
         require_type('a key of the values', key, str)
         section, _, name = key.rpartition('.')
@@ -611,8 +606,7 @@ def load(path: Path | str, config: Config | None = None) -> Config:
     for_ours = [node for node in sections if node.split('/')[-1] == NODE_NAME]
     if not for_all and not for_ours:
         raise InputError(f'{path} holds the parameters of {", ".join(sections) or "no node"}, and '
-                         f'none of them is "{NODE_NAME}": give the calibration a section "/**:" '
-                         'or of that name, below it "ros__parameters:", below it the keys')
+                         f'none of them is "{NODE_NAME}" or "/**", with keys in "ros__parameters"')
     if len(for_ours) > 1:
         raise InputError(f'{path} holds the parameters of {", ".join(for_ours)}: keep those of '
                          f'one "{NODE_NAME}"')

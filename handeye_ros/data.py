@@ -32,7 +32,7 @@ MAX_BACK_SHARE = 0.2  # way back of columns in order, over the way forth: at ste
 
 
 def rms(values: Array) -> float:
-    """Return the root mean square."""
+    """Return the root mean square of values of any shape, in their unit."""
     return float(np.sqrt((values ** 2).mean()))
 
 
@@ -42,12 +42,12 @@ def robust_std(deviations: Array) -> float:
 
 
 def even_indices(n: int, most: int) -> Indices:
-    """Return the indices of at most a number of n items, evenly spaced."""
+    """Return at most `most` indices of n items, evenly spaced from the first to the last."""
     return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.intp)
 
 
 def evenly_spaced(items: Sequence[T], most: int) -> list[T]:
-    """Return at most a number of items, evenly spaced."""
+    """Return at most `most` of some items, evenly spaced from the first to the last."""
     return [items[i] for i in even_indices(len(items), most)]
 
 
@@ -71,6 +71,8 @@ class Profile:
     """
     One laser profile, in the sensor's own plane.
 
+    stamp: the time at which it was taken (ns), on the clock of the poses
+    frame_id: the name of the frame of the sensor, '' if its driver states none
     points: (n, 2) metres, along the laser line and range, ordered along the line in either
         direction (read sorts others); a row with NaN is a column without a return
     axes: the signed axes of frame_id that the two columns of points run along
@@ -89,7 +91,7 @@ class Profile:
     time_margins: ClassVar[tuple[int, int]] = (0, 0)
 
     def __post_init__(self) -> None:
-        """Raise InputError for a stamp or points of another form."""
+        """Raise InputError for a stamp, a frame_id or points of another type or shape."""
         _require_stamp('profile', self.stamp)
         require_type('frame_id of a profile', self.frame_id, str)
         points = self.points
@@ -113,12 +115,13 @@ class Profile:
 @dataclass(frozen=True, eq=False)
 class RawProfile:
     """
-    A profile as received; it is converted only when it is used.
+    A profile as it was received; its message is converted only when the profile is used.
 
+    stamp, frame_id: as of a Profile
     fetch: returns the serialised message
-    convert: makes a Profile of it with a configuration, or raises UnusableMessageError
-    config: the default configuration
-    held_bytes: memory that it takes, 0 if it is in a file
+    convert: makes a Profile of the message with a configuration, or raises UnusableMessageError
+    config: the configuration that `read` uses where it is given none
+    held_bytes: the memory that it takes, 0 if its message is still in a file
     profile_count: number of profiles in the message
     time_margins: it was taken at most this long before and after its stamp (ns)
     """
@@ -148,9 +151,12 @@ AnyProfile: TypeAlias = Profile | RawProfile
 @dataclass(frozen=True, eq=False)
 class TimedPose:
     """
-    A pose of the flange in the robot's base.
+    A pose of the flange in the robot's base, T_base_flange.
 
-    translation: (3,) metres; quaternion: (4,) x y z w of unit length.
+    stamp: the time at which the flange was there (ns)
+    translation: (3,) the origin of the flange in the base (m)
+    quaternion: (4,) the rotation as x y z w, of unit length
+    parent_frame: the name of the frame of the base
     """
 
     stamp: int
@@ -185,7 +191,7 @@ def _require_stamp(what: str, stamp: object) -> None:
 
 
 def require_each(name: str, values: Iterable[T], *types: type) -> Iterator[T]:
-    """Yield values; raises InputError, which names the argument, for one of another type."""
+    """Yield the values of an argument; raises InputError, which names it, for another type."""
     require_type(name, values, Iterable)
     for value in values:
         require_type(name, value, *types)
@@ -315,8 +321,9 @@ class Sample:
     """
     What a stop gives, or one profile of a moving robot: the features seen, and the pose.
 
-    stamp: of the first profile used, of a pass of its middle one
-    T_base_flange: (4, 4)
+    stamp: that of the first profile used, of a pass that of its middle one (ns)
+    T_base_flange: (4, 4) the pose of the flange in the robot's base
+    features: what its profiles show of the target, in the sensor plane
     profile_count: how many profiles it comes from
     flipped_features: of the first profile with the opposite range sign, to detect a wrong setting;
         None where they were not asked for, () of a target without edges or where none are seen
@@ -378,9 +385,12 @@ class ClockEstimate:
 @dataclass(frozen=True)
 class Reject:
     """
-    A stop, or a profile of a pass, without a sample, and why.
+    A stop, or a profile of a pass, that gave no sample, and why.
 
-    final: whatever its profiles show: it is excluded, or cannot be evaluated again.
+    stamp: that of its first profile (ns)
+    reason: a sentence for the user
+    final: whether the reason holds whatever the profiles show, as of a stop that is excluded or
+        cannot be evaluated again
     """
 
     stamp: int
@@ -391,8 +401,10 @@ class Reject:
 @dataclass(frozen=True)
 class SampleReport:
     """
-    What became of a sample: its residual, or the reason it was not used.
+    What became of a sample: its residual, or the reason for which it was not used.
 
+    stamp: of the sample (ns); of a table the number of its row
+    used: whether the answer uses it
     edge: kinds of the target's edges that it shows, as p, q; of a table the kind of its row
     residual: RMS (m)
     """
@@ -407,13 +419,14 @@ class SampleReport:
 @dataclass(frozen=True)
 class Quality:
     """
-    How good the answer is; metres.
+    How good an answer is.
 
-    residual_rms: of all used observations
-    holdout_rms: of the same, each predicted from a fit without its station; of many stations,
-        without it and some others
-    weakest_direction: of the translation, in words
-    weakest_std: its 1 sigma
+    samples_used, samples_rejected: how many samples the answer uses, and how many it does not
+    residual_rms: RMS distance of all used observations from the estimated target (m)
+    holdout_rms: the same, each observation predicted from a fit without its station; of many
+        stations, without it and some others (m)
+    weakest_direction: the direction in which the position is least certain, in words
+    weakest_std: 1 sigma of the position in this direction (m)
     """
 
     samples_used: int
@@ -427,13 +440,19 @@ class Quality:
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """
-    The answer: T_flange_sensor (4, 4) and its 6x6 covariance (x y z rx ry rz, flange frame).
+    The answer: the pose of the sensor in its mount, and what else was estimated.
 
-    With eye_on_base the parent is the robot's base.
+    The mount is the flange; with eye_on_base it is the robot's base.
 
-    target: what else was estimated, as plain values
-    time_offset: where it was estimated
-    provenance: version, created, inputs, config
+    name: of the calibration; method: of the estimator
+    parent_frame, child_frame: the names of the frames of the mount and of the sensor
+    T_flange_sensor: (4, 4) the pose of the sensor in the mount
+    covariance: (6, 6) of x y z rx ry rz, a small shift and turn in the axes of the mount (m, rad)
+    target: the other estimates, of target, robot and sensor, as plain values by key
+    quality: its residuals
+    samples: what became of each sample, by stamp
+    provenance: version, created, inputs and config, as plain values
+    time_offset: what is to be added to the stamps of the profiles; None where it was not estimated
     """
 
     name: str

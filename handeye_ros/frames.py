@@ -51,10 +51,8 @@ def T_sensor_plane(config: Config) -> Array:
 
 def unit_vectors(names: Sequence[str]) -> Array:
     """Return the axes (3, n) of names like x and -z."""
-    axes = np.zeros((3, len(names)))
-    for column, name in enumerate(names):
-        axes['xyz'.index(name[-1]), column] = -1.0 if name[0] == '-' else 1.0
-    return axes
+    signs = [-1.0 if name[0] == '-' else 1.0 for name in names]
+    return np.eye(3)[:, ['xyz'.index(name[-1]) for name in names]] * signs
 
 
 def direction_in_words(direction: Array, frame: str) -> str:

@@ -17,14 +17,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')  # of a perturbation
-TINY_ANGLE = 1e-30  # rad: keeps sin(a) / a defined
 
 
 def transform(rotation: Array, translation: Array) -> Array:
     """Return the (..., 4, 4) transform of (..., 3, 3) rotation and (..., 3) translation."""
-    shape = rotation.shape[:-2]
-    if shape != translation.shape[:-1]:
-        shape = np.broadcast_shapes(shape, translation.shape[:-1])
+    shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
     T = np.zeros((*shape, 4, 4))
     T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = rotation, translation, 1.0
     return T
@@ -43,10 +40,8 @@ def apply(T: Array, points: Array) -> Array:
 
 def exp_rotation(vector: Array) -> Array:
     """Return the (..., 3, 3) rotation of (..., 3) rotation vectors (radians)."""
-    angle = np.sqrt((vector * vector).sum(axis=-1))[..., None, None] + TINY_ANGLE
-    S = skew(vector)
-    half = 2 * np.sin(angle / 2) / angle
-    return cast(Array, np.eye(3) + np.sin(angle) / angle * S + 0.5 * half * half * (S @ S))
+    flat = Rotation.from_rotvec(np.array(vector).reshape(-1, 3)).as_matrix()
+    return cast(Array, flat.reshape(*vector.shape, 3))
 
 
 def log_rotation(R: Array) -> Array:
@@ -162,9 +157,7 @@ def angle(R: Array) -> Array:
 
 def skew(v: Array) -> Array:
     """Return the matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
-    S = np.zeros((*v.shape, 3))
-    S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    return cast(Array, S - np.swapaxes(S, -1, -2))
+    return np.cross(np.eye(3), v[..., None, :])
 
 
 def unit(vectors: Array) -> Array:

@@ -120,14 +120,10 @@ class Table:
         """
         notation = self.notation(prefix, angles)
         names, axes = notation.columns(prefix), _axes(prefix)
-        readable = [name for name, other in {**NOTATIONS, '': self.notation(prefix)}.items()
-                    if self.columns.keys() >= {*other.columns(prefix)}]
-        if readable and not self.columns.keys() >= {*names}:
-            how = (f'--angles {" or ".join(readable)} reads, of the flange only' if all(readable)
-                   else 'are read without --angles')
-            raise TableError(self.path, f'has no columns {", ".join(names)}; it has those that '
-                             f'{how}')
-        self._require([*axes, *names])
+        self._require(axes)
+        if not self.columns.keys() >= {*names}:
+            raise TableError(self.path, f'has no columns {", ".join(names)}; --angles states how '
+                             f'a flange is written otherwise: {", ".join(NOTATIONS)}')
         kind = ANGLE if notation.angle_unit else NUMBER
         length, unit = (notation.length_unit, notation.angle_unit) if angles else ('', '')
         numbers = self.values(names, kind, unit) / UNITS[kind][notation.angle_unit]
@@ -155,9 +151,8 @@ class Table:
                 + '; write ' + ' or '.join(f'{name} [{u}]' if u else name for u in factors))
         values = factors[unit] * np.array([_number(text) for text in texts])
         for row in np.flatnonzero(~(np.abs(values) <= MAX_VALUE))[:1]:
-            raise TableError(self.path, f'row {row + 1}: {name} is ' + (
-                f'{texts[row]}, which is beyond all measure' if np.isfinite(values[row]) else
-                f'"{texts[row]}", expected a number, with a point before its decimals'))
+            raise TableError(self.path, f'row {row + 1}: {name} is "{texts[row]}", expected a '
+                             f'number with a decimal point, at most {MAX_VALUE:g} in SI units')
         return values
 
 

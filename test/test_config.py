@@ -31,9 +31,8 @@ def values_of(parameter: Parameter) -> st.SearchStrategy[object]:
         axes = st.sampled_from(parameter.choices)
         return st.lists(axes, min_size=2, max_size=2).filter(lambda two: two[0][-1] != two[1][-1])
     if isinstance(parameter.default, tuple):
-        item = st.floats(parameter.minimum, parameter.maximum)
-        if parameter.integers:
-            item = st.integers(int(parameter.minimum), int(parameter.maximum))
+        numbers = st.integers if isinstance(parameter.minimum, int) else st.floats
+        item = numbers(parameter.minimum, parameter.maximum)
         return st.sampled_from(parameter.length or (0, 1, 5)).flatmap(
             lambda n: st.lists(item, min_size=n, max_size=n))
     if parameter.choices:

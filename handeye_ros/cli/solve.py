@@ -194,14 +194,14 @@ def compare(
     from handeye_ros.results.truth import true_transform
     opened = open_input(path, config, assignments, angles)
     T_true = true_transform(path, bool(opened.settings.kinematics))
-    with progress_bar('comparing') as update:
+    with progress_bar('comparing'):
         if opened.table:
-            comparison = comparing.compare_files(opened.table, T_true, progress=update)
+            comparison = comparing.compare_files(opened.table, T_true)
         else:
             assert opened.session
             comparison = comparing.compare(
                 opened.session.samples, opened.session.rejects, opened.settings, T_true,
-                progress=update, session=opened.session)
+                session=opened.session)
     show(comparing.tables(comparison))
     if comparison.refusal:
         raise comparison.refusal

@@ -49,15 +49,11 @@ def checked_value(path: Path, key: str, value: Any, kind: type[Kind]) -> Kind:
         return cast(Kind, kind(**{
             name: checked_value(path, f'{key}.{name}', values.get(name), types[name])
             for name in names}))
-    problem = ''
-    if value is None:
-        problem = 'is missing'
-    elif type(value) is not kind and (type(value), kind) != (int, float):
-        problem = 'is no mapping' if kind is dict else f'is {value!r}, expected {kind.__name__}'
-    elif kind is float and not abs(value) <= sys.float_info.max:  # also of whole numbers
-        problem = f'is {value}'
-    if problem:
-        raise unusable_file(path, f'{key} {problem}')
+    right = type(value) is kind or (type(value), kind) == (int, float)
+    if not right or kind is float and not abs(value) <= sys.float_info.max:
+        found = 'missing' if value is None else repr(value)
+        expected = 'a finite number' if kind is float else kind.__name__
+        raise unusable_file(path, f'{key} is {found}, expected {expected}')
     return kind(value)  # type: ignore[call-arg]
 
 

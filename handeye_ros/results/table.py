@@ -3,11 +3,11 @@
 """Tables of a calibration: millimetres and degrees, each with its unit and 1 sigma; words."""
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 import math
 import re
-from typing import Any, NamedTuple
+from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import RECORD_PREFIX
@@ -27,20 +27,11 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-
-class ShownEstimate(NamedTuple):
-    """How the table shows the estimates whose keys match a pattern."""
-
-    keys: str
-    label: str  # '' is that of the key
-    words: str  # around the value
-    factor: float  # to the unit in the words
-    digits: int
-
-
 FOUND_MM = '{} mm (1 sigma, found and allowed for)'
 FOUND_DEGREES = '{} degrees (1 sigma, found and allowed for)'
-ESTIMATES = tuple(ShownEstimate(*columns) for columns in (
+# How estimates are shown: a pattern of their keys, the label ('': that of the key), the words
+# around the value, the factor to the unit in these words, and the number of digits.
+ESTIMATES = (
     ('(centre|point|radius|distance|size|setback).*', '', '{} mm', 1e3, 3),
     ('.*angle', '', '{} degrees', math.degrees(1), 4),
     ('normal.*|direction', '', '{}', 1.0, 6),
@@ -53,7 +44,7 @@ ESTIMATES = tuple(ShownEstimate(*columns) for columns in (
     ('distortion_error', 'sensor, bent field', FOUND_MM, 1e3, 4),
     ('line_bend', 'sensor, bent laser line', FOUND_MM, 1e3, 4),
     ('flatness_error', 'target, flatness', FOUND_MM, 1e3, 4),
-))
+)
 
 
 def table(calibration: Calibration) -> RenderableType:
@@ -113,10 +104,8 @@ def rpy_std(T: Array, covariance: Array) -> Array:
     _, pitch, yaw = se3.rpy(T)
     if abs(math.cos(pitch)) < 1e-3:
         return np.full(3, math.inf)
-    about_z = se3.exp_rotation(np.array([0.0, 0.0, yaw]))
-    about_y = se3.exp_rotation(np.array([0.0, pitch, 0.0]))
-    axes = np.column_stack([about_z @ about_y[:, 0], about_z[:, 1], [0.0, 0.0, 1.0]])
-    to_rpy = np.linalg.inv(axes)
+    turned_y = [-math.sin(yaw), math.cos(yaw), 0.0]
+    to_rpy = np.linalg.inv(np.column_stack([T[:3, 0], turned_y, [0.0, 0.0, 1.0]]))
     return np.asarray(np.sqrt(np.diag(to_rpy @ covariance @ to_rpy.T)))
 
 
@@ -131,14 +120,10 @@ def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
                       'the others)'
     yield 'weakest', weakest(calibration)
     yield 'samples', f'{quality.samples_used} used, {quality.samples_rejected} rejected'
-    causes = defaultdict[str, list[str]](list)
-    for sample in calibration.samples:
-        if not sample.used:
-            reason = sample.reason or 'no reason given'
-            causes[without_numbers(reason)].append(reason)
-    for reasons in causes.values():
-        first = ', the first' if len(set(reasons)) > 1 else ''
-        yield '', f'{len(reasons)} rejected{first}: {reasons[0]}'
+    reasons = [sample.reason for sample in calibration.samples if not sample.used]
+    for cause, count in Counter(map(without_numbers, reasons)).items():
+        first = next(reason for reason in reasons if without_numbers(reason) == cause)
+        yield '', f'{count} rejected{", the first" if count > 1 else ""}: {first}'
     if offset := calibration.time_offset:
         yield 'time offset', (f'{offset.value * 1e3:.3f} ms, 1 sigma {offset.std * 1e3:.3f} '
                               '(to be added to the stamps of the profiles)')
@@ -159,7 +144,7 @@ def weakest(calibration: Calibration) -> str:
 def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the other estimates, of target, sensor and robot, in mm and degrees."""
     for key, value in target.items():
-        shown = next((shown for shown in ESTIMATES if re.fullmatch(shown.keys, str(key))), None)
+        shown = next((row for row in ESTIMATES if re.fullmatch(row[0], str(key))), None)
         name = f'target {str(key).replace("_", " ")}'
         if key == 'pose':
             T = se3.transform_from_values(value)
@@ -170,12 +155,13 @@ def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         elif key.endswith('_std') or key == 'joint':
             continue
         elif shown and not isinstance(value, str):
-            factor, digits, std = shown.factor, shown.digits, target.get(f'{key}_std')
+            _, label, words, factor, digits = shown
+            std = target.get(f'{key}_std')
             numbers = value.values() if isinstance(value, Mapping) else np.atleast_1d(value)
-            text = shown.words.format(' '.join(f'{v * factor:.{digits}f}' for v in numbers))
+            text = words.format(' '.join(f'{v * factor:.{digits}f}' for v in numbers))
             sigma = '' if std is None else (
                 f', 1 sigma {std * factor:.{digits}f}' if std else ', given')
-            yield shown.label or name, text + sigma
+            yield label or name, text + sigma
         else:
             yield name, str(value)
 

@@ -20,7 +20,7 @@ from handeye_ros.arm import (
     POSITION,
     REVOLUTE,
 )
-from handeye_ros.data import Calibration, even_indices
+from handeye_ros.data import Calibration
 from handeye_ros.output import write_atomically, yaml_text
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import dated
@@ -32,7 +32,6 @@ from rich.text import Text
 
 URDF_FILE = 'corrected.urdf'
 UNDETERMINED_SHARE = 0.9  # of the prior sigma: the data hardly determine the error
-MAX_CONFIGURATIONS = 200  # that are stored, to find the joint values of poses
 FILE_HEADER = """\
 # Errors of the joints and axes of an arm, found with the hand-eye transform in calibration.yaml.
 # offset is added to the joint's reading; direction (rad) and position (m) turn and shift its axis
@@ -87,7 +86,6 @@ class ArmAnswer:
 def _content(answer: ArmAnswer) -> dict[str, Any]:
     """Return the contents of kinematics.yaml."""
     outcome, arm, calibration = answer.outcome, answer.outcome.arm, answer.calibration
-    stored = even_indices(len(arm.configurations), MAX_CONFIGURATIONS)
     return {
         'format': FORMAT, 'name': calibration.name, 'base': arm.base,
         'flange': arm.flange, 'joints': answer.joints, 'end': se3.transform_values(arm.end),
@@ -101,7 +99,7 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
                    for m in outcome.models],
         'robot_smooth_error': outcome.smooth_error_rms,
         'covariance': arm.covariance.tolist(),
-        'configurations': arm.configurations[stored].round(6).tolist(),
+        'configurations': arm.configurations.round(6).tolist(),
         'provenance': {**dated(calibration).provenance, 'warnings': list(answer.warnings)}}
 
 

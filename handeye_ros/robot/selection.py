@@ -4,15 +4,12 @@
 From stops to the corrected arm: model selection from simple to rich, and what is refused or told.
 
 Each model is cross-validated by regions of the joint space. A model with more errors is chosen
-only if it predicts the left-out stops better. What contradicts an arm is refused, and the error
-in joint values or settings that explains it is named.
+only if it predicts the left-out stops better. What contradicts an arm is refused.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-import math
 
 from handeye_ros.arm import (
     ALL_KINDS,
@@ -48,7 +45,6 @@ MAX_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis, if the URDF belongs
 # smallest range of values that determines the error of a joint.
 MAX_EXTRAPOLATION = {REVOLUTE: 0.35, PRISMATIC: 0.1}
 UNMOVED_SPREAD = {REVOLUTE: 0.02, PRISMATIC: 0.005}
-CURED_SHARE = 0.2  # a change that reduces the residual to less than this fraction is the cause
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,22 +97,20 @@ def require_enough(usable: int) -> None:
 
 
 @single_threaded
-def corrected_arm(fit: ArmFit, q: Array, limit: float, residual_with: Callable[[Array], float]
-                  ) -> ArmSelection:
+def corrected_arm(fit: ArmFit, stop_count: int, limit: float) -> ArmSelection:
     """
     Return the corrected arm and its hand-eye transform by the best model; raises DataError.
 
-    fit: the hand-eye transform alone with the arm as stated, of stops that agree; q: (n, joints)
-    of all stops; limit: the largest valid residual (m); residual_with(joints): the residual (m)
-    with the joint values multiplied by a matrix (joints, joints).
+    fit: the hand-eye transform alone with the arm as stated, of stops that agree; stop_count: of
+    all stops; limit: the largest valid residual (m).
     """
     stated = fit.arm
-    if fit.used.sum() < max(MIN_STOPS, MIN_AGREEING_SHARE * len(q)) or (
+    if fit.used.sum() < max(MIN_STOPS, MIN_AGREEING_SHARE * stop_count) or (
             fit.residual_rms > HOPELESS_FACTOR * limit):
-        raise _contradiction(stated, q, limit, residual_with)
+        raise _contradiction(fit, stop_count, limit)
     richest = without_bad_stops(solved_with_arm(fit, stated.freed(ALL_KINDS)))
     if richest.residual_rms > limit or richest.used.mean() < MIN_AGREEING_SHARE:
-        raise _contradiction(stated, q, limit, residual_with)
+        raise _contradiction(richest, stop_count, limit)
     agreed, fold = replace(fit, used=richest.used), _regions(fit.q)
     models = [_validated(
         with_estimated_weights(solved_with_arm(agreed, stated.freed(kinds))), fold)
@@ -204,11 +198,9 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
         if low < joint.lower - tolerance or high > joint.upper + tolerance:
             raise DataError(
                 f'{joint.name} goes from {low:.4g} to {high:.4g}, and the URDF limits it to '
-                f'{joint.lower:.4g} to {joint.upper:.4g} (radians or metres): check '
-                + ('the unit of the joint values (are they degrees stated as radians?)'
-                   if max(-low, high) > 2 * math.pi else
-                   'sign, zero, and order of the joint values, whether it is counted from the '
-                   'horizontal') + ', or the limits in the URDF')
+                f'{joint.lower:.4g} to {joint.upper:.4g} (radians or metres): check unit (degrees '
+                'stated as radians?), sign, zero, and order of the joint values, whether it is '
+                'counted from the horizontal, and the limits in the URDF')
         if high - low < UNMOVED_SPREAD[joint.kind]:
             size = (degrees if joint.kind == REVOLUTE else mm)(float(high - low))
             sentences.append(f'{joint.name} moves by {size} only: these configurations do not '
@@ -216,33 +208,12 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
     return sentences
 
 
-def _contradiction(arm: Arm, q: Array, limit: float, residual_with: Callable[[Array], float]
-                   ) -> DataError:
-    """Return the refusal of stops that no arm explains, as corrected_arm, with its cause."""
-    stated = residual_with(np.eye(len(arm.joints)))
-    cause = ('check that the URDF is of this robot, --base and --flange, the sign of each '
-             'joint, all units, calibration_type, and that the target is the stated one and fixed')
-    lowest = CURED_SHARE * stated
-    for words, joints in _changes(arm, q):
-        with suppress(DataError, np.linalg.LinAlgError):
-            residual = residual_with(joints)
-            if residual < lowest:
-                lowest, cause = residual, words
-    return DataError(f'joint values and measured points contradict each other by {mm(stated)}, '
-                     f'beyond the {mm(limit)} of a robot that is only inaccurate: {cause}',
-                     reason=UNSOLVED)
-
-
-def _changes(arm: Arm, q: Array) -> Iterator[tuple[str, Array]]:
-    """Yield possible errors of joint values q in words, and the matrix that undoes each."""
-    joints, identity = arm.joints, np.eye(len(arm.joints))
-    revolute = np.array([joint.kind == REVOLUTE for joint in joints])
-    words, unit = (('degrees stated as radians', math.radians(1))
-                   if np.median(np.abs(q).max(axis=0)) > 2 * math.pi else
-                   ('radians stated as degrees', math.degrees(1)))
-    yield f'the joint values seem to be {words}', np.diag(np.where(revolute, unit, 1.0))
-    for joint, column in zip(joints, identity, strict=True):
-        yield f'{joint.name} seems to turn the other way than in the URDF', np.diag(1 - 2 * column)
-    if len(joints) >= 3:
-        yield (f'{joints[2].name} seems to be counted from the horizontal, as some controllers '
-               f'do: add {joints[1].name} to it', identity + np.outer(identity[2], identity[1]))
+def _contradiction(fit: ArmFit, stop_count: int, limit: float) -> DataError:
+    """Return the refusal of a fit that leaves contradictions; else as corrected_arm."""
+    return DataError(
+        f'joint values and measured points contradict each other: {fit.used.sum()} of '
+        f'{stop_count} configurations agree best, to {mm(fit.residual_rms)}; those of a robot '
+        f'that is only inaccurate agree to {mm(limit)}: check that the URDF is of this robot, '
+        '--base and --flange, the sign of each joint, whether a joint is counted from the '
+        'horizontal, all units (degrees or radians?), calibration_type, and that the target is '
+        'the stated one and fixed', reason=UNSOLVED)

@@ -53,6 +53,7 @@ from handeye_ros.targets import problem_of_known_poses, target_for
 from handeye_ros.targets.profile_target import xyz
 import numpy as np
 from scipy.interpolate import PchipInterpolator
+from scipy.spatial import KDTree
 
 MAX_GAP = NS  # 1 s, between a sample and joint values
 UNCORRECTED_STD = 5e-4  # 1 sigma of the robot's error before its correction (m)
@@ -107,11 +108,8 @@ def _joints_at(samples: Sequence[Sample], recording: Recording, joints: Array) -
     times = np.array([sample.stamp + round(sample.clock_values.offset * 1e9)
                       for sample in samples])
     stamps, first = np.unique([pose.stamp for pose in recording.poses], return_index=True)
-    after = np.searchsorted(stamps, times)
-    gaps = np.minimum(*(np.abs(stamps[np.clip(after - k, 0, len(stamps) - 1)] - times)
-                        for k in (0, 1)))
-    missing = int((gaps > MAX_GAP).sum())
-    if missing:
+    gaps, _ = KDTree(stamps[:, None]).query(times[:, None])
+    if missing := int((gaps > MAX_GAP).sum()):
         raise InputError(
             f'{missing} of {len(times)} samples have no joint values of their time: joint values '
             'and profiles must be recorded together, with clocks that agree')
@@ -141,16 +139,6 @@ def fit_of_sources(sources: Sequence[ArmSamples], arm: Arm) -> ArmFit:
         arm, measured, estimates[0].X, [each.state for each in estimates], np.ones(1)).solved())
 
 
-def _median_residual(source: ArmSamples, arm: Arm, joints: Array) -> float:
-    """Return the median residual (m) of all stops with q multiplied by joints (joints, joints)."""
-    q = source.q @ joints.T
-    poses = mount_poses(arm.forward(q), source.problem.config)
-    agreed = robust_solution(replace(source.problem, poses=poses), np.random.default_rng(SEED))
-    all_stops = ArmProfiles(q, agreed.full_problem)
-    fit = ArmFit.of_arm(arm, [all_stops], agreed.estimate.X, [agreed.estimate.state], np.ones(1))
-    return float(np.median(fit.distances))
-
-
 def solve_sources(sources: Sequence[ArmSamples], arm: Arm, inputs: Sequence[dict[str, str]] = ()
                   ) -> ArmAnswer:
     """
@@ -161,9 +149,8 @@ def solve_sources(sources: Sequence[ArmSamples], arm: Arm, inputs: Sequence[dict
     """
     try:
         outcome = corrected_arm(
-            fit_of_sources(sources, arm), np.concatenate([source.q for source in sources]),
-            sources[0].problem.config.limits.residual,
-            lambda joints: max(_median_residual(source, arm, joints) for source in sources))
+            fit_of_sources(sources, arm), sum(len(source.q) for source in sources),
+            sources[0].problem.config.limits.residual)
     except DataError as error:
         for source in sources if error.reason == UNSOLVED else ():
             require_same_clock(source.session, source.problem.config)
@@ -231,10 +218,9 @@ def read_arm_points(path: Path, arm: Arm, in_hand: bool
 
 def solve_points(measured: Sequence[ArmPoints], arm: Arm, limit: float) -> ArmSelection:
     """Return the corrected arm; limit: the largest valid residual (m); raises DataError."""
-    q = np.concatenate([points.q for points in measured])
-    require_enough(len(q))
-    return corrected_arm(fit_of_points(measured, arm), q, limit, lambda joints: fit_of_points(
-        [replace(points, q=points.q @ joints.T) for points in measured], arm).residual_rms)
+    stop_count = sum(len(points.q) for points in measured)
+    require_enough(stop_count)
+    return corrected_arm(fit_of_points(measured, arm), stop_count, limit)
 
 
 def fit_of_points(measured: Sequence[ArmPoints], arm: Arm) -> ArmFit:
