@@ -224,22 +224,16 @@ def motions_by_poses(poses: Array, X: Array, view_points: Array, in_hand: bool) 
     as possible as the error of its own pose does: mount x + target y = robot e_i, in least
     squares; returned is x by each e_i.
     """
-    R, origin = poses[:, None, :3, :3], poses[:, None, :3, 3]
+    n, R = len(poses), poses[:, None, :3, :3]
     lever = view_points @ X[:3, [0, 2]].T  # from the sensor, then from the mount
     in_mount = lever + X[:3, 3]
     in_base = se3.apply(poses, in_mount)
     mount = R @ se3.perturbation_jacobian(lever)
     target = -se3.perturbation_jacobian(in_base)
     if in_hand:
-        robot = se3.perturbation_jacobian(in_base - origin)
-    else:  # the poses are those of the base in the flange; the errors are in the base
-        from_flange = in_mount + (np.swapaxes(R, 2, 3) @ origin[..., None])[..., 0]
-        robot = -R @ se3.perturbation_jacobian(from_flange)
-    motions = np.concatenate([mount, target], axis=3).reshape(len(R), -1, 12)
-    scale = np.sqrt((motions ** 2).sum(axis=(0, 1)))
-    motions = motions / scale
-    rows = motions.reshape(-1, 12)
-    covariance = np.linalg.pinv(rows.T @ rows, rcond=1e-9, hermitian=True)
-    gradients = np.swapaxes(motions, 1, 2) @ robot.reshape(len(R), -1, 6)  # of each station
-    mount_motions = (covariance[:6] / scale[:6, None]) @ gradients
-    return np.asarray(mount_motions.swapaxes(0, 1))
+        robot = se3.perturbation_jacobian(in_base - poses[:, None, :3, 3])
+    else:  # the mount is the robot's base
+        robot = -R @ se3.perturbation_jacobian(in_mount - se3.inverse(poses)[:, None, :3, 3])
+    motions = np.concatenate([mount, target], axis=3).reshape(-1, 12)
+    fit = np.linalg.pinv(motions, rcond=3e-5)[:6].reshape(6, n, -1)
+    return np.asarray(np.einsum('xnk,nke->xne', fit, robot.reshape(n, -1, 6)))
