@@ -116,8 +116,7 @@ class Observations:
 
     def repeated(self, stations: int, points: Array) -> Self:
         """Return the observations of one station repeated, with points (stations * m, 2)."""
-        values = (getattr(self, f.name) for f in fields(self))
-        many = type(self)(*(np.tile(v, (stations, *[1] * (v.ndim - 1))) for v in values))
+        many = self.select(np.tile(np.arange(len(self)), stations))
         return replace(many, points=points, station=np.repeat(np.arange(stations), len(self)))
 
 
@@ -211,13 +210,6 @@ class Problem:
         """Return rotation (m, 3, 3) and position (m, 3) of the mount at each observation."""
         T = self.poses[self.observations.station]
         return np.ascontiguousarray(T[:, :3, :3]), T[:, :3, 3].copy()
-
-    @cached_property
-    def wrt_X_columns(self) -> Array:
-        """Return derivatives (9, m * 3) of the points in the base by the columns x, z, t of X."""
-        x, z = self.observations.points.T[:, :, None, None]
-        R, _ = self.mounts_of_rows
-        return np.stack([R * x, R * z, R]).transpose(0, 3, 1, 2).reshape(9, -1)
 
     @cached_property
     def shows_several(self) -> bool:
@@ -358,10 +350,8 @@ def linearise(problem: Problem, estimate: Estimate) -> Linearisation:
     """
     obs, X = problem.observations, estimate.X
     R, a = problem.mounts_of_rows
-    columns = np.swapaxes(X[..., :3, [0, 2, 3]], -1, -2)
-    lever = obs.points @ columns[..., :2, :]
-    turned = columns.reshape(*X.shape[:-2], 9) @ problem.wrt_X_columns
-    p = turned.reshape(*X.shape[:-2], len(obs), 3) + a
+    lever = obs.points @ np.swapaxes(X[..., :3, [0, 2]], -1, -2)
+    p = np.einsum('mij,...mj->...mi', R, lever + X[..., None, :3, 3]) + a
     conditions = problem.target.conditions(p, obs.kind, estimate.state, problem.config)
     wrt_mount = np.einsum('mji,...mj->...mi', R, conditions.dg_dp)
     jacobian = np.concatenate([wrt_mount, np.cross(lever, wrt_mount), conditions.dg_dparameters],

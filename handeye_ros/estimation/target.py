@@ -120,25 +120,29 @@ class Target(ABC):
         names = self.parameter_names[len(self.pose_axes):]
         return dict(zip(names, state[16:].tolist(), strict=True))
 
+    def axes(self, R: Array) -> Array:
+        """Return the axes (..., 3, 3), in the columns, of the moves of a target turned by R."""
+        return R
+
     def conditions(self, p: Array, kind: NDArray[np.intp], state: Array, config: Config
                    ) -> Conditions:
         """Return what should vanish for points p (..., m, 3) of kinds (m,) in the base."""
         T = state[..., :16].reshape(*state.shape[:-1], 4, 4)
-        R = T[..., :3, :3]
-        local = (p - T[..., None, :3, 3]) @ R
-        g, dg_dlocal, dg_dmeasures = self.local_conditions(local, kind, state[..., 16:])
-        wrt_pose = -np.concatenate([dg_dlocal, np.cross(local, dg_dlocal)], axis=-1)
-        return Conditions(g, dg_dlocal @ np.swapaxes(R, -1, -2), np.concatenate(
+        R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
+        g, dg_dlocal, dg_dmeasures = self.local_conditions(offset @ R, kind, state[..., 16:])
+        dg_dp, axes = dg_dlocal @ np.swapaxes(R, -1, -2), self.axes(R)
+        wrt_pose = -np.concatenate([dg_dp @ axes, np.cross(offset, dg_dp) @ axes], axis=-1)
+        return Conditions(g, dg_dp, np.concatenate(
             [wrt_pose[..., list(self.pose_axes)], dg_dmeasures], axis=-1))
 
     def retract(self, state: Array, delta: Array) -> Array:
         """Return the state after a step delta (..., k) in the parameters, m and rad."""
         T = state[..., :16].reshape(*state.shape[:-1], 4, 4)
-        twist, k = np.zeros((*delta.shape[:-1], 6)), len(self.pose_axes)
-        twist[..., list(self.pose_axes)] = delta[..., :k]
-        pose = T @ se3.transform(se3.exp_rotation(twist[..., 3:]), twist[..., :3])
-        return np.concatenate([pose.reshape(*delta.shape[:-1], 16),
-                               state[..., 16:] + delta[..., k:]], axis=-1)
+        twist, axes = np.zeros((*delta.shape[:-1], 6)), self.axes(T[..., :3, :3])
+        twist[..., list(self.pose_axes)] = delta[..., :len(self.pose_axes)]
+        step = axes[..., None, :, :] @ twist.reshape(*delta.shape[:-1], 2, 3, 1)
+        pose = se3.perturb(T, step.reshape(twist.shape)).reshape(*state.shape[:-1], 16)
+        return np.concatenate([pose, state[..., 16:] + delta[..., len(self.pose_axes):]], axis=-1)
 
     def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
         """Return value and 1 sigma of the parameters that are known, by name: no unknowns."""

@@ -143,6 +143,10 @@ class Plate(ProfileTarget):
         """Return the lowest point of the end: the wall is there, for any crossing angle."""
         return edge.point + edge.to_lowest
 
+    def axes(self, R: Array) -> Array:
+        """Return the axes of the base: along them are the covariances of stored answers."""
+        return np.broadcast_to(np.eye(3), R.shape)
+
     def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
                          ) -> tuple[Array, Array, Array]:
         """Return height over the face, or distance from the edge; of one plate at a time."""
