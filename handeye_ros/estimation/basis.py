@@ -28,14 +28,14 @@ BEND_PER_RANGE = 0.2  # by how much more a line is bent at the largest range tha
 BEND_OF_S = 0.3  # a line is bent less as an S
 
 
-def polynomials(u: Array, v: Array, degrees: Sequence[int]) -> Array:
+def polynomials(uv: Array, degrees: Sequence[int]) -> Array:
     """
-    Return products (m, k) of Legendre polynomials at u and v (m,), in -1 to 1, degree by degree.
+    Return products (m, k) of Legendre polynomials at u and v (m, 2), -1 to 1, degree by degree.
 
     Those of one degree have RMS 1 together over this range.
     """
     norm = np.sqrt(2 * np.arange(max(degrees) + 1) + 1)
-    a, b = (legendre.legvander(w, max(degrees)) * norm for w in (u, v))
+    a, b = (legendre.legvander(w, max(degrees)) * norm for w in uv.T)
     return np.concatenate([a[:, :degree + 1] * b[:, degree::-1] / (degree + 1) ** 0.5
                            for degree in degrees], axis=1)
 
@@ -46,8 +46,9 @@ def _split_by_degree(columns: Array, degrees: Sequence[int]) -> list[Array]:
 
 
 def _normalised(w: Array) -> Array:
-    low, high = w.min(), w.max()
-    return np.asarray((2 * w - low - high) / max(high - low, 1e-9))
+    """Return values (m, ...) scaled along the first axis to -1 to 1."""
+    low, high = w.min(axis=0), w.max(axis=0)
+    return np.asarray((2 * w - low - high) / np.maximum(high - low, 1e-9))
 
 
 def projected_off(columns: Array, absorbed: Array) -> Array:
@@ -62,8 +63,8 @@ def distortion_fields(points: Array, degrees: Sequence[int]) -> list[Array]:
     The k fields of one degree have RMS 1 together along each axis, and contain no rigid motion of
     the plane.
     """
-    m, (u, v) = len(points), map(_normalised, points.T)
-    along_axes = np.kron(np.eye(2), polynomials(u, v, degrees)).astype(float)
+    m = len(points)
+    along_axes = np.kron(np.eye(2), polynomials(_normalised(points), degrees)).astype(float)
     fields = projected_off(along_axes, _rigid(points - points.mean(axis=0)))
     fields = fields.reshape(2, m, 2, -1).swapaxes(0, 1)  # point, axis, terms along x and z
     return [field.reshape(m, 2, -1) for field in _split_by_degree(fields, degrees)]
@@ -79,10 +80,9 @@ def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
     """
     ticks = np.linspace(-1.25, 1.25, 11)
     over_view, over_points = (
-        np.linalg.lstsq(_rigid(places), np.kron(np.eye(2), polynomials(u, v, degrees)),
+        np.linalg.lstsq(_rigid(places), np.kron(np.eye(2), polynomials(uv, degrees)),
                         rcond=None)[0]
-        for places, (u, v) in ((grid_over(points, ticks), grid(ticks).T),
-                               (points, map(_normalised, points.T))))
+        for places, uv in ((grid_over(points, ticks), grid(ticks)), (points, _normalised(points))))
     motions = (over_view - over_points).reshape(3, 2, -1)
     return [motion.reshape(3, -1) for motion in _split_by_degree(motions, degrees)]
 
@@ -140,10 +140,10 @@ def bent_surface(p: Array, on_surface: NDArray[np.bool_], degrees: Sequence[int]
         return [np.zeros((len(p), 0))] * len(degrees)
     centred = points - points.mean(axis=0)
     _, axes = np.linalg.eigh(centred.T @ centred)
-    u, v = centred @ axes[:, 2], centred @ axes[:, 1]
-    waves = polynomials(_normalised(u), _normalised(v), degrees)
+    uv = centred @ axes[:, :0:-1]
+    waves = polynomials(_normalised(uv), degrees)
     terms = np.zeros((len(p), waves.shape[1]))
-    terms[on_surface] = projected_off(waves, np.column_stack([np.ones(len(u)), u, v]))
+    terms[on_surface] = projected_off(waves, np.column_stack([np.ones(len(uv)), uv]))
     return _split_by_degree(terms, degrees)
 
 
