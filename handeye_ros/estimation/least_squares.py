@@ -208,7 +208,8 @@ def leave_one_out_residuals(whitened: Array, jacobian: Array, covariance: Array,
     """
     Return leave-one-out residuals (m,), to first order: each from the fit without its item, (12).
 
-    whitened: (m,) of the fit to all items; jacobian: (m, u), covariance: (u, u) of this fit.
+    whitened: (m,) residuals e of the fit to all items; jacobian: (m, u), covariance: (u, u) of
+    this fit; item: (m,) the number of each row's item, ascending.
     """
     left_out = np.empty_like(whitened)
     for rows in rows_by_count(item):

@@ -38,7 +38,7 @@ MIN_FACTOR = 0.5  # of the sigma: a smaller cause is not named
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Uncertainty in one direction: 1 sigma and its limit, m or rad (unit)."""
+    """The uncertainty in one direction: 1 sigma, and its limit, in m or rad as unit says."""
 
     name: str
     std: float
@@ -83,12 +83,13 @@ class Advice:
     """
     Advice for the operator.
 
-    sentences: in the order of their weight
-    next_pose: the one that helps most, None before the sensor is roughly known
-    first_move: what to do instead then
-    sigmas: empty before there is an answer
-    enough: whether to stop
-    why: the reason, one sentence
+    sentences: what to do, and why, in the order of their weight
+    next_pose: the pose that helps most; None before the sensor is roughly known, in a sweep, and
+        where no pose within the limits keeps the target in view
+    first_move: the move from the first pose, while the sensor is not roughly known; else None
+    sigmas: the uncertainty in each direction, last that of mapped points; empty before an answer
+    enough: whether the samples are sufficient
+    why: the reason of enough, in one sentence
     """
 
     sentences: tuple[str, ...]

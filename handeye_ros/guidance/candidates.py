@@ -182,7 +182,10 @@ def _shows_the_same(linear: Linearisation, template: Linearisation, same_point: 
     """
     Return which stations (n,) of linear see the target as the template, of one station, does.
 
-    same_point: (c, c) 1 where two conditions are of one point.
+    That is, all points are in view and on the target, edges and faces are crossed steeply, faces
+    are seen from the same side, and the corner of two faces is sharp and in view.
+
+    same_point: (c, c) 1 where two conditions are of one point, else 0.
     """
     problem, shape = template.problem, (len(linear.problem.poses), len(same_point))
     points = linear.problem.observations.points.reshape(*shape, 2)
@@ -226,7 +229,11 @@ def _linear(template: Problem, solution: Solution, poses: Array, points: Array) 
 
 def _moved_onto_target(template: Problem, solution: Solution, poses: Array, points: Array,
                        same_point: Array) -> Array:
-    """Return points (n, c, 2) moved onto the target by least steps; same_point: (c, c)."""
+    """
+    Return points (n, c, 2) of the sensor plane moved onto the target by least steps.
+
+    poses: (n, 4, 4) of the mount; same_point: (c, c) 1 where two conditions are of one point.
+    """
     shape = points.shape[:2]
     for _ in range(STEPS_TO_TARGET):
         linear = _linear(template, solution, poses, points)
