@@ -28,14 +28,14 @@ BEND_PER_RANGE = 0.2  # by how much more a line is bent at the largest range tha
 BEND_OF_S = 0.3  # a line is bent less as an S
 
 
-def polynomials(u: Array, v: Array, degrees: Sequence[int]) -> Array:
+def polynomials(uv: Array, degrees: Sequence[int]) -> Array:
     """
-    Return products (m, k) of Legendre polynomials at u and v (m,), in -1 to 1, degree by degree.
+    Return products (m, k) of Legendre polynomials at u and v (m, 2), -1 to 1, degree by degree.
 
     Those of one degree have RMS 1 together over this range.
     """
     norm = np.sqrt(2 * np.arange(max(degrees) + 1) + 1)
-    a, b = (legendre.legvander(w, max(degrees)) * norm for w in (u, v))
+    a, b = (legendre.legvander(w, max(degrees)) * norm for w in uv.T)
     return np.concatenate([a[:, :degree + 1] * b[:, degree::-1] / (degree + 1) ** 0.5
                            for degree in degrees], axis=1)
 
@@ -46,8 +46,9 @@ def _split_by_degree(columns: Array, degrees: Sequence[int]) -> list[Array]:
 
 
 def _normalised(w: Array) -> Array:
-    low, high = w.min(), w.max()
-    return np.asarray((2 * w - low - high) / max(high - low, 1e-9))
+    """Return values (m, ...) scaled along the first axis to -1 to 1."""
+    low, high = w.min(axis=0), w.max(axis=0)
+    return np.asarray((2 * w - low - high) / np.maximum(high - low, 1e-9))
 
 
 def projected_off(columns: Array, absorbed: Array) -> Array:
@@ -62,8 +63,8 @@ def distortion_fields(points: Array, degrees: Sequence[int]) -> list[Array]:
     The k fields of one degree have RMS 1 together along each axis, and contain no rigid motion of
     the plane.
     """
-    m, (u, v) = len(points), map(_normalised, points.T)
-    along_axes = np.kron(np.eye(2), polynomials(u, v, degrees)).astype(float)
+    m = len(points)
+    along_axes = np.kron(np.eye(2), polynomials(_normalised(points), degrees)).astype(float)
     fields = projected_off(along_axes, _rigid(points - points.mean(axis=0)))
     fields = fields.reshape(2, m, 2, -1).swapaxes(0, 1)  # point, axis, terms along x and z
     return [field.reshape(m, 2, -1) for field in _split_by_degree(fields, degrees)]
@@ -79,10 +80,9 @@ def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
     """
     ticks = np.linspace(-1.25, 1.25, 11)
     over_view, over_points = (
-        np.linalg.lstsq(_rigid(places), np.kron(np.eye(2), polynomials(u, v, degrees)),
+        np.linalg.lstsq(_rigid(places), np.kron(np.eye(2), polynomials(uv, degrees)),
                         rcond=None)[0]
-        for places, (u, v) in ((grid_over(points, ticks), grid(ticks).T),
-                               (points, map(_normalised, points.T))))
+        for places, uv in ((grid_over(points, ticks), grid(ticks)), (points, _normalised(points))))
     motions = (over_view - over_points).reshape(3, 2, -1)
     return [motion.reshape(3, -1) for motion in _split_by_degree(motions, degrees)]
 
@@ -140,10 +140,10 @@ def bent_surface(p: Array, on_surface: NDArray[np.bool_], degrees: Sequence[int]
         return [np.zeros((len(p), 0))] * len(degrees)
     centred = points - points.mean(axis=0)
     _, axes = np.linalg.eigh(centred.T @ centred)
-    u, v = centred @ axes[:, 2], centred @ axes[:, 1]
-    waves = polynomials(_normalised(u), _normalised(v), degrees)
+    uv = centred @ axes[:, :0:-1]
+    waves = polynomials(_normalised(uv), degrees)
     terms = np.zeros((len(p), waves.shape[1]))
-    terms[on_surface] = projected_off(waves, np.column_stack([np.ones(len(u)), u, v]))
+    terms[on_surface] = projected_off(waves, np.column_stack([np.ones(len(uv)), uv]))
     return _split_by_degree(terms, degrees)
 
 
@@ -224,22 +224,16 @@ def motions_by_poses(poses: Array, X: Array, view_points: Array, in_hand: bool) 
     as possible as the error of its own pose does: mount x + target y = robot e_i, in least
     squares; returned is x by each e_i.
     """
-    R, origin = poses[:, None, :3, :3], poses[:, None, :3, 3]
+    n, R = len(poses), poses[:, None, :3, :3]
     lever = view_points @ X[:3, [0, 2]].T  # from the sensor, then from the mount
     in_mount = lever + X[:3, 3]
     in_base = se3.apply(poses, in_mount)
     mount = R @ se3.perturbation_jacobian(lever)
     target = -se3.perturbation_jacobian(in_base)
     if in_hand:
-        robot = se3.perturbation_jacobian(in_base - origin)
-    else:  # the poses are those of the base in the flange; the errors are in the base
-        from_flange = in_mount + (np.swapaxes(R, 2, 3) @ origin[..., None])[..., 0]
-        robot = -R @ se3.perturbation_jacobian(from_flange)
-    motions = np.concatenate([mount, target], axis=3).reshape(len(R), -1, 12)
-    scale = np.sqrt((motions ** 2).sum(axis=(0, 1)))
-    motions = motions / scale
-    rows = motions.reshape(-1, 12)
-    covariance = np.linalg.pinv(rows.T @ rows, rcond=1e-9, hermitian=True)
-    gradients = np.swapaxes(motions, 1, 2) @ robot.reshape(len(R), -1, 6)  # of each station
-    mount_motions = (covariance[:6] / scale[:6, None]) @ gradients
-    return np.asarray(mount_motions.swapaxes(0, 1))
+        robot = se3.perturbation_jacobian(in_base - poses[:, None, :3, 3])
+    else:  # the mount is the robot's base
+        robot = -R @ se3.perturbation_jacobian(in_mount - se3.inverse(poses)[:, None, :3, 3])
+    motions = np.concatenate([mount, target], axis=3).reshape(-1, 12)
+    fit = np.linalg.pinv(motions, rcond=3e-5)[:6].reshape(6, n, -1)
+    return np.asarray(np.einsum('xnk,nke->xne', fit, robot.reshape(n, -1, 6)))

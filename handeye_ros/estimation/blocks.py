@@ -17,6 +17,7 @@ PoseModel:
     offset = PoseModel(poses_and_twists, names=('time_offset',), stds=(0.05,),
                        stations=np.arange(len(stamps)))
     problem = Problem(target, poses, observations, config, offset)
+    problem = problem.with_pose_parameters(np.zeros(1))
     solution = refined_solution(robust_solution(problem, rng, start=start))
     solution.problem.pose_parameters, solution.problem.poses  # as estimated
 

@@ -76,18 +76,17 @@ def _each_station_wrong(configured: Posterior) -> tuple[Array, Array, Array]:
     wrt_pose_error = configured.whitening(configured.linear.wrt_pose * POSE_ERROR)
     explained, log_ratio, added = np.empty(n), np.empty(n), np.empty((n, 6, 6))
     for group in configured.problem.observations.station_groups:
-        stations = configured.problem.observations.station[group.rows[:, 0]]
         K, J = wrt_pose_error[group.rows], configured.jacobian[group.rows]
         JK = np.swapaxes(J, 1, 2) @ K
         G = C @ JK
         A = np.eye(6) + np.swapaxes(K, 1, 2) @ K - np.swapaxes(JK, 1, 2) @ G
         Kr = np.einsum('sci,sc->si', K, configured.postfit_residuals[group.rows])
         minus_e = np.linalg.solve(A, Kr[..., None])
-        explained[stations] = (Kr * minus_e[..., 0]).sum(axis=1)
-        log_ratio[stations] = (explained[stations] - np.linalg.slogdet(A)[1]) / 2
+        explained[group.stations] = fall = (Kr * minus_e[..., 0]).sum(axis=1)
+        log_ratio[group.stations] = (fall - np.linalg.slogdet(A)[1]) / 2
         G_X = G[:, :6]  # of the transform
         h = G_X @ minus_e
-        added[stations] = h @ np.swapaxes(h, 1, 2) + G_X @ np.linalg.solve(
+        added[group.stations] = h @ np.swapaxes(h, 1, 2) + G_X @ np.linalg.solve(
             A, np.swapaxes(G_X, 1, 2))
     return explained, log_ratio, added
 

@@ -206,27 +206,19 @@ def means_by(item: NDArray[np.intp], values: Array, n: int) -> Array:
 def leave_one_out_residuals(whitened: Array, jacobian: Array, covariance: Array,
                             item: NDArray[np.intp]) -> Array:
     """
-    Return leave-one-out residuals (m,), to first order: each from the fit without its item.
+    Return leave-one-out residuals (m,), to first order: each from the fit without its item, (12).
 
-    whitened: (m,) of the fit to all items; jacobian: (m, u), covariance: (u, u) of this fit.
+    whitened: (m,) residuals e of the fit to all items; jacobian: (m, u), covariance: (u, u) of
+    this fit; item: (m,) the number of each row's item, ascending.
     """
     left_out = np.empty_like(whitened)
     for rows in rows_by_count(item):
         J = jacobian[rows]
         predicted = J @ covariance @ np.swapaxes(J, 1, 2)
-        left_out[rows] = leave_one_out_of_group(predicted, whitened[rows])
+        # avoids division by zero for what an item determines alone
+        regular = (1 + ROUNDING_SHARE) * np.eye(rows.shape[1]) - predicted
+        left_out[rows] = np.linalg.solve(regular, whitened[rows][..., None])[..., 0]
     return left_out
-
-
-def leave_one_out_of_group(predicted_covariance: Array, whitened: Array) -> Array:
-    """
-    Return leave-one-out residuals (s, c) of items, to first order, (12).
-
-    predicted_covariance: (s, c, c) H_i; whitened: (s, c) the residuals e_i of the fit to all.
-    """
-    # avoids division by zero for what an item determines alone
-    regular = (1 + ROUNDING_SHARE) * np.eye(predicted_covariance.shape[1]) - predicted_covariance
-    return np.asarray(np.linalg.solve(regular, whitened[..., None])[..., 0])
 
 
 def worst_outliers(squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int

@@ -11,7 +11,7 @@ its parameters over the configured one; it has a half-t prior (Gelman 2006, Baye
 """
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -135,26 +135,14 @@ def whitening(linear: Linearisation, noise: NoiseScales) -> Whitening:
         inverse_roots(total_covariance(linear, group, noise)) for group in groups))
 
 
-def prior_variances(covariance: Array, value: Array, counts: Sequence[int], present: Array,
-                    largest: Array) -> tuple[Array, Array]:
+def prior_variances(covariance: Array, value: Array, present: float, largest: float
+                    ) -> tuple[float, float]:
     """
-    Return tau^2 of each block, (6), for the estimate and for the report: (d,) each.
+    Return tau^2 of one block, (6), for the estimate and for the report.
 
-    covariance (q, q), value (q,): of the parameters of all blocks, in configured sigmas, estimated
-    with tau^2 of present (d,); counts: (d,) number of parameters of each block; largest: (d,)
-    bound of tau^2.
+    covariance (k, k), value (k,): of its parameters, in configured sigmas, estimated with tau^2 of
+    present; largest: bound of tau^2.
     """
-    variances = []
-    for end, count, tau2, bound in zip(np.cumsum(counts), counts, present, largest, strict=True):
-        block = slice(end - count, end)
-        variances.append(_variances_of_block(covariance[block, block], value[block], tau2, bound))
-    for_estimate, for_report = np.reshape(variances, (-1, 2)).T
-    return for_estimate, for_report
-
-
-def _variances_of_block(covariance: Array, value: Array, present: float, largest: float
-                        ) -> tuple[float, float]:
-    """Return tau^2 of one block of k parameters; arguments as of prior_variances."""
     # the axes l along which the parameters are independent
     posterior, axes = eigen(covariance)
     posterior = np.clip(posterior, 1e-12 * present, (1 - 1e-9) * present)

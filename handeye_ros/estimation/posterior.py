@@ -22,7 +22,7 @@ from handeye_ros.estimation.blocks import blocks_at, blocks_with_columns, Parame
 from handeye_ros.estimation.least_squares import (
     covariance_from_information,
     covariance_from_jacobian,
-    leave_one_out_of_group,
+    leave_one_out_residuals,
     means_by,
 )
 from handeye_ros.estimation.noise import (
@@ -177,11 +177,13 @@ class Posterior:
 
     def estimated_block_variances(self) -> tuple[Array, Array]:
         """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
-        u, least = self.unknown_count, [block.least_variance for block in self.blocks]
-        for_estimate, for_report = prior_variances(
-            self.covariance[u:, u:], self.nuisance, [block.count for block in self.blocks],
-            self.block_variances, np.array([block.largest_variance for block in self.blocks]))
-        return np.maximum(for_estimate, least), np.maximum(for_report, least)
+        variances = np.empty((2, len(self.blocks)))
+        for i, (block, columns) in enumerate(
+                blocks_with_columns(self.blocks, self.unknown_count)):
+            found = prior_variances(self.covariance[columns, columns], self.step[columns],
+                                    self.block_variances[i], block.largest_variance)
+            variances[:, i] = np.maximum(found, block.least_variance)
+        return variances[0], variances[1]
 
     def with_block_variances(self, variances: Array) -> Posterior:
         """Return the posterior with variances (d,) of blocks, relative to the configured ones."""
@@ -214,14 +216,13 @@ class Posterior:
 
         Many points of one line have rank two: the offset and the direction of the line.
         """
-        station = self.problem.observations.station
         ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
         J = self.jacobian[:, :self.unknown_count]
         J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
         for group in self.problem.observations.station_groups:
             s = np.linalg.svd(J[group.rows], compute_uv=False)
             # smaller singular values are repeated information with other noise
-            ranks[station[group.rows[:, 0]]] = (s > 1e-3 * s[:, :1]).sum(axis=1)
+            ranks[group.stations] = (s > 1e-3 * s[:, :1]).sum(axis=1)
         return ranks
 
     @property
@@ -301,12 +302,10 @@ class Posterior:
         of freedom it is chi-squared distributed when the station is good. All points of a station
         share one pose, which has 6 degrees of freedom.
         """
-        station, e, n = self.problem.observations.station, self.postfit_residuals, len(
-            self.problem.poses)
-        left_out = np.empty_like(e)
-        for rows in (group.rows for group in self.problem.observations.station_groups):
-            left_out[rows] = leave_one_out_of_group(self.predicted_covariance(rows), e[rows])
-        return (means_by(station, e * left_out, n),
+        station, n = self.problem.observations.station, len(self.problem.poses)
+        residuals = self.postfit_residuals
+        left_out = leave_one_out_residuals(residuals, self.jacobian, self.covariance, station)
+        return (means_by(station, residuals * left_out, n),
                 np.clip(np.bincount(station, minlength=n), 1, 6))
 
     @property
@@ -322,12 +321,11 @@ class Posterior:
         robot's smooth error as estimated from the other folds.
         """
         fold_of_row, u = fold[self.problem.observations.station], self.unknown_count
-        steps = np.empty((fold.max() + 1, len(self.prior_information)))
-        for k in range(len(steps)):
-            rows = np.flatnonzero(fold_of_row == k)[None]
-            left_out = leave_one_out_of_group(
-                self.predicted_covariance(rows), self.postfit_residuals[rows])
-            steps[k] = left_out[0] @ self.cross_covariance[rows[0]]
+        rows = np.argsort(fold_of_row, kind='stable')
+        left_out = leave_one_out_residuals(self.postfit_residuals[rows], self.jacobian[rows],
+                                           self.covariance, fold_of_row[rows])
+        steps = np.zeros((fold.max() + 1, len(self.prior_information)))
+        np.add.at(steps, fold_of_row[rows], left_out[:, None] * self.cross_covariance[rows])
         return ([self.problem.retracted(self.estimate, step) for step in steps[:, :u]],
                 self.corrected_poses(self.nuisance + steps[fold, u:]))
 

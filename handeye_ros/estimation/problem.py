@@ -37,6 +37,7 @@ class StationGroup:
     """
     s stations with c observations each.
 
+    stations: (s,) their numbers
     rows: (s, c) row numbers
     correlation: (s, c, c) of the distortion
     same_point: (s, c, c) 1 where two observations are on one point, whose error they share
@@ -44,6 +45,7 @@ class StationGroup:
         points: each has a variance factor
     """
 
+    stations: NDArray[np.intp]
     rows: NDArray[np.intp]
     correlation: Array
     same_point: Array
@@ -99,15 +101,14 @@ class Observations:
             same_feature = feature[:, :, None] == feature[:, None, :]
             same_point = (same_feature & (squared < SAME_POINT ** 2)).astype(float)
             pairs = [mask[:, :, None] & mask[:, None, :] for mask in (~is_edge, is_edge)]
-            grouped.append(StationGroup(rows, correlation, same_point,
+            grouped.append(StationGroup(self.station[rows[:, 0]], rows, correlation, same_point,
                                         np.array(pairs, dtype=float)))
         return tuple(grouped)
 
     def same(self, other: Observations) -> bool:
         """Return whether others are the same points with the same labels."""
-        return (np.array_equal(self.kind, other.kind)
-                and np.array_equal(self.station, other.station)
-                and np.array_equal(self.points, other.points))
+        return all(np.array_equal(getattr(self, name), getattr(other, name))
+                   for name in ('kind', 'station', 'points'))
 
     def select(self, keep: NDArray[np.bool_ | np.intp]) -> Self:
         """Return some observations, by a mask or by their numbers."""
@@ -115,8 +116,7 @@ class Observations:
 
     def repeated(self, stations: int, points: Array) -> Self:
         """Return the observations of one station repeated, with points (stations * m, 2)."""
-        values = (getattr(self, f.name) for f in fields(self))
-        many = type(self)(*(np.tile(v, (stations, *[1] * (v.ndim - 1))) for v in values))
+        many = self.select(np.tile(np.arange(len(self)), stations))
         return replace(many, points=points, station=np.repeat(np.arange(stations), len(self)))
 
 
@@ -168,9 +168,8 @@ class Problem:
     """
     A calibration problem: poses (n, 4, 4) of the mount, their observations, and settings.
 
-    pose_model: parameters that the poses depend on, or None
+    pose_model: parameters that the poses depend on, or None; with_pose_parameters then sets them
     pose_parameters: (k,) their values
-    pose_twists: (n, 6, k) derivatives of the robot's poses by these
     long_errors: whether the robot's smooth error has long wavelengths only
     """
 
@@ -180,17 +179,14 @@ class Problem:
     config: Config
     pose_model: PoseModel | None = None
     pose_parameters: Array = field(default_factory=lambda: np.zeros(0))
-    pose_twists: Array = field(default_factory=lambda: np.zeros((0, 6, 0)))
     long_errors: bool = False
 
-    def __post_init__(self) -> None:
-        """Set the pose values to 0, and their twists, if it comes without."""
-        if not len(self.pose_parameters):
-            object.__setattr__(self, 'pose_parameters', np.zeros(len(self.pose_stds)))
+    @cached_property
+    def pose_twists(self) -> Array:
+        """Return derivatives (n, 6, k) of the robot's poses by the values they depend on."""
         if self.pose_model is None:
-            object.__setattr__(self, 'pose_twists', np.zeros((len(self.poses), 6, 0)))
-        elif not len(self.pose_twists):
-            object.__setattr__(self, 'pose_twists', self.pose_model.at(self.pose_parameters)[1])
+            return np.zeros((len(self.poses), 6, 0))
+        return self.pose_model.at(self.pose_parameters)[1]
 
     @cached_property
     def free_columns(self) -> NDArray[np.intp]:
@@ -214,13 +210,6 @@ class Problem:
         """Return rotation (m, 3, 3) and position (m, 3) of the mount at each observation."""
         T = self.poses[self.observations.station]
         return np.ascontiguousarray(T[:, :3, :3]), T[:, :3, 3].copy()
-
-    @cached_property
-    def wrt_X_columns(self) -> Array:
-        """Return derivatives (9, m * 3) of the points in the base by the columns x, z, t of X."""
-        x, z = self.observations.points.T[:, :, None, None]
-        R, _ = self.mounts_of_rows
-        return np.stack([R * x, R * z, R]).transpose(0, 3, 1, 2).reshape(9, -1)
 
     @cached_property
     def shows_several(self) -> bool:
@@ -274,9 +263,9 @@ class Problem:
         """Return the problem with the poses of its pose model, if it has one, at values (k,)."""
         if self.pose_model is None:
             return self
-        poses, twists = self.pose_model.at(values)
+        poses, _ = self.pose_model.at(values)
         return replace(self, poses=poses if self.config.in_hand else se3.inverse(poses),
-                       pose_parameters=values, pose_twists=twists)
+                       pose_parameters=values)
 
     def subset(self, stations: NDArray[np.intp]) -> Problem:
         """Return the problem with only the given stations (ascending indices)."""
@@ -284,7 +273,7 @@ class Problem:
             return self
         fewer = self.observations.select(np.isin(self.observations.station, stations))
         renumbered = np.searchsorted(stations, fewer.station)
-        return replace(self, poses=self.poses[stations], pose_twists=self.pose_twists[stations],
+        return replace(self, poses=self.poses[stations],
                        pose_model=self.pose_model and self.pose_model.subset(stations),
                        observations=replace(fewer, station=renumbered))
 
@@ -308,14 +297,14 @@ class Linearisation:
     @cached_property
     def wrt_pose(self) -> Array:
         """Return derivatives (..., m, 6) by pose errors: base frame, rotation about the flange."""
-        R, a = self.problem.mounts_of_rows
-        to_point = np.einsum('mij,...mj->...mi', R, self.lever + self.estimate.X[..., None, :3, 3])
-        if self.problem.config.in_hand:
-            return np.concatenate([self.wrt_base, np.cross(to_point, self.wrt_base)], axis=-1)
-        # the poses are T_flange_base; the robot's error is in its base frame
-        wrt_mount = self.jacobian[..., :3]
-        from_flange = np.einsum('mji,...mj->...mi', R, to_point + a)  # in the axes of the base
-        return -np.concatenate([wrt_mount, np.cross(from_flange, wrt_mount)], axis=-1)
+        problem, in_mount = self.problem, self.lever + self.estimate.X[..., None, :3, 3]
+        if problem.config.in_hand:
+            R, _ = problem.mounts_of_rows
+            wrt_shift, from_flange = self.wrt_base, np.einsum('mij,...mj->...mi', R, in_mount)
+        else:  # the mount is the robot's base
+            flange = problem.robot_poses[problem.observations.station, :3, 3]
+            wrt_shift, from_flange = -self.jacobian[..., :3], in_mount - flange
+        return np.concatenate([wrt_shift, np.cross(from_flange, wrt_shift)], axis=-1)
 
     @cached_property
     def wrt_jitter(self) -> Array | None:
@@ -361,10 +350,8 @@ def linearise(problem: Problem, estimate: Estimate) -> Linearisation:
     """
     obs, X = problem.observations, estimate.X
     R, a = problem.mounts_of_rows
-    columns = np.swapaxes(X[..., :3, [0, 2, 3]], -1, -2)
-    lever = obs.points @ columns[..., :2, :]
-    turned = columns.reshape(*X.shape[:-2], 9) @ problem.wrt_X_columns
-    p = turned.reshape(*X.shape[:-2], len(obs), 3) + a
+    lever = obs.points @ np.swapaxes(X[..., :3, [0, 2]], -1, -2)
+    p = np.einsum('mij,...mj->...mi', R, lever + X[..., None, :3, 3]) + a
     conditions = problem.target.conditions(p, obs.kind, estimate.state, problem.config)
     wrt_mount = np.einsum('mji,...mj->...mi', R, conditions.dg_dp)
     jacobian = np.concatenate([wrt_mount, np.cross(lever, wrt_mount), conditions.dg_dparameters],

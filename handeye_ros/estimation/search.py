@@ -203,16 +203,14 @@ def reassigned(problem: Problem, estimate: Estimate, previous: Problem | None = 
     """
     Return the problem with its observations assigned again, without those that do not fit.
 
-    previous: the problem assigned at another estimate. It is returned, or the problem itself, if
-    the observations stay the same, to keep its cached properties.
+    previous: the problem as it is assigned at another estimate, itself by default. It is returned
+    if the observations stay the same, to keep its cached properties.
     """
     p = problem.points_in_base(estimate.X)
     assigned = problem.target.reassign(problem.observations, p, estimate.state, problem.config)
     used = assigned.select(assigned.kind != UNUSED)
-    for unchanged in (previous, problem):
-        if unchanged and used.same(unchanged.observations):
-            return unchanged
-    return replace(problem, observations=used)
+    unchanged = previous or problem
+    return unchanged if used.same(unchanged.observations) else replace(problem, observations=used)
 
 
 def shortlisted(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list[Estimate]:

@@ -141,12 +141,11 @@ class Solution:
     @property
     def indispensable_stations(self) -> NDArray[np.intp]:
         """Return the used stations that determine something that no other one shows."""
-        station = self.problem.observations.station
         needed = np.zeros(len(self.used_stations), dtype=bool)
         for group in self.problem.observations.station_groups:
             # 1 where all that is known of a direction comes from the station itself
             shares = np.linalg.eigvalsh(self.posterior.predicted_covariance(group.rows))
-            needed[station[group.rows[:, 0]]] = shares[:, -1] > 1 - LEFT_BY_OTHERS
+            needed[group.stations] = shares[:, -1] > 1 - LEFT_BY_OTHERS
         return self.used_stations[needed]
 
 

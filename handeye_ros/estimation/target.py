@@ -131,9 +131,7 @@ class Target(ABC):
         R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
         g, dg_dlocal, dg_dmeasures = self.local_conditions(offset @ R, kind, state[..., 16:])
         dg_dp, axes = dg_dlocal @ np.swapaxes(R, -1, -2), self.axes(R)
-        wrt_pose = -dg_dp @ axes
-        if max(self.pose_axes) > 2:
-            wrt_pose = np.concatenate([wrt_pose, -np.cross(offset, dg_dp) @ axes], axis=-1)
+        wrt_pose = -np.concatenate([dg_dp @ axes, np.cross(offset, dg_dp) @ axes], axis=-1)
         return Conditions(g, dg_dp, np.concatenate(
             [wrt_pose[..., list(self.pose_axes)], dg_dmeasures], axis=-1))
 
@@ -175,11 +173,6 @@ class Target(ABC):
         Of these names results/scene.py draws a pose, a point with a direction, a normal with a
         distance, and a centre with a radius; results/table.py knows the units of names.
         """
-
-    def describe_strays(self, observations: Observations, p: Array, state: Array, config: Config
-                        ) -> str:
-        """Return in words where observations lie that are not on the target, '' if unknown."""
-        return ''
 
     @abstractmethod
     def blocks(self, linear: Linearisation) -> Iterable[ParameterBlock]:

@@ -5,12 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from handeye_ros import se3, targets
 from handeye_ros.calibration import clock_notes
 from handeye_ros.checks.moved import outliers_at_one_end
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
+from handeye_ros.estimation.blocks import LINE_BEND
 from handeye_ros.estimation.covariance import budget, CORRECTED_ARM
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.solution import Solution
@@ -24,7 +26,7 @@ from handeye_ros.guidance.view import (
     view_levers,
 )
 from handeye_ros.pipeline import Answer
-from handeye_ros.se3 import mapped_std, worst_direction, worst_rotation
+from handeye_ros.se3 import mapped_std, worst_direction
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -36,40 +38,44 @@ MIN_FACTOR = 0.5  # of the sigma: a smaller cause is not named
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Uncertainty in one direction: 1 sigma and its limit, m or rad (unit)."""
+    """The uncertainty in one direction: 1 sigma, and its limit, in m or rad as unit says."""
 
     name: str
     std: float
     limit: float
-    unit: str = 'm'
+    unit: str
 
 
-@dataclass(frozen=True)
-class LimitingFactor:
-    """What limits: the setting of its prior, in words, and what helps where samples do not."""
+class LimitingFactor(NamedTuple):
+    """
+    A systematic cause of the uncertainty.
 
+    terms: how the names of its terms in the budget begin; key: the setting of its prior; text: the
+    cause in words; remedy: what would have to be better, as more samples do not help.
+    """
+
+    terms: tuple[str, ...]
     key: str
     text: str
     remedy: str
 
 
-SETBACK = LimitingFactor('target.setback_std', 'how far faces end before their edges', 'target')
-SCALE = LimitingFactor('noise.robot_scale', "the scale of the robot's lengths as configured",
-                       'robot, or a better statement of its scale,')
-FACTORS_BY_BLOCK = {  # by the name of a block, without the number of its degree
-    'robot_smooth': LimitingFactor('noise.robot_smooth', "the robot's accuracy as configured",
-                                   'robot, or a better statement of its accuracy,'),
-    'robot_scale': SCALE, 'sensor_scale': SCALE,
-    'distortion': LimitingFactor('noise.distortion', "the sensor's linearity as configured",
-                                 'sensor'),
-    'line_bend': LimitingFactor('noise.line_bend', 'how straight the laser line is as configured',
-                                'sensor'),
-    'flatness': LimitingFactor('noise.flatness',
-                               "the flatness of the target's faces as configured", 'target'),
-    'setback': SETBACK, 'incidence': SETBACK, 'shape': SETBACK,
-    CORRECTED_ARM: LimitingFactor('kinematics', 'the uncertainty of the corrected arm',
-                                  'correction of the arm'),
-}
+LIMITING_FACTORS = (
+    LimitingFactor(('robot_smooth',), 'noise.robot_smooth', "the robot's accuracy as configured",
+                   'robot, or a better statement of its accuracy,'),
+    LimitingFactor(('robot_scale', 'sensor_scale'), 'noise.robot_scale',
+                   "the scale of the robot's lengths as configured",
+                   'robot, or a better statement of its scale,'),
+    LimitingFactor(('distortion_',), 'noise.distortion', "the sensor's linearity as configured",
+                   'sensor'),
+    LimitingFactor((LINE_BEND,), 'noise.line_bend', 'how straight the laser line is as configured',
+                   'sensor'),
+    LimitingFactor(('flatness_',), 'noise.flatness',
+                   "the flatness of the target's faces as configured", 'target'),
+    LimitingFactor(('setback_', 'incidence_', 'shape_'), 'target.setback_std',
+                   'how far faces end before their edges', 'target'),
+    LimitingFactor((CORRECTED_ARM,), 'kinematics', 'the uncertainty of the corrected arm',
+                   'correction of the arm'))
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,12 +83,13 @@ class Advice:
     """
     Advice for the operator.
 
-    sentences: in the order of their weight
-    next_pose: the one that helps most, None before the sensor is roughly known
-    first_move: what to do instead then
-    sigmas: empty before there is an answer
-    enough: whether to stop
-    why: the reason, one sentence
+    sentences: what to do, and why, in the order of their weight
+    next_pose: the pose that helps most; None before the sensor is roughly known, in a sweep, and
+        where no pose within the limits keeps the target in view
+    first_move: the move from the first pose, while the sensor is not roughly known; else None
+    sigmas: the uncertainty in each direction, last that of mapped points; empty before an answer
+    enough: whether the samples are sufficient
+    why: the reason of enough, in one sentence
     """
 
     sentences: tuple[str, ...]
@@ -157,19 +164,18 @@ def sigma_table(covariance: Array, levers: Array, config: Config) -> tuple[Uncer
 
     covariance: (6, 6) of the transform; levers: (k, 3) of the points.
     """
-    limits, frame, accuracy = config.limits, mount_frame(config), config.guidance.accuracy
-    std = np.sqrt(np.diag(covariance))
-    shift, along = worst_direction(covariance)
-    turn, about = worst_rotation(covariance)
-    return (*(Uncertainty(f'position {axis}', float(s), limits.translation)
-              for axis, s in zip('xyz', std[:3], strict=True)),
-            *(Uncertainty(f'rotation about {axis}', float(s), limits.rotation, 'rad')
-              for axis, s in zip('xyz', std[3:], strict=True)),
-            Uncertainty(f'position along {direction_in_words(along, frame)} (worst)', shift,
-                        limits.translation),
-            Uncertainty(f'rotation about {direction_in_words(about, frame)} (worst)', turn,
-                        limits.rotation, 'rad'),
-            Uncertainty('points in view', float(mapped_std(levers, covariance)), accuracy))
+    table = list[Uncertainty]()
+    for what, part, limit, unit in (
+            ('position along', covariance[:3, :3], config.limits.translation, 'm'),
+            ('rotation about', covariance[3:, 3:], config.limits.rotation, 'rad')):
+        table += [Uncertainty(f'{what} {axis}', variance ** 0.5, limit, unit)
+                  for axis, variance in zip('xyz', np.diag(part).tolist(), strict=True)]
+        largest, axis = worst_direction(part)
+        table.append(Uncertainty(
+            f'{what} {direction_in_words(axis, mount_frame(config))} (worst)', largest, limit,
+            unit))
+    return (*table, Uncertainty('points in view', float(mapped_std(levers, covariance)),
+                                config.guidance.accuracy, 'm'))
 
 
 def largest_limiting_factor(solution: Solution) -> tuple[LimitingFactor, float] | None:
@@ -179,14 +185,11 @@ def largest_limiting_factor(solution: Solution) -> tuple[LimitingFactor, float] 
     None below MIN_FACTOR. White noise is none of the causes: more samples reduce it.
     """
     *terms, total = budget(solution)
-    squares = dict[LimitingFactor, float]()
-    for term in terms:
-        for name, cause in FACTORS_BY_BLOCK.items():
-            if term.name == name or term.name.startswith(f'{name}_'):
-                squares[cause] = squares.get(cause, 0.0) + term.mapped ** 2
-    cause, square = max(squares.items(), key=lambda item: item[1], default=(SETBACK, 0.0))
-    ratio = square ** 0.5 / total.mapped
-    return (cause, ratio) if ratio >= MIN_FACTOR else None
+    squares = [sum(term.mapped ** 2 for term in terms if term.name.startswith(factor.terms))
+               for factor in LIMITING_FACTORS]
+    largest = int(np.argmax(squares))
+    ratio = squares[largest] ** 0.5 / total.mapped
+    return (LIMITING_FACTORS[largest], ratio) if ratio >= MIN_FACTOR else None
 
 
 def enough_and_why(std: float, accuracy: float, expected: float | None,
@@ -218,10 +221,8 @@ def _motion_in_words(T_base_flange: Array, proposal: Proposal, config: Config, w
     shift = 1e3 * (proposal.T_base_flange[:3, 3] - T_base_flange[:3, 3])
     turns = np.degrees(se3.euler_angles(Rotation.from_matrix(T[:3, :3]), 'XYZ'))
     flange, base = config.robot_effector_frame, config.base_frame
-    turned = ', then '.join(f'{angle:+.0f} degrees about {flange} {axis}'
-                            for angle, axis in zip(turns, 'xyz', strict=True)
-                            if abs(angle) >= 0.5)
-    moved = ', '.join(f'{v:+.0f}' for v in shift)
+    turned, moved = (', '.join(f'{v:+.0f}' for v in values) for values in (turns, shift))
     x, z = 1e3 * proposal.place
-    return (f'next, from the last sample: turn {turned or "nothing"}, and move by {moved} mm '
-            f'along {base} x, y, z; the {what} is then at x = {x:.0f} mm, range {z:.0f} mm')
+    return (f'next, from the last sample: turn by {turned} degrees about {flange} x, then y, then '
+            f'z, and move by {moved} mm along {base} x, y, z; the {what} is then at '
+            f'x = {x:.0f} mm, range {z:.0f} mm')

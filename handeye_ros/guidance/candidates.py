@@ -25,6 +25,8 @@ from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.view import BORDER_NORMALS, View
 from handeye_ros.profiles.faces import MIN_CORNER_ANGLE
+from handeye_ros.targets.starts import lines_of_pieces
+from handeye_ros.targets.wedge import corners
 import numpy as np
 from numpy.typing import NDArray
 
@@ -167,100 +169,79 @@ def stations_like(template: Problem, solution: Solution, poses: Array, places: A
     share = np.clip((room / outward).min(axis=(1, 2)), 0.0, 1.0)
     points = anchors + share[:, None, None] * (points - anchors)
     large = share > MIN_SHARE
-    poses, points, share = poses[large], points[large], share[large]
+    poses, points = poses[large], points[large]
     points = _moved_onto_target(template, solution, poses, points, same_point)
-    linear = _linear(template, solution, poses, points, 1 / np.sqrt(share))
-    visible = np.flatnonzero(_shows_the_same(linear, points, same_point,
-                                             linearise(template, solution.estimate), view))
+    linear = _linear(template, solution, poses, points)
+    visible = np.flatnonzero(_shows_the_same(
+        linear, linearise(template, solution.estimate), same_point, view))
     return linear.problem.subset(visible), points[visible][:, anchored].mean(axis=1)
 
 
-def _shows_the_same(linear: Linearisation, points: Array, same_point: Array,
-                    template: Linearisation, view: View) -> NDArray[np.bool_]:
+def _shows_the_same(linear: Linearisation, template: Linearisation, same_point: Array, view: View
+                    ) -> NDArray[np.bool_]:
     """
-    Return which stations (n,) of linear see the target as the template does.
+    Return which stations (n,) of linear see the target as the template, of one station, does.
 
-    points: (n, c, 2) of the stations; same_point: (c, c) 1 where two conditions are of one point.
+    That is, all points are in view and on the target, edges and faces are crossed steeply, faces
+    are seen from the same side, and the corner of two faces is sharp and in view.
+
+    same_point: (c, c) 1 where two conditions are of one point, else 0.
     """
-    A = linear.wrt_point.reshape(points.shape)
+    problem, shape = template.problem, (len(linear.problem.poses), len(same_point))
+    points = linear.problem.observations.points.reshape(*shape, 2)
     in_view = view.room(points).min(axis=1) > -1e-4
-    on_target = np.abs(linear.residuals).reshape(A.shape[:2]).max(axis=1) < ON_TARGET
-    two_faces = linear.problem.target.face_count == 2
-    corner = _corner_seen(A, points, template, view) if two_faces else np.True_
-    return np.asarray(in_view & on_target & corner & _crossed_steeply(A, same_point, template)
-                      & _from_same_side(A, same_point, template))
-
-
-def _crossed_steeply(A: Array, same_point: Array, template: Linearisation) -> NDArray[np.bool_]:
-    """
-    Return which stations (n,) see edges and faces at a large enough angle.
-
-    That is, moves along the laser line show at edges, moves in the sensor plane at faces. A:
-    (n, c, 2) derivatives of the conditions by the points; same_point as in _shows_the_same.
-    """
-    problem = template.problem
-    crossing = problem.config.sampling.min_crossing_angle + STOP_POSE_ERROR[1]
+    on_target = np.abs(linear.residuals).reshape(shape).max(axis=1) < ON_TARGET
+    # the crossing is steep: moves along the laser line show at edges, in the plane at faces
+    A = linear.wrt_point.reshape(*shape, 2)
     at_edge = np.isin(problem.observations.kind, problem.target.required_edges) @ same_point > 0
-    steep = np.where(at_edge, A[..., 0] ** 2, (A ** 2).sum(axis=2)) @ same_point
-    return np.asarray((steep > np.sin(crossing) ** 2).all(axis=1))
-
-
-def _from_same_side(A: Array, same_point: Array, template: Linearisation) -> NDArray[np.bool_]:
-    """
-    Return which stations (n,) see each surface from the side from which the template sees it.
-
-    Points at which the template does not tell a side are not asked; see _crossed_steeply.
-    """
+    sine_squared = np.where(at_edge, A[..., 0] ** 2, (A ** 2).sum(axis=2)) @ same_point
+    crossing = problem.config.sampling.min_crossing_angle + STOP_POSE_ERROR[1]
+    # surfaces are seen from the same side, where the template tells one
     wrt_range = template.wrt_point[:, 1]  # of single conditions it depends on the choice of axes
     size = np.sqrt(wrt_range ** 2 @ same_point)
     same_side = (A[..., 1] * wrt_range) @ same_point > MIN_COSINE * size
-    return np.asarray((same_side | (size <= MIN_COSINE)).all(axis=1))
+    two_faces = problem.target.face_count == 2
+    right = (sine_squared > np.sin(crossing) ** 2) & (
+        same_side | (size <= MIN_COSINE) & (not two_faces))
+    corner = (_corner_seen(linear.problem.observations, view) if two_faces and len(points)
+              else np.True_)
+    return np.asarray(in_view & on_target & right.all(axis=1) & corner)
 
 
-def _linear(template: Problem, solution: Solution, poses: Array, points: Array, noise: Array
-            ) -> Linearisation:
+def _corner_seen(observations: Observations, view: View) -> NDArray[np.bool_]:
+    """Return which stations (n,) have the corner of two faces in view, and sharp enough."""
+    places, _ = corners(observations, np.zeros_like(observations.kind))
+    _, _, slopes = lines_of_pieces(observations, observations.kind)
+    sine = np.sin(np.ptp(np.arctan(slopes), axis=1))
+    return np.asarray((view.room(places[:, 0]) > 0)
+                      & (sine > np.sin(MIN_CORNER_ANGLE + CORNER_MARGIN)))
+
+
+def _linear(template: Problem, solution: Solution, poses: Array, points: Array) -> Linearisation:
     """
     Return the conditions of stations like the template, linearised at the solution's estimate.
 
-    poses: (n, 4, 4); points: (n, c, 2); noise: (n,) the factor of each station's noise.
+    poses: (n, 4, 4); points: (n, c, 2).
     """
     observations = template.observations.repeated(len(poses), points.reshape(-1, 2))
-    factors = np.repeat(noise, len(template.observations))[:, None, None]
-    observations = replace(observations, error_factor=observations.error_factor * factors)
     return linearise(replace(template, poses=poses, observations=observations), solution.estimate)
 
 
 def _moved_onto_target(template: Problem, solution: Solution, poses: Array, points: Array,
                        same_point: Array) -> Array:
-    """Return points (n, c, 2) moved onto the target by least steps; same_point: (c, c)."""
+    """
+    Return points (n, c, 2) of the sensor plane moved onto the target by least steps.
+
+    poses: (n, 4, 4) of the mount; same_point: (c, c) 1 where two conditions are of one point.
+    """
     shape = points.shape[:2]
     for _ in range(STEPS_TO_TARGET):
-        linear = _linear(template, solution, poses, points, np.ones(len(poses)))
+        linear = _linear(template, solution, poses, points)
         g, A = linear.residuals.reshape(*shape, 1), linear.wrt_point.reshape(*shape, 2)
         normal = np.einsum('cd,ndi,ndj->ncij', same_point, A, A) + 1e-6 * np.eye(2)
         step = np.linalg.solve(normal, (same_point @ (A * g))[..., None])[..., 0]
         points = points - np.clip(step, -0.05, 0.05)
     return points
-
-
-def _corner_seen(A: Array, points: Array, template: Linearisation, view: View
-                 ) -> NDArray[np.bool_]:
-    """
-    Return which stations (n,) have the corner of two faces in view, and sharp enough.
-
-    Both faces must face the sensor as in the template. A: (n, c, 2) derivatives of the conditions
-    by points (n, c, 2), of both faces.
-    """
-    mean_of_face = np.array([template.problem.observations.kind == k for k in (0, 1)], dtype=float)
-    mean_of_face /= mean_of_face.sum(axis=1, keepdims=True)
-    normals = mean_of_face @ A  # of the faces, in the sensor plane
-    facing = np.sign(mean_of_face @ template.wrt_point[:, 1]) * normals[..., 1]
-    normals = normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-9)
-    offsets = (normals * (mean_of_face @ points)).sum(axis=2, keepdims=True)
-    corners = np.linalg.solve(normals + 1e-9 * np.eye(2), offsets)[..., 0]
-    return np.asarray((facing > MIN_COSINE).all(axis=1) & (view.room(corners) > 0)
-                      & (np.abs(np.linalg.det(normals))
-                         > np.sin(MIN_CORNER_ANGLE + CORNER_MARGIN)))
 
 
 def covariances_with_one_more(solution: Solution, candidates: Problem) -> Array:

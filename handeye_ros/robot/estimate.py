@@ -276,15 +276,13 @@ def noise_and_variances(fit: ArmFit, conservative: bool = False) -> tuple[Array,
     The variances of all kinds of errors are the most likely ones; conservative: wider ones, for a
     reported covariance. The noise of each axis is pooled with that of all axes.
     """
-    variances = fit.variances
-    if len(variances):
-        order = np.argsort(fit.kind_numbers, kind='stable')
-        stated = fit.prior_stds[order] / np.sqrt(variances[fit.kind_numbers[order]])
-        covariance = fit.covariance[np.ix_(6 + order, 6 + order)]
-        counts = np.bincount(fit.kind_numbers).tolist()
-        variances = prior_variances(
-            covariance / np.outer(stated, stated), fit.robot_errors[order] / stated, counts,
-            variances, np.full(len(variances), MAX_VARIANCE))[int(conservative)]
+    variances = fit.variances.copy()
+    for kind, present in enumerate(fit.variances):
+        of_kind = np.flatnonzero(fit.kind_numbers == kind)
+        stated = fit.prior_stds[of_kind] / np.sqrt(present)
+        covariance = fit.covariance[np.ix_(6 + of_kind, 6 + of_kind)] / np.outer(stated, stated)
+        variances[kind] = prior_variances(covariance, fit.robot_errors[of_kind] / stated, present,
+                                          MAX_VARIANCE)[int(conservative)]
     (r, J), axis = fit.whitened_rows, fit.used_rows % len(fit.noise)
     redundancy = 1 - np.einsum('mi,mi->m', J @ fit.covariance, J)
     freedom, squares = np.bincount(axis, redundancy), np.bincount(axis, (r * fit.noise[axis]) ** 2)

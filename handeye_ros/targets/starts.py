@@ -8,7 +8,7 @@ face. At most one piece of a profile is.
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from handeye_ros import se3
@@ -37,21 +37,18 @@ def random_indices(count: int, most: int, rng: np.random.Generator) -> NDArray[n
     return np.sort(rng.permutation(count)[:most])
 
 
-def best_fitting_first(problem: Problem, rounds: Iterable[Iterable[Estimate]]
+def best_fitting_first(problem: Problem, rounds: Iterable[Sequence[Estimate]]
                        ) -> Iterator[Estimate]:
     """
     Yield the starts of each round, those that most stations of the problem fit before the others.
 
-    Starts that repeat one of before are left out.
+    Starts that repeat one of the round are left out.
     """
-    earlier: list[Estimate] = []
-    for candidates in rounds:
-        starts = [*earlier, *candidates]
-        new = [k for k in distinct(np.array([start.X for start in starts])) if k >= len(earlier)]
-        distance = {k: _typical_distance(problem, starts[k]) for k in new}
-        yield from (starts[k] for k in sorted(
-            new, key=lambda k: distance[k] > SIMILAR_RATIO * min(distance.values())))
-        earlier = starts
+    for starts in rounds:
+        distance = {k: _typical_distance(problem, starts[k])
+                    for k in distinct(np.array([start.X for start in starts]))}
+        limit = SIMILAR_RATIO * min(distance.values(), default=0.0)
+        yield from (starts[k] for k in sorted(distance, key=lambda k: distance[k] > limit))
 
 
 def _typical_distance(problem: Problem, estimate: Estimate) -> float:
@@ -156,11 +153,8 @@ def linear_solutions(problem: Problem, axes: list[int], across: slice, count: in
 
     # least squares of each; what the points do not show, such as r3 of one height, is 0
     transposed = np.swapaxes(A, 1, 2)
-    N = transposed @ A
-    scale = np.sqrt(np.einsum('kii->ki', N))[..., None]
-    scale[scale == 0] = 1.0
-    scaled = N / scale / np.swapaxes(scale, 1, 2) + 1e-12 * np.eye(9 + q)
-    solved = np.linalg.solve(scaled, transposed @ b / scale) / scale
+    covariance = np.linalg.pinv(transposed @ A, rcond=1e-12, hermitian=True)
+    solved = covariance @ (transposed @ b)
     rms = np.sqrt(((A @ solved - b) ** 2).mean(axis=(1, 2)))
     r1, r3, t, c = np.split(solved[..., 0], [3, 6, 9], axis=1)
     defect = (np.abs((r1 ** 2).sum(1) - 1) + np.abs((r3 ** 2).sum(1) - 1)

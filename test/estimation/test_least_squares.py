@@ -110,9 +110,8 @@ def test_chi_squared_takes_arrays_and_is_nan_without_a_degree_of_freedom() -> No
 @pytest.mark.parametrize(('count', 'scale'), [(2, 1.3), (10, 1.3), (1, 1.7)])
 def test_without_evidence_a_scale_is_for_the_report_as_documented(count: int, scale: float
                                                                   ) -> None:
-    _, report_posterior = prior_variances(
-        np.eye(count), np.zeros(count), [count], np.ones(1), np.array([400.0]))
-    assert float(np.sqrt(report_posterior[0])) == pytest.approx(scale, abs=0.05)
+    _, for_report = prior_variances(np.eye(count), np.zeros(count), 1.0, 400.0)
+    assert np.sqrt(for_report) == pytest.approx(scale, abs=0.05)
 
 
 @pytest.mark.parametrize(('value', 'std', 'least', 'most'), [
@@ -123,9 +122,8 @@ def test_a_scale_is_what_data_show(value: float, std: float, least: float, most:
     """Of a single parameter that the data alone put at value +- std."""
     information = 1 / std ** 2
     covariance = np.array([[1 / (1 + information)]])
-    _, variances = prior_variances(covariance, covariance[0] * value * information,
-                                   [1], np.ones(1), np.array([1e8]))
-    assert least < np.sqrt(variances[0]) < most
+    _, for_report = prior_variances(covariance, covariance[0] * value * information, 1.0, 1e8)
+    assert least < np.sqrt(for_report) < most
 
 
 # In a process of its own: other tests load libraries with pools of their own, at any time.

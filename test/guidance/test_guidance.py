@@ -19,7 +19,7 @@ from handeye_ros.guidance.advice import (
     Advice,
     advise,
     enough_and_why,
-    FACTORS_BY_BLOCK,
+    LIMITING_FACTORS,
     ROUGHLY_KNOWN,
 )
 from handeye_ros.guidance.candidates import (
@@ -147,11 +147,10 @@ def test_the_words_lead_from_the_last_sample_to_the_pose(fitted: tuple[Cell, Sol
     advice = advice_for(fitted, guidance__accuracy=1e-6)
     words, last = advice.sentences[-1], fitted[0].samples[-1].T_base_flange
     assert advice.next_pose is not None
-    turn, match = np.eye(3), re.search('move by (.*?) mm along base x, y, z', words)
-    for degrees, axis in re.findall(r'([+-]\d+) degrees about flange ([xyz])', words):
-        turn = turn @ Rotation.from_euler(axis, int(degrees), degrees=True).as_matrix()
-    place = last[:3, 3] + 1e-3 * np.array(match[1].split(', '), dtype=float)
-    T = se3.transform(last[:3, :3] @ turn, place)
+    numbers = [np.array(match.split(', '), dtype=float)
+               for match in re.findall(r'by ((?:[+-]\d+, ){2}[+-]\d+) ', words)]
+    turn = Rotation.from_euler('XYZ', numbers[0], degrees=True).as_matrix()
+    T = se3.transform(last[:3, :3] @ turn, last[:3, 3] + 1e-3 * numbers[1])
     error = se3.difference(advice.next_pose.T_base_flange, T)
     assert np.abs(error).max() < 0.02, 'mm and degrees are whole ones'
 
@@ -229,7 +228,7 @@ def test_what_limits_is_named_with_its_key_and_is_enough() -> None:
 @pytest.mark.parametrize(('count', 'gain', 'enough'), [
     (15, 0.01, True), (15, 0.03, False), (14, 0.01, False)])
 def test_samples_of_little_use_are_not_asked_for(count: int, gain: float, enough: bool) -> None:
-    cause = (FACTORS_BY_BLOCK['robot_smooth'], 0.875)
+    cause = (LIMITING_FACTORS[0], 0.875)
     is_enough, why = enough_and_why(4e-4, 3e-4, 4e-4 * (1 - gain), cause, count)
     assert is_enough == enough
     assert 'known to 0.400 mm' in why and '0.350 mm is the robot' in why
