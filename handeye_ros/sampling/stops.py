@@ -29,7 +29,7 @@ from handeye_ros.data import (
     TimedPose,
 )
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.sampling.stream import by_stamp, Copyable, LAST_STAMP, poses_around
+from handeye_ros.sampling.stream import by_stamp, Copyable, LAST_STAMP
 import numpy as np
 
 MOTION_TIME = 3 * NS // 10  # time over which the speed is averaged
@@ -127,9 +127,7 @@ class Stop:
         stop = replace(self, result=NOT_EVALUATED)
         if self.load_messages or config.sampling.moving:
             return stop
-        profiles = self.settled_profiles(config)
-        poses = poses_around(self.poses, [profile.stamp for profile in profiles])
-        return replace(stop, poses=tuple(poses), profiles=tuple(profiles))
+        return replace(stop, profiles=tuple(self.settled_profiles(config)))
 
     def _settled_span(self, config: Config) -> tuple[int, int]:
         """Return the first and last stamp of the time without vibration."""
