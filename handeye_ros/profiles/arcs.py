@@ -24,9 +24,9 @@ from handeye_ros.profiles.segment import (
     noise_level,
     without_clutter,
 )
+from handeye_ros.published.jing2020 import fit_round
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dgesv
 
 MIN_ARC_RADIUS, MAX_ARC_RADIUS = 1e-4, 0.5  # of the arc of a sphere of unknown radius (m)
 MIN_RADIUS_RATIO = 0.29  # smallest radius of an arc over that of the sphere: less is too steep
@@ -89,29 +89,16 @@ def fit_circle(points: Array, steps: int = 4) -> Array:
 
     steps: of Gauss-Newton from the algebraic fit (Kasa 1976), which is biased for short arcs.
     """
-    middle = points.sum(axis=0) / len(points)
-    x, z = (points - middle).T
-    q, J = x * x + z * z, np.ones((3, len(x)))
-    J[0], J[1] = x, z
-    x_c, z_c = _solved(2 * J[:2] @ J[:2].T, J[:2] @ q)
-    r = math.sqrt(float(q.sum()) / len(q) + x_c * x_c + z_c * z_c)
+    circle, J = fit_round(points), np.ones((len(points), 3))
     for _ in range(steps):
-        J[0], J[1] = x - x_c, z - z_c
-        distance = np.sqrt(J[0] * J[0] + J[1] * J[1])
-        J[:2] /= np.maximum(distance, TINY)  # a point may equal the centre
-        step = _solved(J @ J.T, J @ (distance - r))
-        x_c, z_c, r = x_c + step[0], z_c + step[1], r + step[2]
-        if max(map(abs, step)) < CONVERGED_STEP * r:
+        from_centre = points - circle[:2]
+        distance = np.hypot(*from_centre.T)
+        J[:, :2] = from_centre / np.maximum(distance, TINY)[:, None]  # one may equal the centre
+        step = np.linalg.lstsq(J, distance - circle[2], rcond=None)[0]
+        circle = circle + step
+        if np.abs(step).max() < CONVERGED_STEP * circle[2]:
             break
-    return np.array([x_c + middle[0], z_c + middle[1], r])
-
-
-def _solved(A: Array, b: Array) -> list[float]:
-    """Return the solution of normal equations, near the minimum norm if they are singular."""
-    diagonal = A.ravel()[::len(b) + 1]
-    diagonal += 1e-12 * diagonal.sum() + TINY
-    solution: list[float] = dgesv(A, b)[2].tolist()  # a third of the time of numpy's solve
-    return solution
+    return circle
 
 
 def distances_from_circle(points: Array, circle: Array) -> Array:
