@@ -157,9 +157,7 @@ def _without_rims(columns: Indices, near: NDArray[np.bool_], angle: Array) -> In
     near a rim, and then none. The angle at which they end depends on the tilt across the profile,
     which is unknown; so the end of the arc is used instead.
     """
-    angles = np.sort(angle[near])
-    stray = len(angles) // 200
-    first, last = angles[stray], angles[-1 - stray]
+    first, last = np.quantile(angle[near], [0.005, 0.995])  # a few are near it by chance
     arc_angle = angle[columns]
     beside_rim = ((arc_angle < first + RIM_WIDTH) & (first < -RIM_INCIDENCE)
                   | (arc_angle > last - RIM_WIDTH) & (last > RIM_INCIDENCE))

@@ -42,6 +42,7 @@ from handeye_ros.profiles.segment import (
     STEEPEST_SURFACE,
 )
 import numpy as np
+from numpy.typing import NDArray
 
 BOW_SIGMAS = 3.0  # least bow of a face that counts
 BOW_REACH = 2.5  # the bow goes on up to so many spreads of its points; the ends are at 1.7
@@ -59,30 +60,25 @@ class FaceEnd:
     segment: the straight piece
     segments: all of the profile, in the order of its columns
     points: (n, 2) of the profile
-    returns: (k,) columns with a return
+    is_return: (n,) which columns have one
     near_sign: times a range, it is larger for nearer points
     """
 
     segment: Segment
     segments: Sequence[Segment]
     points: Array
-    returns: Indices
+    is_return: NDArray[np.bool_]
     near_sign: int
 
     @property
     def has_lost_columns(self) -> bool:
         """Return whether columns of this profile lack a return; else its ends are unknown."""
-        return len(self.returns) < len(self.points)
+        return not self.is_return.all()
 
     @cached_property
     def beyond(self) -> list[Segment]:
         """Return the pieces that reach beyond the end, whether they overlap it or not."""
         return [other for other in self.segments if other.last > self.segment.last]
-
-    def lost_count(self, first: int, stop: int) -> int:
-        """Return the number of columns without a return, from the first to before the other."""
-        bounds = self.returns.searchsorted([first, stop])
-        return stop - first - int(bounds[1] - bounds[0])
 
     @cached_property
     def pitch(self) -> float:
@@ -140,11 +136,11 @@ class FaceEnd:
 def ends_of_segments(segments: Sequence[Segment], points: Array, config: Config
                      ) -> Iterator[tuple[FaceEnd, FaceEnd]]:
     """Yield the first and the last end of segments of a profile (n, 2), the longest first."""
-    n, returns, near_sign = len(points), columns_with_return(points), -config.profile.range_sign
-    mirrored = [segment.reversed(n) for segment in reversed(segments)]
+    is_return, near_sign = np.isfinite(points).all(axis=1), -config.profile.range_sign
+    mirrored = [segment.reversed(len(points)) for segment in reversed(segments)]
     for k in sorted(range(len(segments)), key=lambda k: -len(segments[k].columns)):
-        yield (FaceEnd(mirrored[-1 - k], mirrored, points[::-1], n - 1 - returns[::-1], near_sign),
-               FaceEnd(segments[k], segments, points, returns, near_sign))
+        yield (FaceEnd(mirrored[-1 - k], mirrored, points[::-1], is_return[::-1], near_sign),
+               FaceEnd(segments[k], segments, points, is_return, near_sign))
 
 
 class NoEdgeError(FeatureError):
@@ -209,10 +205,10 @@ def _tail(end: FaceEnd) -> Indices:
     The surface may turn away from the sensor, up to the slope from which light returns. One wrong
     point does not end it.
     """
-    last, skipped = end.segment.last, False
-    begin, stop = end.returns.searchsorted([last + 1, last + FURTHER_COLUMNS + 1])
-    tail = [last]
-    for column in end.returns[begin:stop].tolist():
+    beyond, skipped = end.segment.last + 1, False
+    tail = [end.segment.last]
+    returns = end.is_return[beyond:beyond + FURTHER_COLUMNS].nonzero()[0]
+    for column in (beyond + returns).tolist():
         if _goes_on(end, tail[-1], column):
             tail.append(column)
         elif skipped:
@@ -301,14 +297,15 @@ def _ending(end: FaceEnd, next_surface: Segment | None, tail: Indices) -> str:
     if next_surface is None:
         if not end.has_lost_columns:
             return 'open'
-        if end.lost_count(end.segment.last + 1, len(end.points)) >= GAP_COLUMNS:
+        if np.count_nonzero(~end.is_return[end.segment.last + 1:]) >= GAP_COLUMNS:
             return 'gap'
         raise NoEdgeError('at the border of the field of view')
     start, least = next_surface.first, smallest_step(end, next_surface)
     rise = end.rise_of(start)
     if rise < -least:
         last = int(tail[-1]) if len(tail) else end.segment.last
-        return 'shadow' if end.lost_count(last, start) >= GAP_COLUMNS else 'step'
+        lost_count = np.count_nonzero(~end.is_return[last:start])
+        return 'shadow' if lost_count >= GAP_COLUMNS else 'step'
     if rise <= least:
         raise NoEdgeError('where its surface goes on at nearly the same height')
     if abs(end.points[start, 0] - end.points[end.segment.last, 0]) > SHADOW_SLOPE * rise:
