@@ -16,7 +16,7 @@ import math
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Indices, SIGMA_OF_MEDIAN
 from handeye_ros.errors import FeatureError, mm
-from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
+from handeye_ros.profiles.lines import bin_means, variance_of_bins
 from handeye_ros.profiles.ransac import circles_among
 from handeye_ros.profiles.segment import (
     columns_with_return,
@@ -41,7 +41,7 @@ RIM_INCIDENCE = 0.5  # an arc that ends at a larger angle of incidence (rad) end
 RIM_WIDTH = 0.24  # angle of the arc before its rim that is not used (rad)
 RIM_COSINE = 0.5  # smallest cosine of the incidence of a usable point: the rim is bad
 ARC_POINTS, SWEPT_ARC_POINTS = 12, 6  # of an arc; where hundreds of profiles show the ball
-FINER_BINS = 4  # per bin of an arc: their scatter gives the variance of its normal point
+ARC_BINS = 48  # bins of an arc whose scatter gives the variance of its normal points
 MIN_DENSITY = 0.5  # smallest share of an arc's points among those between its ends
 MIN_ARC_SAGITTA = 2.5  # smallest sagitta of an arc, in tolerances: less may be a corner
 MIN_ARC_ANGLE = 0.5  # smallest angle of an arc that determines its circle (rad)
@@ -216,22 +216,11 @@ def fitted_arc(raw: Array, most: int = ARC_POINTS) -> Arc:
     from_centre = (raw - circle[:2]) @ [1, 1j]
     middle = from_centre.mean() / abs(from_centre.mean())
     angle, residual = np.angle(from_centre / middle), distances_from_circle(raw, circle)
-    order = angle.argsort()
-    bins = min(most, len(raw) // 3)
-    angles, count = bin_means(angle[order], bins)
-    residual_means, _ = bin_means(residual[order], bins)
-    places = (circle[2] + residual_means) * middle * np.exp(1j * angles)
-    variance = _variance_of_mean(residual[order], residual_means, len(raw) / bins)
+    polar = np.column_stack([angle, residual])[angle.argsort()]
+    bins, _ = bin_means(polar, min(ARC_BINS, len(raw) // 3))
+    white_var = float(residual @ residual) / max(len(raw) - 3, 1) * len(bins) / len(raw)
+    means, size = bin_means(bins, min(most, len(bins)))
+    places = (circle[2] + means[:, 1]) * middle * np.exp(1j * means[:, 0])
     return Arc(circle[:2] + np.column_stack([places.real, places.imag]),
-               np.sqrt(variance * len(raw) / bins / count), circle[:2], float(circle[2]), raw)
-
-
-def _variance_of_mean(residual: Array, means: Array, size: float) -> float:
-    """Return the variance of the means (k,) of bins of the residuals (n,), of a mean size."""
-    white_var = float(residual @ residual) / max(len(residual) - 3, 1) / size
-    finer = bin_means(residual, FINER_BINS * len(means))[0] if size > 2 * FINER_BINS else means
-    fine = variance_of_bins(finer, white_var * len(finer) / len(means))
-    # what is alike over a whole bin scatters between them
-    coarse = float(means @ means) / max(len(means) - 3, 1)
-    coarse = coarse if coarse > SURELY_MORE * white_var else white_var
-    return max(fine * len(means) / len(finer), coarse)
+               np.sqrt(variance_of_bins(bins[:, 1], white_var) / size), circle[:2],
+               float(circle[2]), raw)
