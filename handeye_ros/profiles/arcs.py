@@ -18,12 +18,7 @@ from handeye_ros.data import Arc, Array, Indices, SIGMA_OF_MEDIAN
 from handeye_ros.errors import FeatureError, mm
 from handeye_ros.profiles.lines import bin_means, variance_of_bins
 from handeye_ros.profiles.ransac import circles_among
-from handeye_ros.profiles.segment import (
-    columns_with_return,
-    MAX_NOISE,
-    noise_level,
-    without_clutter,
-)
+from handeye_ros.profiles.segment import MAX_NOISE, noise_level, surface_columns
 from handeye_ros.published.jing2020 import fit_round
 import numpy as np
 from numpy.typing import NDArray
@@ -60,8 +55,7 @@ def arc_features(points: Array, config: Config) -> tuple[Arc]:
     points: (n, 2) in the sensor plane, NaN where there was no return. Raises FeatureError with the
     reason for the best circle.
     """
-    columns = without_clutter(columns_with_return(points), points, config.noise.sensor)
-    valid = points.take(columns, axis=0)
+    valid = points.take(surface_columns(points, config.noise.sensor), axis=0)
     if len(valid) < config.sampling.min_points:
         raise FeatureError(f'fewer than {config.sampling.min_points} returns in the profile')
     # speckle that is correlated over some columns does not show in the noise level

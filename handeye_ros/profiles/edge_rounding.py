@@ -18,8 +18,9 @@ from dataclasses import dataclass
 from handeye_ros.data import Array
 import numpy as np
 
-# The shapes that are fitted are arcs that go on straight where they are steepest: roundings of these
-# radii (m), up to a slope beyond which no light returns, and bevels, whose arcs are too small to see.
+# The shapes that are fitted are arcs that go on straight where they are steepest: roundings of
+# these radii (m), up to a slope beyond which no light returns, and bevels, whose arcs are too
+# small to see.
 TRIED_RADII, TRIED_SLOPES = np.geomspace(5e-5, 4e-3, 40), np.geomspace(0.6, 1.7, 8)
 COUNTS = len(TRIED_RADII), len(TRIED_SLOPES)
 ROUNDED, BEVELLED = slice(COUNTS[0]), slice(COUNTS[0], None)
@@ -111,7 +112,7 @@ def _fitted_shapes(u: Array, v: Array, pitch: float, noise: float
 def _distances_at(depth: float) -> Array:
     """Return how far from their start the shapes (k, 1) are at a depth."""
     of_arc = np.minimum(depth, RADII * (1 - np.sqrt(1 - STEEPEST_SINES ** 2)))
-    return np.sqrt(of_arc * (2 * RADII - of_arc)) + (depth - of_arc) / STEEPEST_SLOPES
+    return np.asarray(np.sqrt(of_arc * (2 * RADII - of_arc)) + (depth - of_arc) / STEEPEST_SLOPES)
 
 
 def _shapes(distances: Array) -> tuple[Array, Array]:

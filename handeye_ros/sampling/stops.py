@@ -29,7 +29,6 @@ from handeye_ros.data import (
 )
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.sampling.stream import by_stamp, Copyable, LAST_STAMP
-import numpy as np
 
 MAX_STOP_TIME = 10 * NS  # of a stop; sampling.still_time and settle_time must fit into it
 PASS_TIME = 2 * NS  # of motion
@@ -98,7 +97,7 @@ class Stop:
         """Return the last pose (4, 4), which a stored stop of a node has too."""
         return se3.of_pose(self.poses[-1])
 
-    def with_profiles(self, candidates: Sequence[AnyProfile], config: Config) -> Stop:
+    def with_profiles(self, candidates: Sequence[AnyProfile]) -> Stop:
         """Return the stop with the profiles surely taken during it, among candidates in order."""
         begin = bisect_left(candidates, self.start, key=by_stamp)
         end = bisect_right(candidates, self.end, key=by_stamp)
@@ -194,7 +193,7 @@ class StopFinder(Copyable):
 
     @property
     def rest_time(self) -> float:
-        """Return how long the robot has stood near where it is (s); it may stand in a pass, too."""
+        """Return how long the robot has stood near where it is (s), also within a pass."""
         return (self._last.stamp - self._rest.stamp) / NS if self._last and self._rest else 0.0
 
     def window(self) -> tuple[int, int]:

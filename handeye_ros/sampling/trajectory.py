@@ -11,7 +11,7 @@ spacing of the knots (Craven and Wahba 1979, Numer. Math. 31:377).
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -106,7 +106,7 @@ class Trajectory:
             np.sqrt(np.concatenate(leverage).reshape(-1, 1)) * self._spline.std)
 
     def _times(self, stamps: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the times of stamps (n,) in the spline, and which are inside; see FlangeStates."""
+        """Return the times of stamps (n,) in the spline, and which have poses around them (n,)."""
         after = self.stamps.searchsorted(stamps).clip(1, len(self.stamps) - 1)
         first, last = self.stamps[after - 1], self.stamps[after]
         nearest = np.where(stamps - first < last - stamps, first, last)
@@ -142,17 +142,16 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
     return Trajectory(stamps, values, max(part.max_gap for part in parts))
 
 
-def trajectory_of(poses: Iterable[TimedPose], max_gap: float) -> Trajectory:
+def trajectory_of(poses: Sequence[TimedPose], max_gap: float) -> Trajectory:
     """
     Return the trajectory of poses in any order, without those with implausible stamps.
 
     Raises DataError when two runs are mixed.
     """
-    rows = np.fromiter(((p.stamp, (*p.translation, *p.quaternion)) for p in poses),
-                       np.dtype([('stamp', np.int64), ('pose', np.float64, 7)]))
-    rows = rows[in_majority_order(rows['stamp'], 'of the poses')]
-    stamps, first_of = np.unique(rows['stamp'], return_index=True)
-    return Trajectory(stamps, rows['pose'][first_of], max_gap)
+    stamps = np.array([pose.stamp for pose in poses], dtype=np.int64)
+    values = np.array([(*pose.translation, *pose.quaternion) for pose in poses]).reshape(-1, 7)
+    fits = in_majority_order(stamps, 'of the poses')
+    return joined([Trajectory(stamps[fits], values[fits], max_gap)])
 
 
 def _with_steady_signs(values: Array) -> Array:
