@@ -62,10 +62,10 @@ class Trajectory:
 
     @cached_property
     def _is_gap(self) -> NDArray[np.bool_]:
-        """Return between which poses (n - 1,) nothing is interpolated."""
+        """Return after which poses (n,) nothing is interpolated; after the last there is none."""
         steps = np.diff(self.stamps) * 1e-9
         usual = float(np.median(steps)) if len(steps) else 0.0
-        return np.asarray(steps > min(self.max_gap, max(4.0 * usual, 0.06)))
+        return np.append(steps > min(self.max_gap, max(4.0 * usual, 0.06)), True)
 
     @cached_property
     def _spline(self) -> _Spline:
@@ -184,7 +184,7 @@ def _fitted_spline(stamps: NDArray[np.int64], values: Array, is_gap: NDArray[np.
     together.
     """
     from scipy.interpolate import BSpline  # 0.09 s, only for robots that move
-    steps, values = np.diff(stamps) * 1e-9, values[used]
+    steps, is_gap, values = np.diff(stamps) * 1e-9, is_gap[:-1], values[used]
     least, best = np.inf, None
     # two poses to each interval
     widest = max(KNOT_SPACINGS[0], 2 * float(steps[~is_gap].sum()) / max(len(steps), 1))
