@@ -201,9 +201,9 @@ def _squares_of_lines(sums: Array) -> Array:
 
 def fitted_arc(raw: Array, most: int = ARC_POINTS) -> Arc:
     """
-    Return the arc of (n, 2) raw points, with at most so many normal points.
+    Return the arc through raw points (n, 2) in the sensor plane, of one profile or of several.
 
-    The points of several profiles may be mixed. Errors common to all profiles scatter between
+    most: the largest number of its normal points. Errors common to all profiles scatter between
     parts of the arc, so they are not taken for noise that averages out.
     """
     circle = fit_circle(raw)

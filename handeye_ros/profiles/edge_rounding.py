@@ -60,8 +60,9 @@ def fitted_bend(u: Array, v: Array, end_u: float, pitch: float, noise: float) ->
     """
     Return the bend through the last points of a face.
 
-    u, v (n,): of the points, in order; end_u: of the end; pitch: distance of neighbouring points
-    along the face; noise: 1 sigma of v (m).
+    u, v: (n,) the points in the frame of the end (FaceEnd of edges.py), in order, in metres;
+    end_u: where the face ends, as u (m); pitch: the distance of neighbouring points along the face
+    (m); noise: 1 sigma of v (m).
     """
     start, slope, weights, misfit = _fitted_shapes(u, v, pitch, noise)
     log_likelihood = np.maximum((misfit.min() - misfit) / 2, MIN_LOG_LIKELIHOOD)

@@ -98,7 +98,11 @@ class Stop:
         return se3.of_pose(self.poses[-1])
 
     def with_profiles(self, candidates: Sequence[AnyProfile]) -> Stop:
-        """Return the stop with the profiles surely taken during it, among candidates in order."""
+        """
+        Return the stop with profiles that were surely taken during it, MAX_KEPT at most.
+
+        candidates: in the order of their stamps.
+        """
         begin = bisect_left(candidates, self.start, key=by_stamp)
         end = bisect_right(candidates, self.end, key=by_stamp)
         taken = [profile for profile in candidates[begin:end]
@@ -107,7 +111,7 @@ class Stop:
         return replace(self, profiles=tuple(evenly_spaced(taken, MAX_KEPT)))
 
     def settled_profiles(self, config: Config) -> list[AnyProfile]:
-        """Return PROFILES_OF_SAMPLE of the time without vibration at most, not yet decoded."""
+        """Return at most PROFILES_OF_SAMPLE profiles of the time without vibration, as they are."""
         first, last = self._settled_span(config)
         settled = [profile for profile in self.profiles if first <= profile.stamp <= last]
         return evenly_spaced(settled, PROFILES_OF_SAMPLE)
