@@ -111,7 +111,7 @@ class Stop:
         return replace(self, profiles=tuple(evenly_spaced(taken, MAX_KEPT)))
 
     def settled_profiles(self, config: Config) -> list[AnyProfile]:
-        """Return at most PROFILES_OF_SAMPLE profiles of the time without vibration, as they are."""
+        """Return at most PROFILES_OF_SAMPLE profiles of the time without vibration."""
         first, last = self._settled_span(config)
         settled = [profile for profile in self.profiles if first <= profile.stamp <= last]
         return evenly_spaced(settled, PROFILES_OF_SAMPLE)
