@@ -134,7 +134,7 @@ def _clock_trouble(profiles: MessageCount, poses: MessageCount, time_offset: flo
 def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxyType({})) -> State:
     """Return the state of a running node; graph_troubles: as in streams.py, '' unless known."""
     session, config, attempt = live.session_copy(), live.config, live.attempt
-    review, motion = live.solver.review, session.motion
+    review = live.solver.review
     graph_trouble = graph_troubles.get('session', '')
     profiles, poses = live.message_counts['profile'], live.message_counts['pose']
     rows = [_stop_row(stop, session, review.agreements.get(stop.number)) for stop in session.stops]
@@ -156,7 +156,7 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
         'poses': poses.state(config.pose_topic_and_keys[0], graph_troubles.get('pose', '')),
         'motion': {
             'standing': session.is_standing,
-            'text': motion.sentence if motion else 'too few poses have come to measure it'},
+            'text': f'it has stood still for {session.rest_time:.2f} s'},
         'session': {'path': live.path, 'mode': config.sampling.mode, 'working': live.working,
                     'trouble': '; '.join(filter(None, troubles)),
                     'warnings': [*session.warnings, *live.warnings]},

@@ -35,13 +35,14 @@ from handeye_ros.data import Array, EdgePoint, Indices
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.edge_rounding import fitted_bend
 from handeye_ros.profiles.segment import (
-    columns_with_return,
+    has_return,
     legendre_2,
     line_through,
     Segment,
     STEEPEST_SURFACE,
 )
 import numpy as np
+from numpy.typing import NDArray
 
 BOW_SIGMAS = 3.0  # least bow of a face that counts
 BOW_REACH = 2.5  # the bow goes on up to so many spreads of its points; the ends are at 1.7
@@ -59,37 +60,31 @@ class FaceEnd:
     segment: the straight piece
     segments: all of the profile, in the order of its columns
     points: (n, 2) of the profile
-    returns: (k,) columns with a return
+    is_return: (n,) which columns have one
     near_sign: times a range, it is larger for nearer points
     """
 
     segment: Segment
     segments: Sequence[Segment]
     points: Array
-    returns: Indices
+    is_return: NDArray[np.bool_]
     near_sign: int
 
     @property
     def has_lost_columns(self) -> bool:
         """Return whether columns of this profile lack a return; else its ends are unknown."""
-        return len(self.returns) < len(self.points)
+        return not self.is_return.all()
 
     @cached_property
     def beyond(self) -> list[Segment]:
         """Return the pieces that reach beyond the end, whether they overlap it or not."""
         return [other for other in self.segments if other.last > self.segment.last]
 
-    def lost_count(self, first: int, stop: int) -> int:
-        """Return the number of columns without a return, from the first to before the other."""
-        bounds = self.returns.searchsorted([first, stop])
-        return stop - first - int(bounds[1] - bounds[0])
-
     @cached_property
     def pitch(self) -> float:
         """Return the mean distance (m) between neighbouring columns along the face."""
         first, last = self.segment.first, self.segment.last
-        along = abs(self.points.item(last, 0) - self.points.item(first, 0)) / (last - first)
-        return along * math.hypot(1.0, self.segment.slope)
+        return math.dist(self.points[first], self.points[last]) / (last - first)
 
     @cached_property
     def frame(self) -> Array:
@@ -140,11 +135,11 @@ class FaceEnd:
 def ends_of_segments(segments: Sequence[Segment], points: Array, config: Config
                      ) -> Iterator[tuple[FaceEnd, FaceEnd]]:
     """Yield the first and the last end of segments of a profile (n, 2), the longest first."""
-    n, returns, near_sign = len(points), columns_with_return(points), -config.profile.range_sign
-    mirrored = [segment.reversed(n) for segment in reversed(segments)]
+    is_return, near_sign = has_return(points), -config.profile.range_sign
+    mirrored = [segment.reversed(len(points)) for segment in reversed(segments)]
     for k in sorted(range(len(segments)), key=lambda k: -len(segments[k].columns)):
-        yield (FaceEnd(mirrored[-1 - k], mirrored, points[::-1], n - 1 - returns[::-1], near_sign),
-               FaceEnd(segments[k], segments, points, returns, near_sign))
+        yield (FaceEnd(mirrored[-1 - k], mirrored, points[::-1], is_return[::-1], near_sign),
+               FaceEnd(segments[k], segments, points, is_return, near_sign))
 
 
 class NoEdgeError(FeatureError):
@@ -209,10 +204,10 @@ def _tail(end: FaceEnd) -> Indices:
     The surface may turn away from the sensor, up to the slope from which light returns. One wrong
     point does not end it.
     """
-    last, skipped = end.segment.last, False
-    begin, stop = end.returns.searchsorted([last + 1, last + FURTHER_COLUMNS + 1])
-    tail = [last]
-    for column in end.returns[begin:stop].tolist():
+    beyond, skipped = end.segment.last + 1, False
+    tail = [end.segment.last]
+    returns = end.is_return[beyond:beyond + FURTHER_COLUMNS].nonzero()[0]
+    for column in (beyond + returns).tolist():
         if _goes_on(end, tail[-1], column):
             tail.append(column)
         elif skipped:
@@ -301,14 +296,15 @@ def _ending(end: FaceEnd, next_surface: Segment | None, tail: Indices) -> str:
     if next_surface is None:
         if not end.has_lost_columns:
             return 'open'
-        if end.lost_count(end.segment.last + 1, len(end.points)) >= GAP_COLUMNS:
+        if np.count_nonzero(~end.is_return[end.segment.last + 1:]) >= GAP_COLUMNS:
             return 'gap'
         raise NoEdgeError('at the border of the field of view')
     start, least = next_surface.first, smallest_step(end, next_surface)
     rise = end.rise_of(start)
     if rise < -least:
         last = int(tail[-1]) if len(tail) else end.segment.last
-        return 'shadow' if end.lost_count(last, start) >= GAP_COLUMNS else 'step'
+        lost_count = np.count_nonzero(~end.is_return[last:start])
+        return 'shadow' if lost_count >= GAP_COLUMNS else 'step'
     if rise <= least:
         raise NoEdgeError('where its surface goes on at nearly the same height')
     if abs(end.points[start, 0] - end.points[end.segment.last, 0]) > SHADOW_SLOPE * rise:
@@ -397,7 +393,7 @@ def _edge_before_drop(end: FaceEnd, tail: Indices, ending: str,
 
 
 MAX_RAMP = 16  # points between two levels: a wider transition is a surface
-MIXED_POINTS = 2  # most points between two levels that are only mixed at the edge
+MIXED_POINTS = 2  # between two levels: of more the middle of the ramp tells the edge
 RAMP_STD = 0.2  # 1 sigma of the edge within a wide transition, over the way to its middle
 
 
@@ -406,27 +402,27 @@ def _distance_to_edge(end: FaceEnd, last: int, spacing: float, ground: Segment |
     """
     Return how far the edge lies beyond the last column of a plate, and 1 sigma (m).
 
-    A column whose spot straddles the edge returns a range between the levels: the edge is equally
-    likely anywhere between the plate and the next point that is not mixed. A sensor that smooths,
-    or has a wide spot, makes a ramp of more than MIXED_POINTS, and the edge is half way down.
+    A column whose spot straddles the edge returns a range between the levels, and a sensor that
+    smooths, or has a wide spot, makes a ramp of several: the edge is half way down. With few
+    between, it may as well be anywhere between the plate and the ground.
     spacing: of the points (m); ground: the surface seen below, or None.
     """
-    mixed, uniform_std = 0, end.pitch / 12 ** 0.5
-    if ground and 0 < ground.first - last - 1 <= MAX_RAMP:
-        points = end.points[last:ground.first + 1]
-        columns = columns_with_return(points)
-        x, z = points.take(columns, axis=0).T
-        depth, ground_depth = (np.abs(level - end.segment.height(x)) for level in (
-            z, ground.height(x)))
-        # of the way down, the whole of a ground that is no deeper
-        way = ground_depth - depth[0]
-        share = np.divide(depth - depth[0], way, out=np.ones_like(way), where=way > 0)
-        between = int((share[1:-1] < 0.8).sum())
-        if between > MIXED_POINTS:
-            after = max(int(np.argmax(share > 0.5)), 1)
-            fraction = (0.5 - share[after - 1]) / max(float(share[after] - share[after - 1]), 0.1)
-            half_way = end.pitch * float(
-                columns[after - 1] + fraction * (columns[after] - columns[after - 1]))
-            return half_way, math.hypot((1 + MIXED_POINTS) * uniform_std, RAMP_STD * half_way)
-        mixed = between if len(columns) == len(points) else 0
-    return spacing * (1 + mixed) / 2, (1 + mixed) * uniform_std
+    uniform_std = end.pitch / 12 ** 0.5
+    if not ground or not 0 < ground.first - last - 1 <= MAX_RAMP:
+        return spacing / 2, uniform_std
+    points = end.points[last:ground.first + 1]
+    columns = np.flatnonzero(has_return(points))
+    x, z = points.take(columns, axis=0).T
+    depth, ground_depth = (np.abs(level - end.segment.height(x)) for level in (
+        z, ground.height(x)))
+    # of the way down, the whole of a ground that is no deeper
+    way = ground_depth - depth[0]
+    share = np.divide(depth - depth[0], way, out=np.ones_like(way), where=way > 0)
+    after = max(int(np.argmax(share > 0.5)), 1)
+    step = int(columns[after] - columns[after - 1])
+    if step > 2:  # a shadow begins at the edge
+        return spacing / 2, uniform_std
+    fraction = (0.5 - share[after - 1]) / max(float(share[after] - share[after - 1]), 0.1)
+    half_way = end.pitch * float(columns[after - 1] + fraction * step)
+    mixed = min(int((share[1:-1] < 0.8).sum()), MIXED_POINTS)
+    return half_way, math.hypot((1 + mixed) * uniform_std, RAMP_STD * half_way)

@@ -74,7 +74,7 @@ def line_of_bins(centre: Array, slope: float, spread: float, bins: Array, white_
 
 
 def bin_means(values: Array, bins: int) -> tuple[Array, Indices]:
-    """Return the means (k, ...) of equal bins of values (n, ...), and the bin sizes (k,)."""
+    """Return the means (k, ...) of k equal bins of values (n, ...), and the sizes of the bins."""
     first = np.arange(bins) * len(values) // bins
     count = np.append(first[1:], len(values)) - first
     total = np.add.reduceat(values, first)

@@ -17,6 +17,7 @@ from handeye_ros.data import Array, Indices
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.ransac import dominant_line_inliers, MIN_LINE_WIDTH
 import numpy as np
+from numpy.typing import NDArray
 
 MAX_LINES = 5
 # largest step from one point of a line to its next, counted in points: a longer one splits it; and
@@ -92,23 +93,24 @@ def noise_level(z: Array, configured: float) -> float:
     return min(max(level, configured / 3), MAX_NOISE * configured)
 
 
-def columns_with_return(points: Array) -> Indices:
-    """Return the columns of points (n, 2) that are finite."""
-    finite = np.isfinite(points)
-    return (finite[:, 0] & finite[:, 1]).nonzero()[0]
+def has_return(points: Array) -> NDArray[np.bool_]:
+    """Return which of points (n, 2) are finite."""
+    return np.asarray(np.isfinite(points).all(axis=1))
 
 
-def without_clutter(columns: Indices, points: Array, noise: float) -> Indices:
+def surface_columns(points: Array, noise: float) -> Indices:
     """
-    Return the columns (k,) whose points are on a surface; all columns if few points are clutter.
+    Return the columns (k,) of points (n, 2) that are on a surface: with a return, no clutter.
 
     A sensor may return random ranges where nothing reflects. A point of a surface has neighbours
-    at a similar range. noise: configured, 1 sigma (m).
+    at a similar range. If few points are clutter, none is left out.
+
+    noise: configured, 1 sigma (m).
     """
-    z, slack = points[:, 1].take(columns), MAX_NOISE * noise
+    columns = np.flatnonzero(has_return(points))
+    (x, z), slack = points.take(columns, axis=0).T, MAX_NOISE * noise
     if np.count_nonzero(np.abs(z[1:] - z[:-1]) > slack) <= CLUTTER_JUMPS * len(columns):
         return columns
-    x = points[:, 0].take(columns)
     neighbours = np.zeros(len(columns), dtype=np.intp)
     for k in range(1, NEIGHBOURS_EACH_SIDE + 1):
         near = np.abs(z[k:] - z[:-k]) < slack + STEEPEST_SURFACE * np.abs(x[k:] - x[:-k])
@@ -124,7 +126,7 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
     points: (n, 2); noise: configured range noise (1 sigma); min_points: fewest of a piece. Raises
     FeatureError without any.
     """
-    columns = without_clutter(columns_with_return(points), points, noise)
+    columns = surface_columns(points, noise)
     x, z = points.take(columns, axis=0).T.copy()
     tolerance = INLIER_SIGMAS * max(noise_level(z, noise), noise)
     segments, unassigned = list[Segment](), np.arange(len(columns))

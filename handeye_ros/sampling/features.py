@@ -106,14 +106,11 @@ def _no_profiles_error(unusable: Iterable[AnyProfile], stop: Stop, config: Confi
     seconds, settle = (stop.end - stop.start) / NS, config.sampling.settle_time
     if seconds <= 2 * settle and not config.sampling.moving:
         return FeatureError(f'sampling.settle_time leaves out {settle:g} s at either end of the '
-                            f'{seconds:.1f} s during which the robot stood still here: stay '
-                            'longer at each stop, or lower it')
-    span = 'of this pass' if config.sampling.moving else 'during which the robot stood still here'
-    other_offset = (', or time_offset was another when this was recorded: take the sample again'
-                    if config.time_offset else '')
-    return FeatureError(f'no profile has a stamp of the {seconds:.1f} s {span}: the sensor sent '
-                        'none, they were dropped or could not be read, or its clock is not that '
-                        f'of the robot{other_offset}')
+                            f'{seconds:.1f} s of this stop: stay longer at each, or lower it')
+    span = 'pass' if config.sampling.moving else 'stop'
+    return FeatureError(f'no profile has a stamp of the {seconds:.1f} s of this {span}: the '
+                        'sensor sent none, they were dropped or could not be read, or its clock, '
+                        'with time_offset, is not that of the robot')
 
 
 def features_of(profile: Profile, config: Config) -> tuple[Feature, ...]:

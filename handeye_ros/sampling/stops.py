@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 import math
-from typing import NamedTuple
 
 from handeye_ros import se3
 from handeye_ros.config import Config, SamplingConfig
@@ -29,10 +28,8 @@ from handeye_ros.data import (
     TimedPose,
 )
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.sampling.stream import by_stamp, Copyable, LAST_STAMP, poses_around
-import numpy as np
+from handeye_ros.sampling.stream import by_stamp, Copyable, LAST_STAMP
 
-MOTION_TIME = 3 * NS // 10  # time over which the speed is averaged
 MAX_STOP_TIME = 10 * NS  # of a stop; sampling.still_time and settle_time must fit into it
 PASS_TIME = 2 * NS  # of motion
 SHORT_REST = NS // 10  # a rest that was probably meant as a stop
@@ -40,10 +37,8 @@ MAX_POSES = 20_000  # of one stop: stamps need not go on as time does
 
 # Profiles of a sample, evenly spread. A robot at rest sees the same speckle, and 32 profiles
 # reduce the noise of single ones far below that of the poses. A stop keeps more: for other
-# settings, and for the test of the clocks (50 ms apart, see checks/clocks.py) in 3.75 s.
-PROFILES_OF_SAMPLE = 32
-KEPT_PER_SECOND, MAX_KEPT = 40, 150
-MIN_SETTLED, MIN_SETTLING = 64, 8  # kept of short times without and with vibration
+# settings, and for the test of the clocks (50 ms apart, see checks/clocks.py) in 7.5 s.
+PROFILES_OF_SAMPLE, MAX_KEPT = 32, 150
 
 NOT_EVALUATED = Reject(0, 'not evaluated yet')
 
@@ -102,22 +97,21 @@ class Stop:
         """Return the last pose (4, 4), which a stored stop of a node has too."""
         return se3.of_pose(self.poses[-1])
 
-    def with_profiles(self, candidates: Sequence[AnyProfile], config: Config) -> Stop:
-        """Return the stop with the profiles surely taken during it, among candidates in order."""
+    def with_profiles(self, candidates: Sequence[AnyProfile]) -> Stop:
+        """
+        Return the stop with profiles that were surely taken during it, MAX_KEPT at most.
+
+        candidates: in the order of their stamps.
+        """
         begin = bisect_left(candidates, self.start, key=by_stamp)
         end = bisect_right(candidates, self.end, key=by_stamp)
         taken = [profile for profile in candidates[begin:end]
                  if self.start <= profile.stamp - profile.time_margins[0]
                  and profile.stamp + profile.time_margins[1] <= self.end]
-        first_settled, last_settled = self._settled_span(config)
-        begin = bisect_left(taken, first_settled, key=by_stamp)
-        end = max(begin, bisect_right(taken, last_settled, key=by_stamp))
-        return replace(self, profiles=(*_thinned(taken[:begin], MIN_SETTLING),
-                                       *_thinned(taken[begin:end], MIN_SETTLED),
-                                       *_thinned(taken[end:], MIN_SETTLING)))
+        return replace(self, profiles=tuple(evenly_spaced(taken, MAX_KEPT)))
 
     def settled_profiles(self, config: Config) -> list[AnyProfile]:
-        """Return PROFILES_OF_SAMPLE of the time without vibration at most, not yet decoded."""
+        """Return at most PROFILES_OF_SAMPLE profiles of the time without vibration."""
         first, last = self._settled_span(config)
         settled = [profile for profile in self.profiles if first <= profile.stamp <= last]
         return evenly_spaced(settled, PROFILES_OF_SAMPLE)
@@ -127,9 +121,7 @@ class Stop:
         stop = replace(self, result=NOT_EVALUATED)
         if self.load_messages or config.sampling.moving:
             return stop
-        profiles = self.settled_profiles(config)
-        poses = poses_around(self.poses, [profile.stamp for profile in profiles])
-        return replace(stop, poses=tuple(poses), profiles=tuple(profiles))
+        return replace(stop, profiles=tuple(self.settled_profiles(config)))
 
     def _settled_span(self, config: Config) -> tuple[int, int]:
         """Return the first and last stamp of the time without vibration."""
@@ -140,13 +132,6 @@ class Stop:
 NO_STOP = Stop(0)
 
 
-def _thinned(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
-    """Return a part of the profiles of a stop, evenly spread."""
-    seconds = (profiles[-1].stamp - profiles[0].stamp) / NS if profiles else 0.0
-    most = min(MAX_KEPT, max(least, 1 + round(KEPT_PER_SECOND * seconds)))
-    return evenly_spaced(profiles, most)
-
-
 def decoded(profiles: Iterable[AnyProfile], config: Config) -> list[Profile]:
     """Return the profiles that can be used with a configuration, decoded."""
     usable = []
@@ -154,17 +139,6 @@ def decoded(profiles: Iterable[AnyProfile], config: Config) -> list[Profile]:
         with suppress(UnusableMessageError):
             usable.append(profile.read(config.profile))
     return usable
-
-
-class Motion(NamedTuple):
-    """
-    How the robot moves, in words.
-
-    rest_time: how long it has stood near where it is (s); in a pass, too, it may stand
-    """
-
-    rest_time: float
-    sentence: str
 
 
 class StopFinder(Copyable):
@@ -180,7 +154,7 @@ class StopFinder(Copyable):
         """Start with no poses."""
         self.sampling = sampling
         self._poses: deque[TimedPose] = deque()  # of the current stop
-        self._recent: deque[TimedPose] = deque(maxlen=MAX_POSES)  # of the last MOTION_TIME
+        self._last: TimedPose | None = None
         self._rest: TimedPose | None = None  # first pose near which the robot still is
         self.stamp = -1
         self.longest_rest_ns = self.short_rest_count = 0
@@ -188,14 +162,12 @@ class StopFinder(Copyable):
     def add(self, pose: TimedPose) -> Stop | None:
         """Add the next pose; return the stop that it ends, or None."""
         sampling = self.sampling
-        no_gap = bool(self._recent) and (
-            pose.stamp - self._recent[-1].stamp <= sampling.max_pose_gap * NS)
+        no_gap = self._last is not None and (
+            pose.stamp - self._last.stamp <= sampling.max_pose_gap * NS)
         if not (no_gap and self._rest and self._is_near(self._rest, pose)):
             self._rest = pose
         self.longest_rest_ns = max(self.longest_rest_ns, pose.stamp - self._rest.stamp)
-        self._recent.append(pose)
-        while pose.stamp - self._recent[0].stamp > MOTION_TIME:
-            self._recent.popleft()
+        self._last = pose
         # a rest is one pass, too: a robot at rest shows nothing new
         if no_gap and (sampling.moving and pose.stamp - self._poses[0].stamp <= PASS_TIME
                        or self._is_near(self._poses[0], pose)):
@@ -223,16 +195,10 @@ class StopFinder(Copyable):
         is_stop = bool(poses) and poses[-1].stamp - poses[0].stamp >= least
         return Stop(self.stamp, tuple(poses)) if is_stop else None
 
-    def motion(self) -> Motion | None:
-        """Return the current motion of the robot, None with fewer than two poses."""
-        if len(self._recent) < 2 or not self._rest:
-            return None
-        first, last = self._recent[0], self._recent[-1]
-        still, seconds = (last.stamp - self._rest.stamp) / NS, (last.stamp - first.stamp) / NS
-        speed = np.linalg.norm(last.translation - first.translation) / seconds
-        turning = np.degrees(_angle_between(first, last)) / seconds
-        return Motion(still, f'it has stood still for {still:.2f} s' if still > MOTION_TIME / NS
-                      else f'it moves by {speed * 1e3:.1f} mm/s and {turning:.1f} degrees/s')
+    @property
+    def rest_time(self) -> float:
+        """Return how long the robot has stood near where it is (s), also within a pass."""
+        return (self._last.stamp - self._rest.stamp) / NS if self._last and self._rest else 0.0
 
     def window(self) -> tuple[int, int]:
         """Return the first and last stamp of profiles that the current stop can use."""
