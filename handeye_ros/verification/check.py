@@ -42,7 +42,6 @@ from handeye_ros.estimation.blocks import LINE_BEND, line_bend, sensor_distortio
 from handeye_ros.estimation.noise import NoiseScales, Whitening, whitening
 from handeye_ros.estimation.problem import (
     Estimate,
-    has_unused_edges,
     Linearisation,
     linearise,
     Problem,
@@ -71,7 +70,6 @@ MIN_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
 MOVE_SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
 MOVE_TURN_LENGTH = 0.1  # m: a scale over it is that of a turn
 MAX_ITERATIONS = 6
-MAX_LOST_SHARE = 0.2  # of the stations: with edges far from those of the target
 NAMED_FROM = 0.95  # probability with which one cause, or some together, are named
 MAX_OF_SWEEP = 30  # samples of a sweep: neighbours share the errors of the robot
 UNSEEN_SHIFT = 0.01  # m: a shift that would show only from here on is called unseen
@@ -295,23 +293,14 @@ def _observed(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence
     problem = Problem(target, frames.mount_poses_of(samples, config), observations, config,
                       long_errors=True)
     require_stations([len(np.unique(observations.station))], rejects)
-    p = problem.points_in_base(estimate.X)
-
-    def labelled(groups: Indices) -> Problem:
-        """Return the problem with the points of each group assigned to the edges near them."""
-        kind = observations.kind.copy()
-        for group in np.unique(groups):
-            rows = groups == group
-            kind[rows] = target.reassign(
-                observations.select(rows), p[rows], estimate.state, config).kind
-        return replace(problem, observations=replace(
-            observations, kind=kind).select(kind != UNUSED))
-    together = labelled(np.zeros_like(observations.station))
+    p, kind = problem.points_in_base(estimate.X), observations.kind.copy()
     # alone, the edge of a station is near whatever its distance: the target may have slid along
     # its face
-    alone = labelled(observations.station)
-    lost = has_unused_edges(alone, together)
-    return alone if lost.mean() > MAX_LOST_SHARE else together
+    for station in np.unique(observations.station):
+        rows = observations.station == station
+        kind[rows] = target.reassign(
+            observations.select(rows), p[rows], estimate.state, config).kind
+    return replace(problem, observations=replace(observations, kind=kind).select(kind != UNUSED))
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,10 +344,11 @@ def _predicted(problem: Problem, cell: CalibratedCell) -> _Prediction:
     """Return what a recording shows at the calibrated estimate."""
     found_sizes = replace(problem, config=replace(cell.config, noise=cell.noise))
     at_found_sizes = linearise(found_sizes, cell.estimate)
-    blocks = [block for source in (cell.target.blocks, sensor_distortion, line_bend)
-              for block in source(at_found_sizes)]
     # the range of a face in grazing light may be off by as much as a calibration allows
-    factors = [block.largest_variance ** 0.5 if block.name == GRAZING else 1.0 for block in blocks]
+    of_blocks = [
+        block.columns * (block.largest_variance ** 0.5 if block.name == GRAZING else 1.0)
+        for source in (cell.target.blocks, sensor_distortion, line_bend)
+        for block in source(at_found_sizes)]
 
     linear = linearise(problem, cell.estimate)
     whiten = whitening(linear, NoiseScales(cell.variance_factors))
@@ -367,8 +357,7 @@ def _predicted(problem: Problem, cell: CalibratedCell) -> _Prediction:
     differences = (basis - basis.mean(axis=0))[problem.observations.station]
     errors = np.column_stack([
         linear.jacobian @ cell.root,
-        wrt_smooth(linear.wrt_pose, differences * cell.noise.robot_smooth),
-        *(block.columns * factor for block, factor in zip(blocks, factors, strict=True))])
+        wrt_smooth(linear.wrt_pose, differences * cell.noise.robot_smooth), *of_blocks])
     return _Prediction(linear, whiten, whiten(linear.residuals), whiten(errors))
 
 

@@ -90,11 +90,8 @@ def _without_outliers(distances: Array, wrt_range: Array, face: Indices, min_sca
         members = np.flatnonzero(group == k)
         deviation = distances[members] - np.median(distances[members])
         scatter = max(robust_std(deviation), min_scatter)
-        inliers = np.abs(deviation) <= OUTLIER_SIGMAS * scatter
-        count = int(inliers.sum())
-        # about a mean and a slope of their own
-        scatter = deviation[inliers].std() * np.sqrt(count / max(count - 2, 1))
-        good[members[inliers]], noise[members] = True, scatter / np.median(wrt_range[members])
+        good[members] = np.abs(deviation) <= OUTLIER_SIGMAS * scatter
+        noise[members] = scatter / np.median(wrt_range[members])
     return good, noise
 
 
