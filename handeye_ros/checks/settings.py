@@ -30,7 +30,6 @@ from handeye_ros.sampling.stops import Stop
 
 MAX_STOPS, MAX_PROFILES = 40, 4  # read again: stops, profiles of each
 RANGE_SIGN, TARGET_TYPE = 'profile.range_sign', 'target.type'
-Values = tuple[tuple[str, str], ...]  # of settings, by their keys
 
 
 def setting_hypotheses(session: Session, config: Config, baseline: Explanation
@@ -49,7 +48,7 @@ def setting_hypotheses(session: Session, config: Config, baseline: Explanation
                 if isinstance(result, Sample)]
 
     for values in _likely_changes(config):
-        changed = with_settings(config, dict(values))
+        changed = with_settings(config, values)
         if 2 * len(samples_as(changed, profiles=1)) < len(stops):
             continue  # most show nothing: read no more of them
         tried = explain_samples(samples_as(changed, MAX_PROFILES), changed, stamps)
@@ -59,7 +58,7 @@ def setting_hypotheses(session: Session, config: Config, baseline: Explanation
         if tried.believable and tried.within_noise and all(
                 solution.posterior.is_determined and not len(solution.indispensable_stations)
                 for solution in tried.solutions):
-            yield Hypothesis(tried, settings_refusal(dict(values), baseline, tried), len(values))
+            yield Hypothesis(tried, settings_refusal(values, baseline, tried), len(values))
 
 
 def settings_refusal(values: Mapping[str, str], baseline: Explanation, changed: Explanation
@@ -103,21 +102,21 @@ def sign_hypothesis(samples: Sequence[Sample], config: Config, baseline: Explana
     return Hypothesis(explanation, refusal)
 
 
-def _likely_changes(config: Config) -> list[Values]:
-    """Return the likely corrections of settings, the most likely first."""
+def _likely_changes(config: Config) -> list[dict[str, str]]:
+    """Return the likely corrections as values of settings by key, the most likely first."""
     profile = config.profile
-    sign = (RANGE_SIGN, str(-profile.range_sign))
-    unit = ('profile.unit', {'m': 'mm', 'mm': 'm'}[profile.unit])
-    mounting = ('calibration_type', config.other_calibration_type)
-    types = [(TARGET_TYPE, name) for name in targets.TARGETS if name != config.target.type]
+    sign = {RANGE_SIGN: str(-profile.range_sign)}
+    unit = {'profile.unit': {'m': 'mm', 'mm': 'm'}[profile.unit]}
+    mounting = {'calibration_type': config.other_calibration_type}
+    types = [{TARGET_TYPE: name} for name in targets.TARGETS if name != config.target.type]
     if config.method != 'auto':  # it overrules the type
-        types = [('method', 'auto')]
-    axes = [('profile.axes', f'[{a}, {b}]') for a, b in permutations('xyz', 2)
+        types = [{'method': 'auto'}]
+    axes = [{'profile.axes': f'[{a}, {b}]'} for a, b in permutations('xyz', 2)
             if (a, b) != tuple(profile.axes)]
-    radius = [('target.radius', '0')] if config.target.radius else []
-    noise = ('noise.sensor', f'{min(10 * config.noise.sensor, 0.01):g}')
-    singles = [*radius, sign, unit, noise, *types, *axes, mounting]
-    return [*((change,) for change in singles), *((change, sign) for change in (*types, *axes))]
+    radius = [{'target.radius': '0'}] if config.target.radius else []
+    noise = {'noise.sensor': f'{min(10 * config.noise.sensor, 0.01):g}'}
+    return [*radius, sign, unit, noise, *types, *axes, mounting,
+            *(change | sign for change in (*types, *axes))]
 
 
 def with_settings(config: Config, values: Mapping[str, str]) -> Config:

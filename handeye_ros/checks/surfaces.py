@@ -63,7 +63,10 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
         return
     stops = np.array([stop for stop in stops_to_explain(session) if stop.sample])
     at_edge, shown, agreeing = _heights_over_plane(stops, config)
-    for level, is_at_level in _levels(at_edge):
+    near = _is_near(at_edge[:, None], at_edge)
+    of_levels = np.unique(near[near.any(axis=1)], axis=0)  # which stops are at each
+    for is_at_level in sorted(of_levels, key=np.sum, reverse=True):
+        level = float(np.median(at_edge[is_at_level]))
         shows_level = np.array([bool(np.any(_is_near(heights, level))) for heights in shown])
         if (shows_level & ~is_at_level).sum() < MIN_STOPS:
             continue  # only those that show both tell that there are two
@@ -112,16 +115,6 @@ def _face_heights(result: Sample | Reject, T_target_plane: Array) -> Array:
         by_x * face.centre[0] + by_z * face.centre[1] + offset
         if abs(by_x * face.direction[0] + by_z * face.direction[1]) < MAX_INCLINATION
         else np.nan for face in getattr(result, 'features', ()) if isinstance(face, FaceLine)])
-
-
-def _levels(heights: Array) -> list[tuple[float, NDArray[np.bool_]]]:
-    """Return levels (m) that differ, and which of the heights (n,) are at each; most first."""
-    near = _is_near(heights[:, None], heights)
-    levels: list[tuple[float, NDArray[np.bool_]]] = []
-    for k in np.argsort(-near.sum(axis=1), kind='stable'):
-        if near[k].any() and not any(is_at_level[k] for _, is_at_level in levels):
-            levels.append((heights[k], near[k]))
-    return levels
 
 
 def _is_near(heights: Array, level: Array | float) -> NDArray[np.bool_]:

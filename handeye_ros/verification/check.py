@@ -86,10 +86,10 @@ class Move:
     """
     What a check says of the target, or of the sensor.
 
-    moved (m), turned (rad): its most likely move if it is the cause
-    shows: the smallest detectable shifts along the axes (m); nan: not detectable
-    axes: rows; of the target in the base, of the sensor in the flange, with eye_on_base the other
-        way round
+    moved, turned: its most likely move if it is the cause (m, rad)
+    shows: the smallest shift along each axis that would show (m), nan where none would
+    axes: their directions as rows, of the target in the base, of the sensor in the flange; with
+        eye_on_base it is the other way round
     """
 
     moved: float
@@ -113,7 +113,7 @@ class Check:
     rms: of the residuals (m)
     left_out: numbers of the stops, of a sweep of the passes, with what contradicts the others
     time_offset_changed: of a sweep, and its 1 sigma (s)
-    stamps: of all samples, in no file
+    stamps: of all samples (ns); they are written to no file
     """
 
     stamp: int
@@ -308,10 +308,10 @@ class _Prediction:
     """
     What a recording shows where a calibration is right and nothing has changed.
 
-    linear: at the calibrated estimate
-    whiten: what makes the noise white
-    residuals (m,): white
-    errors (m, k): white derivatives of the residuals by the errors e, in their sigmas
+    linear: residuals and derivatives at the calibrated estimate
+    whiten: multiplies by the inverse root of the covariance of the noise
+    residuals: (m,) whitened residuals
+    errors: (m, k) whitened derivatives of the residuals by the errors e, in their sigmas
     """
 
     linear: Linearisation
