@@ -214,7 +214,7 @@ class _Move:
 
         Of the sensor in the axes of the mount, of the target in those of the base; see _levers.
         """
-        return self.moved.nuisance[:6] * MOVE_STD  # its blocks are the first
+        return np.asarray(self.moved.nuisance[:6] * MOVE_STD)  # its blocks are the first
 
     @property
     def may_be_robot_error(self) -> bool:

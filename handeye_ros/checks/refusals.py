@@ -138,9 +138,9 @@ def misfit_refusal(solution: Solution) -> UnexplainedError | None:
             f'samples and poses contradict each other by {mm(rms)} RMS (limits.residual is '
             f'{mm(limits.residual)}), and no known convention error explains it: check the poses '
             '(frames, convention, units), whether the clocks of sensor and robot agree, whether '
-            'every sample shows the target itself and no clamp or second plate, target.type, '
-            f'{"target.radius, " if solution.full_problem.config.target.radius else ""}'
-            'profile.unit, profile.axes, profile.range_sign and profile.invalid', reason='misfit')
+            'every sample shows the target itself and no clamp or second plate, target.type and '
+            'its measures, profile.unit, profile.axes, profile.range_sign and profile.invalid',
+            reason='misfit')
     total = len(solution.full_problem.poses)
     if len(dropped) > MAX_DROPPED_SHARE * total:
         return UnexplainedError(

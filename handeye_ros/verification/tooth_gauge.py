@@ -22,7 +22,7 @@ TOP, VALLEY, RISING, FALLING = 0, 1, 2, 3
 # Of the unknowns: how much pitch and height are larger than nominal, the outward offset of the
 # flanks (m), and their slope (horizontal distance per height).
 TEETH = slice(5, 9)
-CORNER_SHARE = 0.12  # of the height: nearer to two faces, and so to a corner, none is used
+CORNER_SHARE = 0.12  # of the height: a point this near to a second face is at a corner, unused
 OFF_ALL_FACES = 0.15  # of the height: a point further from all faces is on none
 BIN_WIDTH = 0.05  # of the pitch
 OUTLIER_SIGMAS = 4.0  # sigmas of the points of a face
