@@ -22,7 +22,7 @@ TOP, VALLEY, RISING, FALLING = 0, 1, 2, 3
 # Of the unknowns: how much pitch and height are larger than nominal, the outward offset of the
 # flanks (m), and their slope (horizontal distance per height).
 TEETH = slice(5, 9)
-CORNER_SHARE = 0.12  # of the height: a point this near to a second face is at a corner, unused
+CORNER_SHARE = 0.12  # of the height: nearer to a corner no point is used
 OFF_ALL_FACES = 0.15  # of the height: a point further from all faces is on none
 BIN_WIDTH = 0.05  # of the pitch
 OUTLIER_SIGMAS = 4.0  # sigmas of the points of a face
@@ -90,8 +90,11 @@ def _without_outliers(distances: Array, wrt_range: Array, face: Indices, min_sca
         members = np.flatnonzero(group == k)
         deviation = distances[members] - np.median(distances[members])
         scatter = max(robust_std(deviation), min_scatter)
-        good[members] = np.abs(deviation) <= OUTLIER_SIGMAS * scatter
-        noise[members] = scatter / np.median(wrt_range[members])
+        inliers = np.abs(deviation) <= OUTLIER_SIGMAS * scatter
+        count = int(inliers.sum())
+        # about a mean and a slope of their own
+        scatter = deviation[inliers].std() * np.sqrt(count / max(count - 2, 1))
+        good[members[inliers]], noise[members] = True, scatter / np.median(wrt_range[members])
     return good, noise
 
 
@@ -132,13 +135,16 @@ def _faces(local: Array, pitch: float, height: float, q: Array
     pitch_off, _, outwards, slope = q[TEETH]
     tooth = np.round(x / (pitch + pitch_off)).astype(np.intp)
     from_middle = x - (pitch + pitch_off) * tooth  # of its tooth
+    slope, margin = abs(slope), CORNER_SHARE * height
     out = np.abs(from_middle) - (pitch / 4 + outwards)  # past the middle of the flank
-    flank = (out + abs(slope) * (z - height / 2)) / np.hypot(1.0, slope)
-    distances = np.abs(np.stack([z - height, z, flank]))
-    nearest, second = np.sort(distances, axis=0)[:2]  # near two faces is near a corner
-    rows = np.flatnonzero((nearest < OFF_ALL_FACES * height) & (second > CORNER_SHARE * height))
-    face = np.choose(distances.argmin(axis=0),
-                     [TOP, VALLEY, np.where(from_middle < 0, RISING, FALLING)])
+    reach = slope * height / 2
+    on_top, in_valley = out < -reach - margin, out > reach + margin
+    on_flank = np.abs(z - height / 2) < height / 2 - margin
+    flank = np.where(from_middle < 0, RISING, FALLING)
+    face = np.where(on_top, TOP, np.where(in_valley, VALLEY, flank))
+    distance = np.where(on_top, z - height, np.where(in_valley, z, out + slope * (z - height / 2)))
+    rows = np.flatnonzero((np.abs(distance) < OFF_ALL_FACES * height) & (
+        on_top | in_valley | on_flank & (np.abs(out) < reach + margin)))
     return rows, face[rows].astype(np.intp), tooth[rows]
 
 
