@@ -44,6 +44,7 @@ from numpy.typing import NDArray
 
 SENSOR, TARGET = range(2)  # a body that moves: an index of derivatives, levers, Bayes factors
 POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
+CHANGE_POINTS_TRIED = 160  # of a small move, most of them, before it is examined
 FIRST_TRIED = 100  # change points to begin with, times the number of stations
 MOVE_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 SIZE_FACTORS = (1.0, 0.25)  # factors on MOVE_STD, of equal prior probability
@@ -262,14 +263,18 @@ def _likeliest_move(solution: Solution) -> _Move | None:
     problem, reported, n = solution.problem, solution.report_posterior, len(solution.used_stations)
     if n < problem.target.min_samples + 4:  # too few to tell a move from an outlier
         return None
-    change_points = _change_points(solution, n)
-    # of a few stations, estimated noise absorbs a move; configured may be too large
-    factors = np.maximum(*(_log_bayes_factors(posterior, change_points)[0] for posterior in (
-        reported, posterior_at(problem, solution.estimate, NoiseScales()))))
+    posteriors = [reported]
+    if not problem.has_pose_model:
+        # of a few stations, estimated noise absorbs a move; configured may be too large
+        posteriors.append(posterior_at(problem, solution.estimate, NoiseScales()))
+    change_points = _change_points(solution, CHANGE_POINTS_TRIED)
+    factors = np.max([_log_bayes_factors(each, change_points)[0] for each in posteriors], axis=0)
     if factors.max() < -WARNING_EVIDENCE:
         return None
-    tried = dict[tuple[int, int], Posterior]()
     first_tried = change_points[np.argsort(-factors, axis=0)[:max(FIRST_TRIED // n, 1)]]
+    # a moment a few profiles off leaves an error that only a much worse robot would explain
+    all_change_points = _change_points(solution, n)
+    tried = dict[tuple[int, int], Posterior]()
     for (_, body), first in np.ndenumerate(first_tried):
         station = int(first)
         while (body, station) not in tried:
@@ -277,15 +282,16 @@ def _likeliest_move(solution: Solution) -> _Move | None:
             tried[body, station] = moved
             # noise and scales estimated with the move do not absorb it: its time is clearer
             again = posterior_at(problem, solution.estimate, moved.noise)
-            station = int(change_points[np.argmax(
-                _log_bayes_factors(again, change_points)[0, :, body])])
+            factors = _log_bayes_factors(again, all_change_points)[0, :, body]
+            station = int(all_change_points[np.argmax(factors)])
     (body, station), moved = min(tried.items(), key=lambda item: item[1].deviance)
     return _Move(solution, body, station, moved, with_noise_reestimated(reported))
 
 
 def _margin(solution: Solution) -> int:
     """Return the fewest stations before and after a move."""
-    return max(2, len(solution.used_stations) // PARTS_EXCHANGED)
+    return (max(2, len(solution.used_stations) // PARTS_EXCHANGED)
+            if solution.problem.has_pose_model else 2)
 
 
 def _change_points(solution: Solution, count: int) -> NDArray[np.intp]:

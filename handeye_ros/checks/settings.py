@@ -30,6 +30,7 @@ from handeye_ros.sampling.stops import Stop
 
 MAX_STOPS, MAX_PROFILES = 40, 4  # read again: stops, profiles of each
 RANGE_SIGN, TARGET_TYPE = 'profile.range_sign', 'target.type'
+Values = tuple[tuple[str, str], ...]  # of settings, by their keys
 
 
 def setting_hypotheses(session: Session, config: Config, baseline: Explanation
@@ -47,8 +48,9 @@ def setting_hypotheses(session: Session, config: Config, baseline: Explanation
         return [replace(result, stamp=stamp) for result, stamp in zip(results, stamps, strict=True)
                 if isinstance(result, Sample)]
 
+    certain = dict[Values, Explanation]()  # those that leave no doubt
     for values in _likely_changes(config):
-        changed = with_settings(config, values)
+        changed = with_settings(config, dict(values))
         if 2 * len(samples_as(changed, profiles=1)) < len(stops):
             continue  # most show nothing: read no more of them
         tried = explain_samples(samples_as(changed, MAX_PROFILES), changed, stamps)
@@ -58,21 +60,29 @@ def setting_hypotheses(session: Session, config: Config, baseline: Explanation
         if tried.believable and tried.within_noise and all(
                 solution.posterior.is_determined and not len(solution.indispensable_stations)
                 for solution in tried.solutions):
-            yield Hypothesis(tried, settings_refusal(values, baseline, tried), len(values))
+            certain[values] = tried
+    for values, explanation in certain.items():
+        yield Hypothesis(explanation, settings_refusal(dict(values), baseline, explanation, [
+            other for other_values, other in certain.items()
+            if values[0][0] == TARGET_TYPE == other_values[0][0] and values[1:] == other_values[1:]
+            and len(other.left_out_squares) >= len(explanation.left_out_squares)
+            and other.redundancy > explanation.redundancy]), len(values))
 
 
-def settings_refusal(values: Mapping[str, str], baseline: Explanation, changed: Explanation
-                     ) -> DataError:
+def settings_refusal(values: Mapping[str, str], baseline: Explanation, changed: Explanation,
+                     other_types: Sequence[Explanation] = ()) -> DataError:
     """
     Return the refusal that names the values of settings with which the stops fit.
 
-    changed: the explanation with these values.
+    changed: with these values; other_types: with other types of target, which are named too.
     """
     named = ' and '.join(f'{key} {value}' for key, value in values.items())
     to = ' and '.join(f'{key} to {value}' for key, value in values.items())
     if 'target.radius' in values:
         to = (f'target.radius to {changed.solutions[0].estimate.state[-1]:.4f}, which these stops '
               'show, or to 0 (unknown)')
+    to += ''.join(f', or to {other.solutions[0].full_problem.config.target.type}, if it is one'
+                  for other in other_types)
     if values == {TARGET_TYPE: 'plane'}:
         to += '; or, if the target has edges, cross them inside the field of view'
     comparison = changed.comparison_in_words(baseline, named)
@@ -93,30 +103,30 @@ def sign_hypothesis(samples: Sequence[Sample], config: Config, baseline: Explana
                        for sample in samples if sample.flipped_features]
     stamps = [sample.stamp for sample in samples if sample.flipped_features is not None]
     explanation = explain_samples(flipped_samples, flipped, stamps, clocks=clocks)
-    refusal = settings_refusal(
-        {RANGE_SIGN: str(flipped.profile.range_sign)}, baseline, explanation)
-    if not explanation.within_noise:
-        refusal = UnexplainedError(
-            f'{refusal}; but neither fits as well as the noise allows, so check first that every '
-            'sample shows the target itself and no clamp or second plate', reason='misfit')
-    return Hypothesis(explanation, refusal)
+    values = {RANGE_SIGN: str(flipped.profile.range_sign)}
+    if explanation.within_noise:
+        return Hypothesis(explanation, settings_refusal(values, baseline, explanation))
+    words = explanation.comparison_in_words(baseline, f'{RANGE_SIGN} {values[RANGE_SIGN]}')
+    return Hypothesis(explanation, UnexplainedError(
+        f'{words}, neither as well as the noise allows: check {RANGE_SIGN}, and that every sample '
+        'shows the target itself and no clamp or second plate', reason='misfit'))
 
 
-def _likely_changes(config: Config) -> list[dict[str, str]]:
-    """Return the likely corrections as values of settings by key, the most likely first."""
+def _likely_changes(config: Config) -> list[Values]:
+    """Return the likely corrections of settings, the most likely first."""
     profile = config.profile
-    sign = {RANGE_SIGN: str(-profile.range_sign)}
-    unit = {'profile.unit': {'m': 'mm', 'mm': 'm'}[profile.unit]}
-    mounting = {'calibration_type': config.other_calibration_type}
-    types = [{TARGET_TYPE: name} for name in targets.TARGETS if name != config.target.type]
+    sign = (RANGE_SIGN, str(-profile.range_sign))
+    unit = ('profile.unit', {'m': 'mm', 'mm': 'm'}[profile.unit])
+    mounting = ('calibration_type', config.other_calibration_type)
+    types = [(TARGET_TYPE, name) for name in targets.TARGETS if name != config.target.type]
     if config.method != 'auto':  # it overrules the type
-        types = [{'method': 'auto'}]
-    axes = [{'profile.axes': f'[{a}, {b}]'} for a, b in permutations('xyz', 2)
+        types = [('method', 'auto')]
+    axes = [('profile.axes', f'[{a}, {b}]') for a, b in permutations('xyz', 2)
             if (a, b) != tuple(profile.axes)]
-    radius = [{'target.radius': '0'}] if config.target.radius else []
-    noise = {'noise.sensor': f'{min(10 * config.noise.sensor, 0.01):g}'}
-    return [*radius, sign, unit, noise, *types, *axes, mounting,
-            *(change | sign for change in (*types, *axes))]
+    radius = [('target.radius', '0')] if config.target.radius else []
+    noise = ('noise.sensor', f'{min(10 * config.noise.sensor, 0.01):g}')
+    singles = [*radius, sign, unit, noise, *types, *axes, mounting]
+    return [*((change,) for change in singles), *((change, sign) for change in (*types, *axes))]
 
 
 def with_settings(config: Config, values: Mapping[str, str]) -> Config:

@@ -50,9 +50,13 @@ def with_free_measure_if_needed(problem: Problem, solution: Solution, rng: np.ra
     stated, _ = target.stated_values(config)[measure]
     if abs(target.measures(free.estimate.state)[measure] - stated) > 0.5 * stated:
         return solution  # another target
-    with_free, as_stated = (Explanation.of_solutions(range(len(problem.poses)), each)
-                            for each in (free, solution))
-    return free if with_free.evidence_over(as_stated) > VERY_STRONG_EVIDENCE else solution
+    n = len(problem.poses)
+    with_free, as_stated = (Explanation.of_solutions(range(n), each) for each in (free, solution))
+    # if a free measure explains more stations, the refinement can decide about it
+    more = free.fully_used_count - solution.fully_used_count
+    explains_more = with_free.believable and more > 0.1 * n
+    better = explains_more or with_free.evidence_over(as_stated) > VERY_STRONG_EVIDENCE
+    return free if better else solution
 
 
 def with_free_lengths_if_needed(solution: Solution) -> Solution:

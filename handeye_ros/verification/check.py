@@ -42,6 +42,7 @@ from handeye_ros.estimation.blocks import LINE_BEND, line_bend, sensor_distortio
 from handeye_ros.estimation.noise import NoiseScales, Whitening, whitening
 from handeye_ros.estimation.problem import (
     Estimate,
+    has_unused_edges,
     Linearisation,
     linearise,
     Problem,
@@ -70,6 +71,7 @@ MIN_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
 MOVE_SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
 MOVE_TURN_LENGTH = 0.1  # m: a scale over it is that of a turn
 MAX_ITERATIONS = 6
+MAX_LOST_SHARE = 0.2  # of the stations: with edges far from those of the target
 NAMED_FROM = 0.95  # probability with which one cause, or some together, are named
 MAX_OF_SWEEP = 30  # samples of a sweep: neighbours share the errors of the robot
 UNSEEN_SHIFT = 0.01  # m: a shift that would show only from here on is called unseen
@@ -293,14 +295,23 @@ def _observed(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence
     problem = Problem(target, frames.mount_poses_of(samples, config), observations, config,
                       long_errors=True)
     require_stations([len(np.unique(observations.station))], rejects)
-    p, kind = problem.points_in_base(estimate.X), observations.kind.copy()
+    p = problem.points_in_base(estimate.X)
+
+    def labelled(groups: Indices) -> Problem:
+        """Return the problem with the points of each group assigned to the edges near them."""
+        kind = observations.kind.copy()
+        for group in np.unique(groups):
+            rows = groups == group
+            kind[rows] = target.reassign(
+                observations.select(rows), p[rows], estimate.state, config).kind
+        return replace(problem, observations=replace(
+            observations, kind=kind).select(kind != UNUSED))
+    together = labelled(np.zeros_like(observations.station))
     # alone, the edge of a station is near whatever its distance: the target may have slid along
     # its face
-    for station in np.unique(observations.station):
-        rows = observations.station == station
-        kind[rows] = target.reassign(
-            observations.select(rows), p[rows], estimate.state, config).kind
-    return replace(problem, observations=replace(observations, kind=kind).select(kind != UNUSED))
+    alone = labelled(observations.station)
+    lost = has_unused_edges(alone, together)
+    return alone if lost.mean() > MAX_LOST_SHARE else together
 
 
 @dataclass(frozen=True, eq=False)

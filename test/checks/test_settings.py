@@ -49,10 +49,10 @@ def test_wrong_settings_are_named(name: str, values: dict[str, object], words: s
 
 
 @pytest.mark.parametrize('seed', [23, pytest.param(24, marks=pytest.mark.thorough)])
-def test_one_edge_is_a_line_and_no_plate(seed: int) -> None:
+def test_one_edge_is_a_line_or_a_plane_and_no_plate(seed: int) -> None:
     """The other edge of a plate is seen by no stop, or by one stop by chance."""
     recording = recorded(FAULTS['line'], seed, rate=8.0)
-    with pytest.raises(DataError, match='set target.type to line$'):
+    with pytest.raises(DataError, match='set target.type to line, or to plane, if it is one$'):
         recording.calibrate(target__type='sphere', method='auto')
 
 
