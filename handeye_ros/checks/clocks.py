@@ -31,7 +31,7 @@ from handeye_ros.sampling.stops import decoded, Stop
 import numpy as np
 from numpy.typing import NDArray
 
-COMPARED_LAG = NS // 20  # ns between two profiles that are compared
+COMPARED_LAG = NS // 20  # ns: one profile in this time is compared with that before
 STILL_SHARE = 0.1  # smallest share of the comparisons with a robot at rest
 MAX_REST_RATIO, MIN_CHANGE = 4.0, 5e-5  # largest change at rest: ratio, and at least (m)
 MIN_OFFSET = 0.05  # s: a smaller time offset is not visible at stops
@@ -117,7 +117,9 @@ def _rests(session: Session, config: Config) -> list[_Rest]:
     stops = []
     for unread in sorted(stops_to_explain(session), key=lambda stop: stop.stamp):
         stop = unread.load(config)
-        if len(profiles := _compared_profiles(stop, config)) > 1:
+        compared = {profile.stamp // COMPARED_LAG: profile
+                    for profile in decoded(stop.profiles, config)}
+        if len(profiles := [*compared.values()]) > 1:
             stops.append((replace(stop, profiles=()), profiles, _changes(profiles)))
     if not stops:
         return []
@@ -126,15 +128,6 @@ def _rests(session: Session, config: Config) -> list[_Rest]:
         MIN_CHANGE, MAX_REST_RATIO * float(np.quantile(all_changes, STILL_SHARE)))
     return [_rest(stop, profiles, changes > largest_at_rest, config)
             for stop, profiles, changes in stops]
-
-
-def _compared_profiles(stop: Stop, config: Config) -> list[Profile]:
-    """Return the profiles of a stop that are compared, each with the one before."""
-    compared = list[Profile]()
-    for profile in decoded(stop.profiles, config):
-        if not compared or profile.stamp - compared[-1].stamp >= COMPARED_LAG:
-            compared.append(profile)
-    return compared
 
 
 def _changes(profiles: Sequence[Profile]) -> Array:
@@ -159,10 +152,9 @@ def _changes(profiles: Sequence[Profile]) -> Array:
 def _rest(stop: Stop, profiles: Sequence[Profile], changed: NDArray[np.bool_], config: Config
           ) -> _Rest:
     """Return the rest of a stop; changed: (n - 1,) whether a profile differs from that before."""
-    ends = np.flatnonzero(np.append(changed, True))
-    begins = np.append(0, ends[:-1] + 1)
-    longest = int(np.argmax(ends - begins))
-    first, last = int(begins[longest]), int(ends[longest])
+    unchanged = np.split(np.arange(len(profiles)), np.flatnonzero(changed) + 1)
+    longest = max(unchanged, key=len)
+    first, last = int(longest[0]), int(longest[-1])
     # the profiles at both ends may be of a robot that was moving for a part of the exposure
     change_before, change_after = first > 0, last < len(profiles) - 1
     at_rest, sample = profiles[first + change_before:last + 1 - change_after], None

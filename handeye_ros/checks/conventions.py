@@ -69,12 +69,6 @@ def orientations_scatter(poses: Array) -> bool:
     return float(np.linalg.norm(poses[:, :3, :3].mean(axis=0), 2)) < 0.6
 
 
-def _wxyz(T: Array) -> list[Array]:
-    """Undo quaternions x y z w read as w x y z."""
-    w, x, y, z = np.moveaxis(Rotation.from_matrix(T[:, :3, :3]).as_quat(), -1, 0)
-    return [se3.from_quaternion(T[:, :3, 3], np.column_stack([x, y, z, w]))]
-
-
 def _composed(read_as: str, meant: str, T: Array, factor: float = 1.0) -> list[Array]:
     """Undo angles about the axes `meant` that were composed as `read_as`; factor: on them."""
     angles = se3.euler_angles(Rotation.from_matrix(T[:, :3, :3]), read_as) * factor
@@ -103,7 +97,8 @@ CONVENTION_ERRORS: Sequence[tuple[str, Callable[[Array], list[Array]], str]] = (
     ('calibration_type {other} or inverse poses', lambda T: [se3.inverse(T)],
      'set calibration_type to {other} if the sensor is mounted so; otherwise publish the pose of '
      'the flange in the base (p_base = T p_flange), not its inverse'),
-    ('quaternions read as w x y z', _wxyz,
+    ('quaternions read as w x y z',
+     lambda T: [se3.from_quaternion(T[:, :3, 3], np.roll(se3.quaternion(T), -1, axis=1))],
      'fill x, y, z, w of the message by name, not in the order w x y z'),
     ('positions in millimetres', lambda T: [se3.transform(T[:, :3, :3], T[:, :3, 3] * 1e-3)],
      'publish positions in metres'),

@@ -136,12 +136,10 @@ class Explanation:
 
     def _in_words(self, stamps: Sequence[int]) -> str:
         if not self.solutions:
-            return 'no stop fits'
+            return 'no sample fits'
         rms = math.sqrt(np.mean([each.posterior.residual_rms ** 2 for each in self.solutions]))
-        moving = self.solutions[0].full_problem.config.sampling.moving
         explained = len(self.left_out_squares.keys() & stamps)
-        return (f'{explained} of {len(stamps)} {"profiles" if moving else "stops"} fit '
-                f'({mm(rms)} RMS)')
+        return f'{explained} of {len(stamps)} samples fit ({mm(rms)} RMS)'
 
 
 def _left_out_squares(solution: Solution) -> Array:
@@ -229,12 +227,9 @@ def refuse_by_best(baseline: Explanation, hypotheses: Iterable[Hypothesis], trie
     baseline: the explanation of all stops as configured. Each change of an assumption needs odds
     of 1 to FALSE_CAUSE_PROBABILITY, shared by all that are tried.
     """
-    largest_gain, refusal = 0.0, None
-    for hypothesis in hypotheses:
-        needed = hypothesis.changes * (DECISIVE_EVIDENCE + 2 * math.log(tried))
-        if hypothesis.explanation.believable:
-            gain = hypothesis.explanation.evidence_over(baseline) - needed
-            if gain > largest_gain:
-                largest_gain, refusal = gain, hypothesis.refusal
-    if refusal:
+    needed = DECISIVE_EVIDENCE + 2 * math.log(tried)
+    gains = [(each.explanation.evidence_over(baseline) - each.changes * needed, each.refusal)
+             for each in hypotheses if each.explanation.believable]
+    gain, refusal = max(gains, key=lambda pair: pair[0], default=(0.0, None))
+    if refusal and gain > 0:
         raise refusal

@@ -27,7 +27,7 @@ from handeye_ros.checks.hypotheses import (
 )
 from handeye_ros.data import Array, rms, SEED
 from handeye_ros.errors import DataError, degrees, mm
-from handeye_ros.estimation.blocks import blocks_with_columns, ParameterBlock
+from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.least_squares import chi2_isf
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, NoiseScales
 from handeye_ros.estimation.posterior import Posterior, posterior_at
@@ -47,8 +47,8 @@ POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
 CHANGE_POINTS_TRIED = 160  # of a small move, most of them, before it is examined
 FIRST_TRIED = 100  # change points to begin with, times the number of stations
 MOVE_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
-TIME_STD = 0.01  # of the times that may be wrong instead, 1 sigma (s)
 SIZE_FACTORS = (1.0, 0.25)  # factors on MOVE_STD, of equal prior probability
+TIME_STD = 0.01  # of the times that may be wrong instead, 1 sigma (s)
 # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
 WARNING_EVIDENCE = 5.0
 MIN_MOVE_SIGMAS = 3.0  # smallest move over the robot's smooth error
@@ -112,18 +112,14 @@ def _same_target(first: Solution, second: Solution) -> bool:
     posteriors = first.posterior, second.posterior
     if not all(posterior.is_determined for posterior in posteriors):
         return True
+    # how far the target of the second part is from that of the first, where it is linearised
     estimate = Estimate(second.estimate.X, first.estimate.state)
-    second_at = posterior_at(reassigned(second.problem, estimate), estimate, BLOCKS_AS_NOISE)
-    # both parts in one fit: two transforms (6 columns each), and the target in common
-    J = np.vstack([np.insert(posteriors[0].jacobian, [6] * 6, 0.0, axis=1),
-                   np.insert(second_at.jacobian, [0] * 6, 0.0, axis=1)])
-    J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-    r = np.concatenate([posteriors[0].prefit_residuals, second_at.prefit_residuals])
-    joint = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
-    increase = joint @ joint - posteriors[0].sum_of_squares - posteriors[1].sum_of_squares
+    at_first = posterior_at(reassigned(second.problem, estimate), estimate, BLOCKS_AS_NOISE)
+    away = (at_first.cross_covariance.T @ at_first.prefit_residuals)[6:]
+    covariance = (posteriors[0].covariance + at_first.covariance)[6:, 6:]
+    square = away @ np.linalg.solve(covariance, away)
     factor = max(*(posterior.reduced_chi_squared for posterior in posteriors), 1.0)
-    freedom = posteriors[0].unknown_count - 6
-    return bool(increase < factor * chi2_isf(FALSE_CAUSE_PROBABILITY, freedom))
+    return bool(square < factor * chi2_isf(FALSE_CAUSE_PROBABILITY, len(away)))
 
 
 # -- outliers at one end, though one answer fits the others
@@ -219,9 +215,7 @@ class _Move:
 
         Of the sensor in the axes of the mount, of the target in those of the base; see _levers.
         """
-        values = {block.name: self.moved.nuisance[columns] * block.std
-                  for block, columns in blocks_with_columns(self.moved.blocks)}
-        return np.concatenate([values['translation'], values['rotation']])
+        return np.asarray(self.moved.nuisance[:6] * MOVE_STD)  # its blocks are the first
 
     @property
     def may_be_robot_error(self) -> bool:
@@ -356,26 +350,23 @@ def _log_bayes_factors(posterior: Posterior, change_points: NDArray[np.intp],
     between.
     """
     A, gain, e = posterior.jacobian, posterior.cross_covariance, posterior.postfit_residuals
-    D = np.array([posterior.whitening(columns) for columns in _wrt_moves(posterior.linear)])
+    D = [posterior.whitening(columns) for columns in _wrt_moves(posterior.linear)]
     parts = np.split(np.arange(len(A)), np.searchsorted(
         posterior.problem.observations.station, change_points))
-    # sums over each part: D'D, A'D, C A'D, D'e
-    sums = (np.array([np.swapaxes(D[:, rows], 1, 2) @ D[:, rows] for rows in parts]),
-            np.array([A[rows].T @ D[:, rows] for rows in parts]),
-            np.array([gain[rows].T @ D[:, rows] for rows in parts]),
-            np.array([e[rows] @ D[:, rows] for rows in parts]))
+    # of each part D' times D, A, A C and e
+    products = np.array([[wrt_move[rows].T @ np.hstack(
+        [wrt_move[rows], A[rows], gain[rows], e[rows, None]]) for wrt_move in D]
+        for rows in parts])
     rng, n = np.random.default_rng(SEED), len(parts)
     factors = []
     for order in (np.arange(n), *(rng.permutation(n) for _ in range(random_orders))):
-        # over all parts after each moment
-        D_D, A_D, C_A_D, y = (np.cumsum(parts_sum[order[::-1]], axis=0)[-2::-1]
-                              for parts_sum in sums)
-        # that the other parameters leave
-        information = D_D - np.swapaxes(A_D, 2, 3) @ C_A_D
+        after = np.cumsum(products[order[::-1]], axis=0)[-2::-1]  # all parts after each moment
+        D_D, D_A, D_A_C, y = np.split(after, np.cumsum([6, A.shape[1], A.shape[1]]), axis=3)
+        information = D_D - D_A_C @ np.swapaxes(D_A, 2, 3)  # that the other parameters leave
         of_sizes = []
         for size in SIZE_FACTORS:
             M = np.eye(6) + size ** 2 * information
-            M_y = size ** 2 * np.linalg.solve(M, y[..., None])[..., 0]
-            of_sizes.append((y * M_y).sum(axis=2) - np.linalg.slogdet(M)[1])
+            square = size ** 2 * (y * np.linalg.solve(M, y)).sum(axis=(2, 3))
+            of_sizes.append(square - np.linalg.slogdet(M)[1])
         factors.append(np.max(of_sizes, axis=0) - 2 * np.log(len(SIZE_FACTORS)))
     return np.array(factors)

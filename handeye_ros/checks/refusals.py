@@ -55,14 +55,13 @@ def require_distinct_frame(frame_id: str, config: Config) -> None:
 
     frame_id: of the profiles. The answer would relate a frame to itself.
     """
-    key = {config.base_frame.lstrip('/'): 'robot_base_frame',
-           config.robot_effector_frame.lstrip('/'): 'robot_effector_frame',
-           }.get(frame_id.lstrip('/'))
-    if config.base_frame.lstrip('/') == config.robot_effector_frame.lstrip('/'):
-        raise DataError(f'robot_base_frame and robot_effector_frame are both '
-                        f'"{config.base_frame}": set them to the frames of base and flange',
-                        reason='frame')
-    if key:
+    base, flange, of_profiles = (name.lstrip('/') for name in (
+        config.base_frame, config.robot_effector_frame, frame_id))
+    if base == flange:
+        raise DataError(f'robot_base_frame and robot_effector_frame are both "{base}": set them '
+                        'to the frames of base and flange', reason='frame')
+    if of_profiles in (base, flange):
+        key = 'robot_base_frame' if of_profiles == base else 'robot_effector_frame'
         raise DataError(
             f'the profiles have the frame_id "{frame_id}", and {key} is the same frame, so the '
             'result would be a transform from this frame to itself: set another frame_id in the '
@@ -77,12 +76,11 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
     Another setting may explain that (UnexplainedError) only where there were stops enough.
     """
     if len(samples) < target.min_samples:
-        causes = Counter(without_numbers(reject.reason) for reject in rejects)
-        reasons = Counter(reject.reason for reject in rejects)
-        example = max(reasons, default='',
-                      key=lambda reason: (causes[without_numbers(reason)], reasons[reason]))
-        why = f' ({count_of(len(rejects), "stop")} gave none, most often: {example})' if (
-            rejects) else ''
+        causes = [without_numbers(reject.reason) for reject in rejects]
+        example = max(rejects, default=None, key=lambda reject: causes.count(
+            without_numbers(reject.reason)))
+        why = f' ({count_of(len(rejects), "stop")} gave none, most often: {example.reason})' if (
+            example) else ''
         refusal, advice = DataError, 'take more, with the laser across the target'
         if len(samples) + sum(not reject.final for reject in rejects) >= target.min_samples:
             refusal, advice = UnexplainedError, (
@@ -140,9 +138,9 @@ def misfit_refusal(solution: Solution) -> UnexplainedError | None:
             f'samples and poses contradict each other by {mm(rms)} RMS (limits.residual is '
             f'{mm(limits.residual)}), and no known convention error explains it: check the poses '
             '(frames, convention, units), whether the clocks of sensor and robot agree, whether '
-            'every sample shows the target itself and no clamp or second plate, target.type, '
-            f'{"target.radius, " if solution.full_problem.config.target.radius else ""}'
-            'profile.unit, profile.axes, profile.range_sign and profile.invalid', reason='misfit')
+            'every sample shows the target itself and no clamp or second plate, target.type and '
+            'its measures, profile.unit, profile.axes, profile.range_sign and profile.invalid',
+            reason='misfit')
     total = len(solution.full_problem.poses)
     if len(dropped) > MAX_DROPPED_SHARE * total:
         return UnexplainedError(
@@ -267,24 +265,18 @@ def require_edges(solution: Solution) -> None:
             'allow: check that the laser crosses the target alone, and no clamp, bar or second '
             'plate beside it, profile.range_sign, and that the edges are straight and sharp',
             reason='edges')
-    used = int(solution.problem.shows_edge.sum())
-    if used < target.min_samples:
-        raise UnexplainedError(
-            f'only {used} of the {len(solution.used_stations)} usable samples show an edge of the '
-            'target, '
-            f'and {target.name} needs {target.min_samples}: cross the edges with the laser, '
-            'steeply and inside the field of view, or calibrate from the plane alone (target.type '
-            'plane)', reason='edges')
-    shown = int(solution.full_problem.shows_edge.sum())
-    if shown - used > MAX_DROPPED_SHARE * shown:
+    used, shown = (int(problem.shows_edge.sum())
+                   for problem in (solution.problem, solution.full_problem))
+    if used < max(target.min_samples, (1 - MAX_DROPPED_SHARE) * shown):
         dropped = len(solution.dropped_squares)
         why = '; '.join(filter(None, (f'{dropped} contradict the others' if dropped else '',
-                                      unused_edges_in_words(solution))))
+                                      unused_edges_in_words(solution),
+                                      f'the target {target.name} needs {target.min_samples}')))
         raise UnexplainedError(
             f'only {used} of the {shown} samples that show an edge agree on the target, and such '
             f'an answer cannot be trusted ({why}): check target.size, that the edges are straight '
-            'and that the laser crosses them steeply and no others, or calibrate from the plane '
-            'alone (target.type plane)', reason='edges')
+            'and that the laser crosses them steeply, inside the field of view, and no others, or '
+            'calibrate from the plane alone (target.type plane)', reason='edges')
 
 
 def require_predicted(left_out: float, residual: float, limit: float) -> None:

@@ -88,10 +88,10 @@ class Move:
     """
     What a check says of the target, or of the sensor.
 
-    moved (m), turned (rad): its most likely move if it is the cause
-    shows: the smallest detectable shifts along the axes (m); nan: not detectable
-    axes: rows; of the target in the base, of the sensor in the flange, with eye_on_base the other
-        way round
+    moved, turned: its most likely move if it is the cause (m, rad)
+    shows: the smallest shift along each axis that would show (m), nan where none would
+    axes: their directions as rows, of the target in the base, of the sensor in the flange; with
+        eye_on_base it is the other way round
     """
 
     moved: float
@@ -115,7 +115,7 @@ class Check:
     rms: of the residuals (m)
     left_out: numbers of the stops, of a sweep of the passes, with what contradicts the others
     time_offset_changed: of a sweep, and its 1 sigma (s)
-    stamps: of all samples, in no file
+    stamps: of all samples (ns); they are written to no file
     """
 
     stamp: int
@@ -319,10 +319,10 @@ class _Prediction:
     """
     What a recording shows where a calibration is right and nothing has changed.
 
-    linear: at the calibrated estimate
-    whiten: what makes the noise white
-    residuals (m,): white
-    errors (m, k): white derivatives of the residuals by the errors e, in their sigmas
+    linear: residuals and derivatives at the calibrated estimate
+    whiten: multiplies by the inverse root of the covariance of the noise
+    residuals: (m,) whitened residuals
+    errors: (m, k) whitened derivatives of the residuals by the errors e, in their sigmas
     """
 
     linear: Linearisation
@@ -355,10 +355,11 @@ def _predicted(problem: Problem, cell: CalibratedCell) -> _Prediction:
     """Return what a recording shows at the calibrated estimate."""
     found_sizes = replace(problem, config=replace(cell.config, noise=cell.noise))
     at_found_sizes = linearise(found_sizes, cell.estimate)
-    blocks = [block for source in (cell.target.blocks, sensor_distortion, line_bend)
-              for block in source(at_found_sizes)]
     # the range of a face in grazing light may be off by as much as a calibration allows
-    factors = [block.largest_variance ** 0.5 if block.name == GRAZING else 1.0 for block in blocks]
+    of_blocks = [
+        block.columns * (block.largest_variance ** 0.5 if block.name == GRAZING else 1.0)
+        for source in (cell.target.blocks, sensor_distortion, line_bend)
+        for block in source(at_found_sizes)]
 
     linear = linearise(problem, cell.estimate)
     whiten = whitening(linear, NoiseScales(cell.variance_factors))
@@ -367,8 +368,7 @@ def _predicted(problem: Problem, cell: CalibratedCell) -> _Prediction:
     differences = (basis - basis.mean(axis=0))[problem.observations.station]
     errors = np.column_stack([
         linear.jacobian @ cell.root,
-        wrt_smooth(linear.wrt_pose, differences * cell.noise.robot_smooth),
-        *(block.columns * factor for block, factor in zip(blocks, factors, strict=True))])
+        wrt_smooth(linear.wrt_pose, differences * cell.noise.robot_smooth), *of_blocks])
     return _Prediction(linear, whiten, whiten(linear.residuals), whiten(errors))
 
 

@@ -80,7 +80,7 @@ class StationSet:
     What some recordings show of an artefact.
 
     problem: the n poses of the sensor's mount in the frame of the artefact, and the m points
-    stamps (n,): ns
+    stamps: (n,) the time of each pose in nanoseconds
     counts: the number of poses of each recording, in order
     group_of_pose: (n,) the number of the group of poses that share one error of the robot
     surface_note: the choice between several surfaces in sight, in words
@@ -242,7 +242,7 @@ class CalibrationError(NamedTuple):
     """
     The error of the calibration that the distances of a shape suggest, whatever is claimed.
 
-    twist (6,): the most likely one, of the sensor plane in the mount (m, rad)
+    twist: (6,) the most likely one, of the sensor plane in the mount (m, rad)
     p_explained: probability of larger distances from the shape with this error
     p_chance: probability that chance looks at least as much like an error
     largest, largest_std: the largest displacement of a point by it, and its 1 sigma (m)
@@ -267,8 +267,8 @@ class ShapeFit:
 
     quantities: those of the shape, as measured
     scatter: of the distances
-    distances (m,): of the points from the shape (m)
-    distance_stds (m,): their 1 sigma due to sensor and robot (m)
+    distances: (m,) of the points from the shape, in metres
+    distance_stds: (m,) their 1 sigma due to sensor and robot, in metres
     squared_deviation: (v - nominal)' cov^-1 (v - nominal) of the values v with a nominal, cov the
         sum of their covariances by measurement and calibration
     freedom: number of values with a nominal
@@ -290,9 +290,10 @@ class GroupFit(NamedTuple, Generic[Result]):
     """
     A fit to some groups of points.
 
-    residuals: (m,) white
+    result: what was fitted
+    residuals: (m,) whitened residuals of the points
     wrt_unknowns: (m, k) their derivatives by all unknowns, in units of their 1 sigma a priori
-    group: (m,) of each
+    group: (m,) the group of each point
     """
 
     result: Result

@@ -48,8 +48,9 @@ class StationResult:
     """
     Result of one stop: the largest distance from the fit, and its 1 sigma (m).
 
-    bag, number: of recording, and of the stop among those that show the artefact, from 1
-    stamp: ns
+    bag: number of the recording, from 1
+    number: of the stop among those of this recording that show the artefact, from 1
+    stamp: its time in nanoseconds
     p: probability that a good stop is as far off, whatever the error of the calibration
     reason: why it is not used
     """
@@ -84,7 +85,7 @@ class Verification:
         calibration that the points suggest, as the largest displacement of one of them
     surface: the choice between several in sight
     says: what the routine measures, in words
-    recorded: when (ISO 8601; empty: unknown)
+    recorded: the time of the first stop (ISO 8601), empty where it is not known
     certificate: U of the nominal values (m)
     record: record.* of the configuration
     """

@@ -73,7 +73,7 @@ def test_convention_errors_are_named_in_a_sweep_whose_clocks_differ() -> None:
                               for p in recording.poses]))
     poses = [replace(p, translation=translation, quaternion=q) for p, translation, q in zip(
         recording.poses, T[:, :3, 3], se3.quaternion(T), strict=True)]
-    with pytest.raises(DataError, match='inverse poses undone, .* profiles fit'):
+    with pytest.raises(DataError, match='inverse poses undone, .* samples fit'):
         pipeline.calibrate(recording.profiles, poses, settings_of(sweep, sampling__mode='moving'))
 
 
