@@ -13,13 +13,13 @@ from contextlib import suppress
 from dataclasses import replace
 import math
 
+from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Indices, SIGMA_OF_MEDIAN
 from handeye_ros.errors import FeatureError, mm
 from handeye_ros.profiles.lines import bin_means, variance_of_bins
 from handeye_ros.profiles.ransac import circles_among
 from handeye_ros.profiles.segment import MAX_NOISE, noise_level, surface_columns
-from handeye_ros.published.jing2020 import fit_round
 import numpy as np
 from numpy.typing import NDArray
 
@@ -83,7 +83,7 @@ def fit_circle(points: Array, steps: int = 4) -> Array:
 
     steps: of Gauss-Newton from the algebraic fit (Kasa 1976), which is biased for short arcs.
     """
-    circle, J = fit_round(points), np.ones((len(points), 3))
+    circle, J = se3.fit_round(points), np.ones((len(points), 3))
     for _ in range(steps):
         from_centre = points - circle[:2]
         distance = np.hypot(*from_centre.T)

@@ -157,19 +157,11 @@ def fit_arc(points: Array) -> tuple[Array, Array]:
     basis = np.linalg.svd(points - mean)[2]
     flat = (points - mean) @ basis[:2].T
     from scipy.optimize import least_squares  # 0.1 s, only for trackers
-    fit = least_squares(lambda c: np.linalg.norm(flat - c[:2], axis=1) - c[2], fit_round(flat),
+    fit = least_squares(lambda c: np.linalg.norm(flat - c[:2], axis=1) - c[2], se3.fit_round(flat),
                         xtol=1e-15, ftol=1e-15, gtol=1e-15, method='lm')
     spokes = flat - fit.x[:2]
     turn = np.sum(spokes[:-1, 0] * spokes[1:, 1] - spokes[:-1, 1] * spokes[1:, 0])
     return mean + fit.x[:2] @ basis[:2], np.sign(turn) * np.cross(basis[0], basis[1])
-
-
-def fit_round(points: Array) -> Array:
-    """Return the centre and radius (d + 1,) of a circle or sphere through points (n, d)."""
-    design = np.column_stack([2.0 * points, np.ones(len(points))])
-    sphere = np.linalg.lstsq(design, np.sum(points ** 2, axis=1), rcond=None)[0]
-    sphere[-1] = np.sqrt(max(sphere[-1] + sphere[:-1] @ sphere[:-1], 1e-12))
-    return np.asarray(sphere)
 
 
 def swept(points: Array, q30: float, direction: Array) -> Array:
@@ -195,7 +187,7 @@ def fit_swept_ball(points: Array, q30: float, direction: Array) -> tuple[Array, 
         cloud = swept(points, q30, at(unknown))
         return np.asarray(np.linalg.norm(cloud - unknown[2:5], axis=1) - unknown[5])
 
-    start = np.append(np.zeros(2), fit_round(swept(points, q30, direction)))
+    start = np.append(np.zeros(2), se3.fit_round(swept(points, q30, direction)))
     from scipy.optimize import least_squares  # 0.1 s, only for trackers
     fit = least_squares(residuals, start, x_scale='jac', method='lm', xtol=1e-15, ftol=1e-15,
                         gtol=1e-15)
