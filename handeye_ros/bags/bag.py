@@ -100,17 +100,19 @@ def _dropped_warning(reasons: Sequence[str], total: int, what: str) -> list[str]
     return [f'{len(reasons)} of {total} {what} were left out; the first: {reasons[0]}']
 
 
-def read(path: Path | str, config: Config, arm: Arm | None = None) -> Recording:
+def read(path: Path | str, config: Config, progress: Callable[[float], None] = lambda share: None,
+         arm: Arm | None = None) -> Recording:
     """
     Return the profiles and flange poses in a rosbag2 folder or an .mcap or .db3 file.
 
-    A damaged file is read up to the damage, with a warning. arm: gives the poses from the joint
-    values, as with the key kinematics. Raises InputError when the bag or its topics cannot be
-    read, or one topic carries two frames, and DataError when its stamps mix two runs, or profiles
-    and poses do not overlap in time.
+    A damaged file is read up to the damage, with a warning. progress: receives the fraction of the
+    bytes that were read. arm: gives the poses from the joint values, as with the key kinematics.
+    Raises InputError when the bag or its topics cannot be read, or one topic carries two frames,
+    and DataError when its stamps mix two runs, or profiles and poses do not overlap in time.
     """
     path = path_of('path', path)
     require_type('config', config, Config)
+    require_type('progress', progress, Callable)  # type: ignore[arg-type]
     profile_reader = ProfileReader(config.profile)
     follower = FlangeFollower(config.base_frame, config.robot_effector_frame,
                               config.sampling.max_pose_gap)
@@ -121,7 +123,7 @@ def read(path: Path | str, config: Config, arm: Arm | None = None) -> Recording:
     pose_topic = _RecordedTopic(
         required.name, required.key or 'pose_source', required.message_type,
         lambda raw: sources[raw.topic].read(raw.data))
-    reader = Reader(path, (clouds.name, *sources))
+    reader = Reader(path, (clouds.name, *sources), progress)
     for raw in _tf_last(reader.messages()):
         # if two settings name one topic, that is the profiles'; its type refuses the poses
         (clouds if raw.topic == clouds.name else pose_topic).add(raw)

@@ -69,20 +69,30 @@ class Reader:
     files: those that were read
     """
 
-    def __init__(self, path: Path, topics: Collection[str] | None = None) -> None:
-        """Read nothing yet; topics: of the messages to be read, None: all."""
+    def __init__(self, path: Path, topics: Collection[str] | None = None,
+                 progress: Callable[[float], None] = lambda share: None) -> None:
+        """
+        Read nothing yet.
+
+        topics: of the messages to be read, None: all; progress: receives the fraction of the bytes
+        that were read.
+        """
         self.path = path
         self.types: dict[str, str] = {}
         self.warnings: list[str] = []
         self.files: list[Path] = []
         self._topics = None if topics is None else {full_name(topic) for topic in topics}
+        self._progress = progress
+        self._before, self._total = 0, 1  # bytes of files: before the current one, of all
 
     def messages(self) -> Iterator[RecordedMessage]:
         """Yield the messages; raises InputError if there is nothing to read."""
         try:
             self.files = _files(self.path)
+            self._total = sum(file.stat().st_size for file in self.files)
             for file in self.files:
                 yield from self._messages_of(file)
+                self._before += file.stat().st_size
         except OSError as error:
             raise InputError(f'{error.filename or self.path}: cannot be read: '
                              f'{error.strerror or error}') from error
@@ -133,6 +143,7 @@ class Reader:
                                                   _unpacked(record.data),
                                                   partial(_read_again, data_at, start, index))
                 start = stream.tell()
+                self._progress((self._before + start) / self._total)
         if damaged_chunks or not complete:
             left_out = f', left out {damaged_chunks} damaged chunk(s)' if damaged_chunks else ''
             self._warn_of_damage(path, f'read {count_of(message_count, "message")}{left_out}')

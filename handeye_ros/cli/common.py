@@ -144,9 +144,9 @@ def is_table(path: Path) -> bool:
 
 def read_bag_shown(bag: Path, settings: 'Config', arm: 'Arm | None' = None) -> 'Recording':
     """Return the messages of a bag, and print its warnings; an arm gives the poses from joints."""
-    with progress_bar('reading the recording'):
+    with progress_bar('reading the recording') as progress:
         from handeye_ros.bags.bag import read
-        recording = read(bag, settings, arm)
+        recording = read(bag, settings, progress, arm)
     warn(*recording.warnings)
     return recording
 

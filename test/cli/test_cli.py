@@ -173,7 +173,7 @@ def test_a_terminal_shows_progress_and_one_without_letters_the_answer(tmp_path):
     assert process.wait() == 0
     assert (tmp_path / 'calibration.yaml').exists()
     text = re.sub(r'\x1b\[[0-9;?]*[a-zA-Z]', '', stderr.decode())
-    assert 'reading the recording' in text and 'solving' in text
+    assert re.search('reading the recording .* [0-9]+%', text) and 'solving' in text
 
 
 @pytest.mark.thorough
