@@ -393,7 +393,7 @@ def _edge_before_drop(end: FaceEnd, tail: Indices, ending: str,
 
 
 MAX_RAMP = 16  # points between two levels: a wider transition is a surface
-MIXED_POINTS = 2  # between two levels: of more the middle of the ramp tells the edge
+MIXED_POINTS = 2  # most points between two levels that are only mixed at the edge
 RAMP_STD = 0.2  # 1 sigma of the edge within a wide transition, over the way to its middle
 
 
@@ -402,27 +402,27 @@ def _distance_to_edge(end: FaceEnd, last: int, spacing: float, ground: Segment |
     """
     Return how far the edge lies beyond the last column of a plate, and 1 sigma (m).
 
-    A column whose spot straddles the edge returns a range between the levels, and a sensor that
-    smooths, or has a wide spot, makes a ramp of several: the edge is half way down. With few
-    between, it may as well be anywhere between the plate and the ground.
+    A column whose spot straddles the edge returns a range between the levels: the edge is equally
+    likely anywhere between the plate and the next point that is not mixed. A sensor that smooths,
+    or has a wide spot, makes a ramp of more than MIXED_POINTS, and the edge is half way down.
     spacing: of the points (m); ground: the surface seen below, or None.
     """
-    uniform_std = end.pitch / 12 ** 0.5
-    if not ground or not 0 < ground.first - last - 1 <= MAX_RAMP:
-        return spacing / 2, uniform_std
-    points = end.points[last:ground.first + 1]
-    columns = np.flatnonzero(has_return(points))
-    x, z = points.take(columns, axis=0).T
-    depth, ground_depth = (np.abs(level - end.segment.height(x)) for level in (
-        z, ground.height(x)))
-    # of the way down, the whole of a ground that is no deeper
-    way = ground_depth - depth[0]
-    share = np.divide(depth - depth[0], way, out=np.ones_like(way), where=way > 0)
-    after = max(int(np.argmax(share > 0.5)), 1)
-    step = int(columns[after] - columns[after - 1])
-    if step > 2:  # a shadow begins at the edge
-        return spacing / 2, uniform_std
-    fraction = (0.5 - share[after - 1]) / max(float(share[after] - share[after - 1]), 0.1)
-    half_way = end.pitch * float(columns[after - 1] + fraction * step)
-    mixed = min(int((share[1:-1] < 0.8).sum()), MIXED_POINTS)
-    return half_way, math.hypot((1 + mixed) * uniform_std, RAMP_STD * half_way)
+    mixed, uniform_std = 0, end.pitch / 12 ** 0.5
+    if ground and 0 < ground.first - last - 1 <= MAX_RAMP:
+        points = end.points[last:ground.first + 1]
+        columns = np.flatnonzero(has_return(points))
+        x, z = points.take(columns, axis=0).T
+        depth, ground_depth = (np.abs(level - end.segment.height(x)) for level in (
+            z, ground.height(x)))
+        # of the way down, the whole of a ground that is no deeper
+        way = ground_depth - depth[0]
+        share = np.divide(depth - depth[0], way, out=np.ones_like(way), where=way > 0)
+        between = int((share[1:-1] < 0.8).sum())
+        if between > MIXED_POINTS:
+            after = max(int(np.argmax(share > 0.5)), 1)
+            fraction = (0.5 - share[after - 1]) / max(float(share[after] - share[after - 1]), 0.1)
+            half_way = end.pitch * float(
+                columns[after - 1] + fraction * (columns[after] - columns[after - 1]))
+            return half_way, math.hypot((1 + MIXED_POINTS) * uniform_std, RAMP_STD * half_way)
+        mixed = between if len(columns) == len(points) else 0
+    return spacing * (1 + mixed) / 2, (1 + mixed) * uniform_std
