@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import difflib
+import errno
 import math
 import os
 from pathlib import Path
@@ -139,8 +140,10 @@ class UnwritableError(InputError):
 
     def __init__(self, path: object, error: OSError) -> None:
         reason = error.strerror or str(error)  # a sentence of this package holds its remedy
-        remedy = '' if error.errno is None else '; choose another place'
-        super().__init__(f'cannot write {path}: {reason}{remedy}')
+        remedy = {None: '', errno.ENOSPC: '; free some space', errno.EDQUOT: '; free some space',
+                  errno.EEXIST: ', and is no folder; choose another place'}
+        super().__init__(f'cannot write {path}: {reason}'
+                         f'{remedy.get(error.errno, "; choose another place")}')
 
 
 class TooFewError(DataError):

@@ -77,6 +77,11 @@ class StoredSession:
     stops: dict[int, Stop]
     last_number: int
 
+    @property
+    def sample_count(self) -> int:
+        """Return how many of the stops gave a sample."""
+        return sum(stop.result is NOT_EVALUATED for stop in self.stops.values())
+
     def session(self, config: Config) -> Session:
         """Return the session, its stops evaluated with a configuration."""
         poses = (pose.parent_frame for stop in self.stops.values()

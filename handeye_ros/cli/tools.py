@@ -5,7 +5,6 @@ from collections import Counter
 from dataclasses import replace
 from enum import StrEnum
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, TYPE_CHECKING
 
@@ -145,9 +144,11 @@ def replay(
     rate: Annotated[float, typer.Option(help='Speed; 1 is as recorded.')] = 1.0,
 ) -> None:
     """Publish a recording on its topics (needs ROS)."""
-    if find_spec('rclpy') is None:
-        raise NoRosError('replay', 'rclpy')
-    from handeye_ros.node.replay import replay as publish
+    try:
+        import_module('rclpy')  # first: without ROS its message packages are missing too
+        from handeye_ros.node.replay import replay as publish
+    except ModuleNotFoundError as error:
+        raise NoRosError('replay', str(error.name)) from error
     publish(bag, rate)
 
 

@@ -144,7 +144,8 @@ class LiveSession:
                 self._poses.append(pose)
                 self.session.add_pose(pose)
             early_stop = self.session.early_stop()
-            self._queue_stops(filter(None, (*self.session.take_completed(), early_stop)))
+            self._queue_stops([*self.session.take_completed(),
+                               *([early_stop] if early_stop else [])])
 
     def add_joints(self, stamp: int, data: bytes) -> None:
         """Keep a serialised JointState, to be stored with the stop of its time."""
@@ -161,7 +162,7 @@ class LiveSession:
         for stamp in not_stored[:-MAX_STOPS]:
             del self.to_evaluate[stamp]
             self._dropped_stops += 1
-        if self.to_evaluate:
+        if self.to_evaluate or self._frame_change_notice:
             self._schedule_due_work()
 
     # the worker, and what others ask of it
@@ -197,7 +198,12 @@ class LiveSession:
     def _do_due_work(self) -> None:
         """Do what is due, stop by stop: whoever calls meanwhile waits for one stop only."""
         self._is_scheduled = False
-        if self.evaluate_next():
+        with self.lock:
+            frame_change_notice = self._frame_change_notice
+        if frame_change_notice:
+            self.clear_samples()
+            self.attempt = Attempt(frame_change_notice)
+        elif self.evaluate_next():
             self._schedule_due_work()
         else:
             self.solver.review_if_changed()
@@ -248,7 +254,10 @@ class LiveSession:
     @property
     def working(self) -> str:
         """Return the running tasks in words; empty without any."""
-        return '; '.join(filter(None, self.running_jobs))
+        with self.lock:
+            again = any(stop.load_messages for stop in self.to_evaluate.values())
+        text = 'the samples are extracted again from their profiles' if again else ''
+        return '; '.join(filter(None, (*self.running_jobs, text)))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -257,8 +266,9 @@ class LiveSession:
         return tuple(filter(None, (
             f'a verification ({routine.name}) continues: stops are not samples until '
             '~/verify_result' if routine else '',
-            f'left {count} stops out, the oldest of more than {MAX_STOPS} that waited: the '
-            'processor cannot keep up; stop less often' if count else '')))
+            f'left {count} stops out, the oldest of more than {MAX_STOPS} that waited to be '
+            'evaluated: the processor cannot keep up; stop less often, or publish fewer points'
+            if count else '')))
 
     @property
     def last_pose(self) -> Array | None:
@@ -348,7 +358,8 @@ class LiveSession:
         had_sample = bool(earlier and earlier.sample)
         stop = self.session.numbered(stop, self.evaluate_in_process(stop, self.config))
         if is_requested and stop.sample is None:
-            raise DataError(sample_summary(stop.result))
+            remedy = ': move on, and turn the tool' if stop.final_reason else ''
+            raise DataError(f'{sample_summary(stop.result)}{remedy}')
         with self.lock:
             joints = [*self.joints]
         try:
@@ -510,6 +521,12 @@ class LiveSession:
     def _sample_count(self) -> int:
         return sum(stop.sample is not None for stop in self.session.stops)
 
+    @property
+    def _frame_change_notice(self) -> str:
+        """Return in words that a topic has another frame now; '' if that would lose anything."""
+        in_use = self.verification.routine or self.solver.calibration
+        return '' if in_use else self.session.frame_change_notice
+
     # settings
 
     def configure(self, config: Config, other_topics: bool = False) -> None:
@@ -530,7 +547,12 @@ class LiveSession:
             with suppress(InputError):
                 self.evaluate_all()
         if self.files.path:
-            self._store(self.files.add_event, CONFIGURED, config)
+            try:
+                self._store(self.files.add_event, CONFIGURED, config)
+            except InputError:
+                # another place for the next session is what helps where this one is full
+                if self.folders.folder(config) == self.folders.folder(old):
+                    raise
         if other_topics:
             self._replace_session(self.files, Session(config, self.session.last_number),
                                   'the topics were changed')

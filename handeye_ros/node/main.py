@@ -26,7 +26,7 @@ from typing import Any, NoReturn
 
 from handeye_ros.errors import HandeyeError, InputError
 
-THREAD_COUNT = 6  # of the executor: three groups of services, two timers, the parameters
+EXECUTOR_THREADS = 6  # of the executor: three groups of services, two timers, the parameters
 SHUTDOWN_TIMEOUT = 1.0  # s until what runs is left alone
 SPIN_TIMEOUT = 0.2  # s until a signal is seen
 SWITCH_INTERVAL = 1e-3  # s until Python switches threads: one service call takes a dozen switches
@@ -49,7 +49,8 @@ def main() -> NoReturn:
     sys.setswitchinterval(SWITCH_INTERVAL)
     from handeye_ros.node.node import HandeyeNode
     # it publishes nothing more while it ends, and what computes ends with it
-    code = run_for_exit_code(spin, HandeyeNode, THREAD_COUNT, lambda node: node.outputs.close())
+    code = run_for_exit_code(spin, HandeyeNode, EXECUTOR_THREADS,
+                             lambda node: node.outputs.close())
     sys.stderr.flush()
     # Python waits for all threads, of which one may wait for a solve; what was acknowledged is on
     # the disk
@@ -62,13 +63,19 @@ def spin(make: Callable[[], Any], threads: int = 1,
     Run the node that make() returns until Ctrl-C or SIGTERM, then stop(node).
 
     threads: of the executor; with several, an exception of a callback is in the log alone.
-    Raises InputError as ros() does, and KeyboardInterrupt for a signal while the node is made.
+    Raises InputError if ROS does not start, or a topic cannot be used, and KeyboardInterrupt for a
+    signal while the node is made.
     """
-    from rclpy._rclpy_pybind11 import InvalidHandle  # rclpy has it there alone
+    from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
     from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
     with ros():
         runner = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
-        node = make()
+        try:
+            node = make()
+        except RCLError as error:
+            reason = ' '.join(str(error).split())[:120]
+            raise InputError(f'the node cannot use its topics ({reason}): check pose_topic and '
+                             'profile_topic; each needs its own') from error
         try:
             runner.add_node(node)
             while True:
@@ -103,21 +110,27 @@ def run_for_exit_code(run: Callable[..., None], *args: Any) -> int:
 @contextmanager
 def ros() -> Iterator[None]:
     """
-    Start rclpy for the block, and shut it down; Ctrl-C and SIGTERM raise KeyboardInterrupt.
+    Start rclpy and shut it down in the end; Ctrl-C and SIGTERM raise KeyboardInterrupt.
 
-    Raises InputError for an error of ROS, of arguments and parameter files that it cannot read, or
-    of a topic that cannot be used.
+    Raises InputError for arguments and parameter files that ROS cannot read.
     """
     import rclpy
     from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
     from rclpy.signals import SignalHandlerOptions
+    if not any(os.environ.get(name) for name in ('ROS_LOG_DIR', 'ROS_HOME', 'HOME')):
+        raise InputError('ROS does not start: it has no place for its logs, as none of '
+                         'ROS_LOG_DIR, ROS_HOME and HOME is set; set one of them')
     _set_signal_handler(signal.default_int_handler)
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    except UnknownROSArgsError as error:
+        raise InputError(f'ROS does not start: it does not understand {error}') from error
+    except RCLError as error:
+        # without positions in the source of rcl
+        text = str(error).removeprefix('failed to initialize rcl: ').split(', at /', 1)[0]
+        raise InputError(f'ROS does not start: {text}') from error
+    try:
         yield
-    except (RCLError, UnknownROSArgsError) as error:
-        reason = str(error).split(', at /', 1)[0]  # without positions in the source of rcl
-        raise InputError(f'ROS reports {type(error).__name__}: {reason}') from error
     finally:
         rclpy.try_shutdown()
 

@@ -41,7 +41,9 @@ from handeye_ros.node.streams import TFMessage
 from handeye_ros.results.scene import (
     feature_points,
     FLANGE_COLOUR,
+    LASER_COLOUR,
     scene,
+    SEEN_COLOUR,
     sensor_points,
     StopSnapshot,
 )
@@ -254,7 +256,7 @@ def cloud(points: NDArray[Any], frame_id: str, stamp: int) -> PointCloud2:
 
 def session_markers(stops: Iterable[Stop], calibration: Calibration | None, config: Config
                     ) -> MarkerArray:
-    """Return the numbers of samples at their flanges and, with an answer, its scene."""
+    """Return the flanges of samples with their numbers and, with an answer, its scene."""
     snapshots = [
         StopSnapshot(stop.number, sample.stamp, mount_poses(sample.T_base_flange, config),
                      np.empty((0, 2)), sample.features)
@@ -262,6 +264,9 @@ def session_markers(stops: Iterable[Stop], calibration: Calibration | None, conf
     parts: list[dict[str, Any]] = [
         {'name': 'numbers', 'color': FLANGE_COLOUR, 'width': 12.0, 'text': str(snapshot.number),
          'points': [snapshot.T_mount[:3, 3]]} for snapshot in snapshots]
+    if snapshots:
+        parts.append({'name': 'flanges', 'color': FLANGE_COLOUR, 'width': 6.0,
+                      'points': [snapshot.T_mount[:3, 3] for snapshot in snapshots]})
     if calibration:
         parts += scene(calibration, snapshots, config)['parts']
     return _markers(parts, config)
@@ -269,12 +274,18 @@ def session_markers(stops: Iterable[Stop], calibration: Calibration | None, conf
 
 def current_markers(current: StopSnapshot | None, calibration: Calibration | None, config: Config
                     ) -> MarkerArray:
-    """Return the current profile and its features, placed by the answer; nothing without one."""
+    """Return the current profile and its features, placed by the answer."""
     if current is None or calibration is None:
         return _markers([], config)
-    # without the lines of the scene: sensor, flange and target
-    return _markers([part for part in scene(calibration, [current], config)['parts']
-                     if 'points' in part], config)
+    T_fixed_sensor = current.T_mount @ calibration.T_flange_sensor
+    points = current.points[np.isfinite(current.points).all(axis=1)]
+    return _markers([{'name': name, 'color': color, 'width': width,
+                      'points': se3.apply(T_fixed_sensor, sensor_points(plane, config))}
+                     for name, color, width, plane in (
+                         ('profile', LASER_COLOUR, 1.5, points),
+                         ('feature', SEEN_COLOUR, 6.0, feature_points(current.features)))
+                     if len(plane)],
+                    config)
 
 
 def _markers(parts: Iterable[Mapping[str, Any]], config: Config) -> MarkerArray:

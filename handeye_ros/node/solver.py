@@ -115,11 +115,16 @@ class LiveSolver:
         self._answer_message = Future[str]()  # about that answer
 
     def changes_since(self, session: Session) -> str:
-        """Return in words that a session has other samples than those of the answer, or ''."""
-        now, before = _used_samples(session), _used_samples(self.solved_session or session)
-        return '' if now == before else (
-            f'; it was computed from {count_of(len(before), "sample")}, which have changed since: '
-            f'call ~/compute_calibration for an answer from the current {len(now)}')
+        """Return in words how the samples of a session differ from those of the answer, or ''."""
+        now = _used_samples(session)
+        before = _used_samples(self.solved_session or session)
+        retaken = [n for n in now.keys() & before.keys() if now[n] != before[n]]
+        changes = ' and '.join(f'{len(numbers)} {what}' for numbers, what in (
+            (before.keys() - now.keys(), 'removed'), (now.keys() - before.keys(), 'added'),
+            (retaken, 'retaken')) if numbers)
+        return changes and (
+            f'; it was computed from {count_of(len(before), "sample")}, which have changed since '
+            f'({changes}): call ~/compute_calibration for an answer from the current {len(now)}')
 
     def require_calibration(self, use: str = 'save') -> Calibration:
         """Return the answer with name and record of now; raises DataError without one."""
@@ -225,20 +230,23 @@ class LiveSolver:
         folder = live.folders.locked_folder(live.config)
         written = exports.save_all(calibration, folder, live.config.save.formats)
         self.saved = str(folder / calibration_file.NAME)
-        return f'{written}{self.changes_since(live.session_copy())}'
+        note = (f'; {COMPUTING} again: save it again after that'
+                if COMPUTING in live.running_jobs else '')
+        return f'{written}{self.changes_since(live.session_copy())}{note}'
 
 
 def summary(calibration: Calibration) -> str:
     """Return the transform with its 1 sigma, and the residuals, in words."""
     quality = calibration.quality
     numbers = [f'{value} ± {std}' for _, value, std, _ in transform_rows(calibration)]
+    moving = calibration.provenance.get('config', {}).get('sampling.mode') == 'moving'
+    used = count_of(quality.samples_used, 'profile' if moving else 'sample')
     warned = ''.join(f'; {text}' for text in calibration.provenance.get('warnings', ()))
     return (f'{calibration.child_frame} in {calibration.parent_frame}: x, y, z = '
             f'{", ".join(numbers[:3])} mm; roll, pitch, yaw = {", ".join(numbers[3:])} degrees; '
             f'residual {quality.residual_rms * 1e3:.3f} mm '
-            f'RMS, left out {quality.holdout_rms * 1e3:.3f} mm; '
-            f'{count_of(quality.samples_used, "sample")} used, {quality.samples_rejected} not '
-            f'used{warned}')
+            f'RMS, left out {quality.holdout_rms * 1e3:.3f} mm; {used} used, '
+            f'{quality.samples_rejected} not used{warned}')
 
 
 def _used_samples(session: Session) -> dict[int, tuple[int, int]]:

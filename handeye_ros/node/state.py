@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from itertools import takewhile
 import time
 from types import MappingProxyType
 from typing import Any, TYPE_CHECKING
@@ -37,9 +38,9 @@ NO_ANSWER = {
     'parent': '', 'child': '', 'translation': None, 'rotation': None, 'rpy': None, 'std': None,
     'residual_rms': None, 'holdout_rms': None, 'used': 0, 'rejected': 0, 'saved': ''}
 SILENCE_TIME = 2.0  # s without a message until it is reported
-RECENT = 1000  # last messages of a kind, of which too many may be invalid or lost:
-BAD_SHARE = 0.01  # more than this share is reported,
-MIN_MALFORMED = 3  # of invalid ones from this number on
+BAD_IN_A_ROW = 3  # consecutive invalid messages until they are reported,
+BAD_SHARE = 0.01  # or such a share of the last RECENT, or of the messages lost in transit
+RECENT = 1000
 VALID, MALFORMED, LOST = 'valid', 'malformed', 'lost'  # what a message was
 FRESH_TIME = 1.0  # s: the clocks are compared if the last messages of both kinds are not older
 MAX_CLOCK_DIFFERENCE = 5.0  # s, that a slow network or a queue explains
@@ -102,13 +103,17 @@ class MessageCount:
         """
         kind, count, recent = self.kind, self.count, [*self._recent]
         sentences, age, total = [], self.silence, len(recent)
+        in_a_row = len([*takewhile(MALFORMED.__eq__, reversed(recent))])
         malformed, lost = recent.count(MALFORMED), recent.count(LOST)
-        if malformed >= max(MIN_MALFORMED, BAD_SHARE * (total - lost)):
-            sentences.append(f'{malformed} of the last {total} {kind}s cannot be used; the last '
-                             f'reason: {self.reason}')
+        if in_a_row >= BAD_IN_A_ROW or (
+                malformed >= max(BAD_IN_A_ROW, BAD_SHARE * (total - lost))):
+            which = (f'the last {in_a_row}' if in_a_row >= BAD_IN_A_ROW else
+                     f'{malformed} of the last {total}')
+            sentences.append(f'{which} {kind}s cannot be used; the last reason: {self.reason}')
         if lost > BAD_SHARE * total:
             sentences.append(f'{lost} of the last {total} {kind}s were lost on their way: let the '
-                             'driver publish them reliably, with a longer queue, or fewer')
+                             'driver publish them reliably, with a queue for as many as come at '
+                             'once, or fewer or smaller ones')
         if not sentences and age >= SILENCE_TIME:
             sentences.append(f'{"no more" if count else "no"} {kind}s on {topic} for {age:.0f} s'
                              + (f' ({obstacle})' if obstacle else ''))
@@ -127,24 +132,26 @@ def _clock_trouble(profiles: MessageCount, poses: MessageCount, time_offset: flo
     offset = time_offset - ahead
     remedy = f', or set time_offset to {offset:.1f}' if abs(offset) <= MAX_TIME_OFFSET else ''
     return (f'the stamps of the profiles are {abs(ahead):.1f} s '
-            f'{"ahead of" if ahead > 0 else "behind"} those of the poses: the two clocks differ; '
-            f'set them to one time (PTP, NTP), or let one stamp as the other does{remedy}')
+            f'{"ahead of" if ahead > 0 else "behind"} those of the poses: the clocks of sensor '
+            'and robot differ; set them to one time (PTP or NTP), or let one driver stamp as the '
+            f'other does{remedy}')
 
 
 def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxyType({})) -> State:
     """Return the state of a running node; graph_troubles: as in streams.py, '' unless known."""
     session, config, attempt = live.session_copy(), live.config, live.attempt
-    review = live.solver.review
+    review, motion = live.solver.review, session.motion
     graph_trouble = graph_troubles.get('session', '')
     profiles, poses = live.message_counts['profile'], live.message_counts['pose']
-    rows = [_stop_row(stop, session, review.agreements.get(stop.number)) for stop in session.stops]
-    worst_first = sorted((row for row in rows if row['left_out'] is not None),
-                         key=lambda row: -row['left_out'])
+    samples = [_stop_row(stop, session, review.agreements.get(stop.number))
+               for stop in session.stops]
+    worst_first = sorted((sample for sample in samples if sample['left_out'] is not None),
+                         key=lambda sample: -sample['left_out'])
     late, conflict = ' and '.join(session.late_streams), session.conflict
     troubles = (
         graph_trouble, str(conflict or ''),
-        'what comes in the second is dropped; ~/clear_samples begins anew with the frame of now'
-        if conflict and conflict.reason == 'two_frames' else '',
+        'all samples are of the first: ~/clear_samples begins anew with the frame of now'
+        if conflict and conflict.reason == 'two_frames' and session.samples else '',
         late and f'{late} are dropped, as their stamps are older than those before; if they stay '
         'so, sampling goes on with them', str(session.unusable_poses_error or ''),
         # of two publishers stamps that seem to be of two clocks follow
@@ -156,11 +163,11 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
         'poses': poses.state(config.pose_topic_and_keys[0], graph_troubles.get('pose', '')),
         'motion': {
             'standing': session.is_standing,
-            'text': f'it has stood still for {session.rest_time:.2f} s'},
+            'text': motion.sentence if motion else 'too few poses have come to measure it'},
         'session': {'path': live.path, 'mode': config.sampling.mode, 'working': live.working,
                     'trouble': '; '.join(filter(None, troubles)),
                     'warnings': [*session.warnings, *live.warnings]},
-        'samples': rows, 'worst_first': [row['number'] for row in worst_first],
+        'samples': samples, 'worst_first': [sample['number'] for sample in worst_first],
         'review': '' if review.answer.solution else str(review.answer.refusal),
         'attempt': attempt and {'accepted': attempt.stop.sample is not None,
                                 'number': attempt.stop.number, 'text': attempt.text},
@@ -182,13 +189,16 @@ def with_troubles(state: State, text: str, success: bool, service: str) -> str:
     """
     Return the message of a service with the current troubles.
 
-    take_sample always tells them. What is refused may follow from a trouble, which is told first.
+    take_sample always tells them. What is refused may follow from a trouble, which is told first;
+    where no message can be used, it does.
     """
     troubles = [sentence for sentence in troubles_of(state) if sentence not in text]
     if success:
         return '; '.join([text, *troubles]) if service == 'take_sample' else text
-    is_told = any(text in sentence for sentence in troubles)
-    return '; '.join(troubles if is_told else [*troubles, text])
+    unusable = service in ('take_sample', 'compute_calibration') and any(
+        state[part]['malformed'] and not state[part]['count'] for part in ('profiles', 'poses'))
+    follows = unusable or any(text in sentence for sentence in troubles)
+    return '; '.join(troubles if follows else [*troubles, text])
 
 
 def samples_message(state: State) -> State:

@@ -83,6 +83,7 @@ class LiveVerification:
         """
         live, settings = self._live, self._live.config.verify
         live.evaluate_waiting()  # what began before is a sample, or of the part before
+        progress_before = self.text
         measured = any(isinstance(result, Sample) for result in self._parts[-1].values())
         begins = self.routine is None or (measured and len(self._parts) == self._most_parts)
         if begins:
@@ -100,8 +101,10 @@ class LiveVerification:
             self.routine, self._most_parts, self._parts = routine, most_parts, [{}]
         elif measured:
             self._parts = [*self._parts, {}]
+        dropped = (f'; what was measured before is dropped ({progress_before})'
+                   if begins and progress_before else '')
         return (f'{self.text}; move on, and stop with other tilts: what begins from now on '
-                f'counts, until ~/verify_result')
+                f'counts, until ~/verify_result{dropped}')
 
     def add_stop(self, stop: Stop) -> str:
         """

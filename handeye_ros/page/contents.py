@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any, TYPE_CHECKING
 from handeye_ros import config as configuration
 from handeye_ros import se3
 from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE
-from handeye_ros.bags.session_files import sessions_in
+from handeye_ros.bags.session_files import read_session, sessions_in
 from handeye_ros.calibration import edges_used
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration
@@ -92,13 +93,17 @@ def _remove_last(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, st
 
 
 def _exclude(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
-    """Leave out the sample of a number, or bring it back."""
-    number, leave_out = int(values['number']), values.get('out') is True
+    """Leave out a sample, or bring it back."""
+    number, leave_out = values.get('number'), values.get('out') is True
+    known_numbers = {stop['number'] for stop in node.state['samples']}
+    if type(number) is not int or number not in known_numbers:
+        return False, f'there is no sample {str(number)[:20]}'
     with EXCLUDING:
         excluded = {*node.live.config.samples.exclude} - {number}
         refusal = node.set_values(
             {'samples.exclude': sorted(excluded | ({number} if leave_out else set()))})
-    return not refusal, refusal or f'sample {number} is {"left out" if leave_out else "back"}'
+    return not refusal, refusal or (
+        f'sample {number} is left out' if leave_out else f'sample {number} is back')
 
 
 def _set(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
@@ -113,9 +118,9 @@ def _set(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
 
 def _cell(node: HandeyeNode) -> dict[str, Any]:
     """
-    Return the settings with their choices, and the names of other sessions, the newest first.
+    Return the settings with their choices, and the names of the sessions, the newest first.
 
-    previous: whether the session has just begun, and there is one before that may be meant.
+    previous: of a session that has just begun, the number of samples in the session before.
     """
     live = node.live
     values = configuration.flatten(live.config)
@@ -126,11 +131,16 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     current = Path(live.path).name
     sessions = [path for path in sessions_in(live.folders.folder(live.config))
                 if path.name != current]
+    previous = 0
+    if sessions and len(live.session.stops) <= FEW_STOPS:
+        with suppress(InputError):  # a damaged one; who opens it is told
+            stored = read_session(sessions[0])  # none may fit the settings of then
+            previous = stored.sample_count or len(stored.stops)
     settings = [{'key': key, 'value': values[key], 'description': parameters[key].description,
                  'choices': choices.get(key, list(parameters[key].choices))}
                 for key in PAGE_SETTINGS]
-    return {'sessions': [path.name for path in sessions], 'settings': settings,
-            'previous': bool(sessions) and len(live.session.stops) <= FEW_STOPS}
+    return {'sessions': [path.name for path in sessions], 'previous': previous,
+            'settings': settings}
 
 
 def _file(live: LiveSession, name: str) -> tuple[str, str]:
@@ -158,24 +168,20 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
     ...), title and figures of the last of this answer.
     """
     snapshot, calibration = live.current_snapshot(), live.solver.calibration
-    verification, checked = live.verification, live.verification.content_of_answer
+    checked = live.verification.content_of_answer
     return {**state, 'profile': snapshot and _picture(snapshot), 'scene': _scene(live, snapshot),
             'edges': _edges(live), 'has_just_begun': len(state['samples']) <= FEW_STOPS,
             'rows': list(table.transform_rows(calibration)) if calibration else [],
             'verification': {
-                'running': verification.text, 'next_part': verification.has_next_part,
+                'running': live.verification.text,
+                'next_part': live.verification.has_next_part,
                 'verdict': checked.get('verdict', ''),
                 'title': title_of(checked) if checked else '',
                 'figures': reasons_and_figures(checked) if checked else ''}}
 
 
 def stop_profile(live: LiveSession, number: str) -> dict[str, Any]:
-    """
-    Return what the page draws of a stop: the profile nearest to its stamp, with its features.
-
-    number: of the stop, as a request writes it. Raises InputError where there is no such stop, or
-    its file cannot be read.
-    """
+    """Return a profile of a stop with its features; raises InputError for unknown stops."""
     for stop in live.session_copy().stops:
         if str(stop.number) == number:
             return _picture(stop_snapshot(stop, live.config))
@@ -192,12 +198,15 @@ def _edges(live: LiveSession) -> dict[int, str]:
     answer = live.solver.review.answer
     if answer.solution is None:
         return {}
-    stamps = [answer.samples[station].stamp for station in answer.solution.used_stations]
-    edges_of_stamp = dict(zip(stamps, edges_used(answer.solution.problem), strict=True))
-    return {stop.number: ', '.join(sorted({
-        edge for sample in stop.sample.station_samples
-        for edge in edges_of_stamp.get(sample.stamp, ())}))
-        for stop in live.session_copy().stops if stop.sample}
+    number_by_stamp = {sample.stamp: stop.number
+                       for stop in live.session_copy().stops if stop.sample
+                       for sample in stop.sample.station_samples}
+    used = answer.solution.used_stations.tolist()
+    edges: dict[int, dict[str, None]] = {}  # each once, in the order of the points
+    for station, shown in zip(used, edges_used(answer.solution.problem), strict=True):
+        number = number_by_stamp.get(answer.samples[station].stamp, 0)
+        edges.setdefault(number, {}).update(dict.fromkeys(shown))
+    return {number: ', '.join(shown) for number, shown in edges.items()}
 
 
 def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:

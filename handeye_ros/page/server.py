@@ -3,9 +3,9 @@
 """
 Serves the page: static files, a stream of events, and one request for each button.
 
-aiohttp runs in its own thread and event loop, and what the node is asked runs in other threads of
-that loop: no request and no slow browser delays the node. The state is collected at most
-EVENT_RATE times a second, and only while a browser is connected.
+aiohttp runs in its own thread and event loop, and what the node is asked runs in a pool of others:
+no request and no slow browser delays the node. The state is collected at most EVENT_RATE times a
+second, and only while a browser is connected.
 
 Pages of other sites in the same browser are refused by Origin and Sec-Fetch-Site. A page for this
 machine alone asks for no token, and refuses foreign host names that point to this machine by Host.
@@ -15,7 +15,8 @@ read keeps it over restarts.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
 import hmac
@@ -33,7 +34,7 @@ from typing import Any, TYPE_CHECKING
 from urllib.parse import quote
 
 from aiohttp import web
-from handeye_ros.errors import HandeyeError, InputError, sentence_and_log
+from handeye_ros.errors import BadValueError, HandeyeError, InputError, sentence_and_log
 from handeye_ros.output import write_errors_for
 from handeye_ros.page.contents import Action, page_source, PageSource, Query
 
@@ -41,11 +42,13 @@ if TYPE_CHECKING:
     from handeye_ros.node.node import HandeyeNode
 
 EVENT_RATE = 5.0  # events a second, at most
+WORKER_COUNT = 8  # requests that wait for the node at the same time
 MAX_BODY_BYTES = 1024
+CLIENT_TIMEOUT = 10.0  # s until a client must accept an event
+BODY_TIMEOUT = 5.0  # s until the body of a request must be there
 COOKIE_AGE = 30 * 86400  # s
 TOKEN_BYTES = 18
-# the rooms whose assets are served below their names: reports show the same drawings
-ASSET_ROOMS = ('page', 'results')
+ASSET_FILES = ('page.css', 'page.js', 'viewer.js', 'scene.js', 'profile.js', 'cell.js')
 HEADERS = {
     'Content-Security-Policy': "default-src 'self'; img-src 'self' data:; "
                                "frame-ancestors 'none'; base-uri 'none'",
@@ -78,17 +81,22 @@ class PageServer:
 
     def __init__(self, source: PageSource, address: str, port: int, token_file: Path) -> None:
         """Start to serve; token_file: keeps the token, if one is needed. Raises InputError."""
+        try:
+            local = address == 'localhost' or ipaddress.ip_address(address).is_loopback
+        except ValueError as error:
+            raise BadValueError('page.address', address, 'an IP address such as 127.0.0.1 or '
+                                '0.0.0.0') from error
+        self.token = '' if local else read_or_write_token(token_file)
         self.port, self._address, self._source = port, address, source
         self.cookie = f'handeye_{port}'  # cookies know no ports
+        self._pool = ThreadPoolExecutor(WORKER_COUNT, 'page')
         self._event, self._collected = '', 0.0  # the last event, and when it was collected (s)
         try:
             listening = socket.create_server(
                 (address, port), family=socket.AF_INET6 if ':' in address else socket.AF_INET)
         except OSError as error:
             raise InputError(f'{address}:{port} cannot be served ({error.strerror or error}); set '
-                             'page.port to another, 0 for no page, or page.address') from error
-        local = ipaddress.ip_address(listening.getsockname()[0]).is_loopback
-        self.token = '' if local else read_or_write_token(token_file)
+                             'page.port to another one, or to 0 for no page') from error
         # _guarded tells what handlers raise; left is a traceback for bytes that are no HTTP
         logging.getLogger('aiohttp.server').setLevel(logging.CRITICAL)
         run = partial(web.run_app, self._app(), sock=listening, print=None, access_log=None,
@@ -107,19 +115,23 @@ class PageServer:
         app.on_response_prepare.append(_add_headers)
         app.router.add_get('/', self._index)
         app.router.add_get('/events', self._events)
-        for room in ASSET_ROOMS:
-            app.router.add_static(f'/{room}', _assets(room))
+        for file in ASSET_FILES:
+            app.router.add_get(f'/{file}', partial(_asset, file, 200))
         for name, query in self._source.queries.items():
             app.router.add_get(f'/read/{name}', partial(self._answer_query, query))
         for name, action in self._source.actions.items():
             app.router.add_post(f'/act/{name}', partial(self._run_action, action))
         return app
 
+    async def _call_node(self, function: Callable[[Any], Any], values: Mapping[str, Any]) -> Any:
+        """Return what a function of the node returns, which may take long."""
+        return await asyncio.get_running_loop().run_in_executor(self._pool, function, values)
+
     async def _current_event(self) -> str:
         """Return the state as JSON, collected for all browsers at once."""
         if time.monotonic() - self._collected >= 1 / EVENT_RATE:
             self._collected = time.monotonic()
-            try:
+            try:  # in another pool: not behind requests that take long
                 self._event = json_text(await asyncio.to_thread(self._source.state))
             except Exception as error:  # noqa: BLE001 - the page must go on
                 self._event = json_text({'error': sentence_and_log('this', error)})
@@ -135,15 +147,16 @@ class PageServer:
             name = re.sub(r':\d*$', '', host).strip('[]').lower()  # without the port
             if not self.token and name not in (
                     'localhost', '127.0.0.1', '::1', self._address, socket.gethostname().lower()):
-                return _sentence(403, f'this page is for its own machine alone: {self.url}')
+                return _sentence(403, 'this page is served for its own machine alone, as '
+                                 f'{self.url}')
             if origin not in (None, f'http://{host}') or site not in ('same-origin', 'none'):
                 return _sentence(403, 'requests of other pages are refused')
             if self.token and not hmac.compare_digest(token.encode(errors='replace'),
                                                       self.token.encode()):
-                if request.path == '/':
-                    return web.FileResponse(_assets('page') / 'login.html', status=401)
-                if request.path != '/page/page.css':  # of that file
-                    return _sentence(401, 'the token is missing or wrong')
+                shown = {'/': ('login.html', 401), '/page.css': ('page.css', 200)}
+                if request.path in shown:
+                    return await _asset(*shown[request.path])
+                return _sentence(401, 'the token is missing or wrong')
             return await handler(request)
         except web.HTTPException as error:
             return _sentence(error.status, error.reason.lower())
@@ -156,24 +169,25 @@ class PageServer:
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
         response = web.StreamResponse(headers={'Content-Type': 'text/event-stream'})
-        with suppress(ConnectionError):
+        with suppress(TimeoutError, ConnectionError):
             await response.prepare(request)
             while True:
                 if event := await self._current_event():
-                    await response.write(f'data: {event}\n\n'.encode())
+                    await asyncio.wait_for(response.write(f'data: {event}\n\n'.encode()),
+                                           CLIENT_TIMEOUT)
                 await asyncio.sleep(1 / EVENT_RATE)
         return response
 
     async def _index(self, request: web.Request) -> web.StreamResponse:
         if 'token' not in request.query:
-            return web.FileResponse(_assets('page') / 'index.html')
+            return await _asset('index.html')
         response = web.Response(status=303, headers={'Location': '/'})
         response.set_cookie(self.cookie, self.token, httponly=True, samesite='Strict',
                             max_age=COOKIE_AGE)
         return response
 
     async def _answer_query(self, query: Query, request: web.Request) -> web.StreamResponse:
-        answer = await asyncio.to_thread(query, request.query)
+        answer = await self._call_node(query, request.query)
         if isinstance(answer, tuple):
             return web.Response(text=answer[1], headers={
                 'Content-Disposition': f"attachment; filename*=UTF-8''{quote(answer[0])}"})
@@ -183,12 +197,14 @@ class PageServer:
         if request.content_type != 'application/json':
             return _sentence(415, 'expected application/json')
         try:
-            values = json.loads(await request.read() or b'{}')
+            values = json.loads(await asyncio.wait_for(request.read(), BODY_TIMEOUT) or b'{}')
+        except TimeoutError:
+            return _sentence(408, 'the request was not complete in time')
         except (ValueError, RecursionError, web.RequestPayloadError):
             values = None
         if not isinstance(values, dict):
             return _sentence(400, 'expected a JSON object')
-        success, message = await asyncio.to_thread(action, values)
+        success, message = await self._call_node(action, values)
         return web.json_response({'success': success, 'message': message})
 
 
@@ -205,9 +221,10 @@ def json_text(values: Any) -> str:
     return json.dumps(json.loads(json.dumps(values), parse_constant=lambda _: None))
 
 
-def _assets(room: str) -> Path:
-    """Return the folder of the files that a room of this package has for the page."""
-    return Path(str(resources.files(f'handeye_ros.{room}'))) / 'assets'
+async def _asset(name: str, status: int = 200, _: web.Request | None = None
+                 ) -> web.StreamResponse:
+    room = 'handeye_ros.results' if name in ('viewer.js', 'profile.js') else 'handeye_ros.page'
+    return web.FileResponse(Path(str(resources.files(room))) / 'assets' / name, status=status)
 
 
 def read_or_write_token(file: Path) -> str:

@@ -27,7 +27,7 @@ from handeye_ros.data import AnyProfile, Array, NS, Reject, Sample, TimedPose
 from handeye_ros.errors import count_of, DataError, InputError
 from handeye_ros.frames import frame_notes
 from handeye_ros.sampling.features import result_of
-from handeye_ros.sampling.stops import ProfileBuffer, Stop, StopFinder
+from handeye_ros.sampling.stops import Motion, ProfileBuffer, Stop, StopFinder
 from handeye_ros.sampling.stream import Copyable, LAST_STAMP, REORDER_TIME, Stream
 from handeye_ros.sampling.sweep import passes_expanded
 import numpy as np
@@ -208,9 +208,9 @@ class Session(Copyable):
             if self.config.sampling.moving:
                 raise DataError('the pass has just begun: sweep on, and take the sample in a '
                                 'second', reason='moving')
+            motion = self.motion.sentence if self.motion else 'too few poses have come'
             raise DataError(f'the robot must stand still for {self.config.sampling.still_time:g} '
-                            f's, and has stood still for {self.rest_time:.2f} s: wait, and take '
-                            'the sample again', reason='moving')
+                            f's, and {motion}: wait, and take the sample again', reason='moving')
         self._profiles.add(self._profile_stream.release(stop.start, stop.end))
         return stop.with_profiles(self._profiles.items)
 
@@ -324,6 +324,15 @@ class Session(Copyable):
                 if stop.sample and stop.sample.centroid is not None]
 
     @property
+    def frame_change_notice(self) -> str:
+        """Return in words that another frame replaced the first, which gave no sample; or ''."""
+        for stream in self._streams:
+            if stream.successor and not self._has_samples:
+                return (f'only {stream.kind}s of frame "{stream.successor}" come now, and none of '
+                        f'"{stream.frame}" gave a sample: the session begins anew')
+        return ''
+
+    @property
     def frame_id(self) -> str:
         """Return the frame of the profiles, empty before the first."""
         frame = self._profile_stream.frame
@@ -340,14 +349,15 @@ class Session(Copyable):
         return tuple(f'{stream.kind}s' for stream in self._streams if stream.late)
 
     @property
-    def rest_time(self) -> float:
-        """Return how long the robot has stood still (s)."""
-        return self._finder.rest_time
+    def motion(self) -> Motion | None:
+        """Return the current motion of the robot, None with fewer than two poses."""
+        return self._finder.motion()
 
     @property
     def is_standing(self) -> bool:
         """Return whether the robot has stood still long enough for a sample."""
-        return self.rest_time >= self.config.sampling.still_time
+        motion = self.motion
+        return motion is not None and motion.rest_time >= self.config.sampling.still_time
 
     @property
     def unrequested_stops_notice(self) -> str:

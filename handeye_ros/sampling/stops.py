@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 import math
+from typing import NamedTuple
 
 from handeye_ros import se3
 from handeye_ros.config import Config, SamplingConfig
@@ -29,7 +30,9 @@ from handeye_ros.data import (
 )
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.sampling.stream import by_stamp, Copyable, LAST_STAMP
+import numpy as np
 
+MOTION_TIME = 3 * NS // 10  # time over which the speed is averaged
 MAX_STOP_TIME = 10 * NS  # of a stop; sampling.still_time and settle_time must fit into it
 PASS_TIME = 2 * NS  # of motion
 SHORT_REST = NS // 10  # a rest that was probably meant as a stop
@@ -141,6 +144,17 @@ def decoded(profiles: Iterable[AnyProfile], config: Config) -> list[Profile]:
     return usable
 
 
+class Motion(NamedTuple):
+    """
+    How the robot moves, in words.
+
+    rest_time: how long it has stood near where it is (s); in a pass, too, it may stand
+    """
+
+    rest_time: float
+    sentence: str
+
+
 class StopFinder(Copyable):
     """
     Cuts a stream of poses into stops, or into passes where sampling.mode is moving.
@@ -154,7 +168,7 @@ class StopFinder(Copyable):
         """Start with no poses."""
         self.sampling = sampling
         self._poses: deque[TimedPose] = deque()  # of the current stop
-        self._last: TimedPose | None = None
+        self._recent: deque[TimedPose] = deque(maxlen=MAX_POSES)  # of the last MOTION_TIME
         self._rest: TimedPose | None = None  # first pose near which the robot still is
         self.stamp = -1
         self.longest_rest_ns = self.short_rest_count = 0
@@ -162,12 +176,14 @@ class StopFinder(Copyable):
     def add(self, pose: TimedPose) -> Stop | None:
         """Add the next pose; return the stop that it ends, or None."""
         sampling = self.sampling
-        no_gap = self._last is not None and (
-            pose.stamp - self._last.stamp <= sampling.max_pose_gap * NS)
+        no_gap = bool(self._recent) and (
+            pose.stamp - self._recent[-1].stamp <= sampling.max_pose_gap * NS)
         if not (no_gap and self._rest and self._is_near(self._rest, pose)):
             self._rest = pose
         self.longest_rest_ns = max(self.longest_rest_ns, pose.stamp - self._rest.stamp)
-        self._last = pose
+        self._recent.append(pose)
+        while pose.stamp - self._recent[0].stamp > MOTION_TIME:
+            self._recent.popleft()
         # a rest is one pass, too: a robot at rest shows nothing new
         if no_gap and (sampling.moving and pose.stamp - self._poses[0].stamp <= PASS_TIME
                        or self._is_near(self._poses[0], pose)):
@@ -195,10 +211,16 @@ class StopFinder(Copyable):
         is_stop = bool(poses) and poses[-1].stamp - poses[0].stamp >= least
         return Stop(self.stamp, tuple(poses)) if is_stop else None
 
-    @property
-    def rest_time(self) -> float:
-        """Return how long the robot has stood near where it is (s), also within a pass."""
-        return (self._last.stamp - self._rest.stamp) / NS if self._last and self._rest else 0.0
+    def motion(self) -> Motion | None:
+        """Return the current motion of the robot, None with fewer than two poses."""
+        if len(self._recent) < 2 or not self._rest:
+            return None
+        first, last = self._recent[0], self._recent[-1]
+        still, seconds = (last.stamp - self._rest.stamp) / NS, (last.stamp - first.stamp) / NS
+        speed = np.linalg.norm(last.translation - first.translation) / seconds
+        turning = np.degrees(_angle_between(first, last)) / seconds
+        return Motion(still, f'it has stood still for {still:.2f} s' if still > MOTION_TIME / NS
+                      else f'it moves by {speed * 1e3:.1f} mm/s and {turning:.1f} degrees/s')
 
     def window(self) -> tuple[int, int]:
         """Return the first and last stamp of profiles that the current stop can use."""

@@ -58,6 +58,7 @@ class Stream(Copyable, Generic[Stamped]):
     late: whether the last received message was dropped because it is older than `latest`
     repeats: how many last messages have its stamp too
     frame: of the first message; those of others are strays
+    successor: the frame that alone has come for UNMIXED_TIME in place of that one, or ''
     step_back: by how much the clock was set back (ns), 0 if it was not
     """
 
@@ -72,12 +73,13 @@ class Stream(Copyable, Generic[Stamped]):
         self.late = False
         self.repeats = 0
         self.frame = frame
+        self.successor = ''
         self.step_back = 0
         self._late_stamps: list[int] = []  # stamps of the last messages, if all were far too late
         self._steps_back: list[int] = []  # by how much, each time before (ns)
         self._strays = 0  # with less than UNMIXED_TIME of the first frame between them
         self._last_stray = -1  # `latest` when it came
-        self._other = ''  # frame of the last stray
+        self._other, self._other_since = '', -1  # frame of the last stray, since when it is alone
 
     @property
     def conflict(self) -> InputError | None:
@@ -105,8 +107,9 @@ class Stream(Copyable, Generic[Stamped]):
         """Add the next message; return it and the one held back, as far as they are confirmed."""
         self.frame = frame if self.frame is None else self.frame
         if frame != self.frame:
-            self._count_stray(frame)
+            self._count_stray(frame, item.stamp)
             return []
+        self._other_since, self.successor = -1, ''
         if self._held and self._held.stamp - item.stamp > REORDER_TIME:
             self._held = None
             self._dropped['whose stamp lies far ahead of the next one'] += 1
@@ -122,13 +125,16 @@ class Stream(Copyable, Generic[Stamped]):
             passed += self.release(0, self.latest + REORDER_TIME)
         return passed
 
-    def _count_stray(self, frame: str) -> None:
+    def _count_stray(self, frame: str, stamp: int) -> None:
         """Count a message of another frame than the first."""
         if self.latest - self._last_stray > UNMIXED_TIME:
             self._strays = 0
         self._strays += 1
-        self._last_stray, self._other = self.latest, frame
+        self._last_stray = self.latest
         self._dropped[f'of frame "{frame}"'] += 1
+        if frame != self._other or self._other_since < 0:
+            self._other, self._other_since = frame, stamp
+        self.successor = frame if stamp - self._other_since > UNMIXED_TIME else ''
 
     def _look_for_step_back(self, stamp: int) -> None:
         """Note a clock that was set back: LATE_COUNT messages, in order, are far too late."""

@@ -20,6 +20,8 @@ from geometry_msgs.msg import PoseStamped  # noqa: E402
 from handeye_ros import se3  # noqa: E402
 from handeye_ros.arm import arm_of  # noqa: E402
 from handeye_ros.bags.reader import RecordedMessage  # noqa: E402
+from handeye_ros.errors import InputError  # noqa: E402
+from handeye_ros.node.main import ros  # noqa: E402
 from handeye_ros.results.calibration_file import write_calibration  # noqa: E402
 from handeye_ros.simulate import robot  # noqa: E402
 from moving_scan import (  # noqa: E402
@@ -67,12 +69,19 @@ def started(module: str, *arguments: object) -> AbstractContextManager[subproces
         ('main', ['--ros-args', '-p', 'output_dir:=/proc'], 'cannot write /proc (output_dir)'),
         ('scan', ['none.yaml'], 'none.yaml cannot be used'),
         ('main', ['--ros-args', '-p', 'profile_topic:=my profile'], '"my profile" cannot '),
-        ('main', ['--ros-args', '-p', 'target.size:=[1.0, 2]'], 'ROS reports RCLError: '),
-        ('main', ['--ros-args', 'nonsense'], 'ROS reports UnknownROSArgsError: ')))])
+        ('main', ['--ros-args', '-p', 'target.size:=[1.0, 2]'], 'ROS does not start: '),
+        ('main', ['--ros-args', 'nonsense'], 'ROS does not start: ')))])
 def test_wrong_arguments_are_refused(module: str, arguments: list[str], reason: str) -> None:
     run = run_module(module, *arguments)
     assert run.returncode == 2 and f'error: {reason}' in run.stderr
     assert 'Traceback' not in run.stderr
+
+
+def test_a_service_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ('ROS_LOG_DIR', 'ROS_HOME', 'HOME'):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(InputError, match='no place for its logs.*set one of them'), ros():
+        pass
 
 
 @pytest.mark.thorough

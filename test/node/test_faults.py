@@ -159,7 +159,7 @@ def test_a_simulated_clock_that_jumps_forth_and_back(tmp_path: Path, client: Cli
 def test_two_nodes_of_one_name_are_reported_and_keep_apart(tmp_path: Path, client: Client) -> None:
     first, second = tmp_path / 'first', tmp_path / 'second'
     shared = ('-p', f'output_dir:={tmp_path}', *SPHERE, '-p', 'sampling.mode:=still')
-    words = 'there are two nodes /handeye: end one'
+    words = 'there are two nodes /handeye: both publish, and either may answer; end one'
     for folder in (first, second):
         folder.mkdir()
     with running_node(first, *shared):

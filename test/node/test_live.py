@@ -104,7 +104,7 @@ def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording() -> No
     text = computed(live)
     offline = pipeline.calibrate(recording.profiles, recording.poses, config)
     assert np.allclose(live.solver.calibration.T_flange_sensor, offline.T_flange_sensor, atol=1e-9)
-    assert ' samples used, ' in text
+    assert ' profiles used, ' in text
 
 
 def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
@@ -172,22 +172,36 @@ def test_a_time_offset_set_during_a_stop_holds_for_it_too(before: float, lost: i
         assert np.array_equal(points, received[profile.stamp], equal_nan=True)
 
 
-@pytest.mark.parametrize('kind', ['pose', 'profile'])
-def test_another_frame_is_told_and_what_comes_in_it_counts_once_samples_are_cleared(
-        kind: str) -> None:
-    live, restarts = new(set_to(SPHERE.config, samples__exclude=(1, 2))), []
+@pytest.mark.parametrize('kind', ['pose', 'profile', 'sample'])
+def test_a_new_frame_begins_anew_unless_another_gave_a_sample(kind: str) -> None:
+    exclude = () if kind == 'sample' else (1, 2)  # of samples that are gone then
+    live, restarts = new(set_to(SPHERE.config, samples__exclude=exclude)), []
     live.restart_streams = lambda: restarts.append('transforms too')
-    feed(live, [replace(pose, parent_frame='map') for pose in SPHERE.poses[:9]]
-         if kind == 'pose' else [replace(p, frame_id='other') for p in SPHERE.profiles[:9]])
-    feed(live, later(SPHERE.messages, 1000))
+    items = SPHERE.messages
+    live.start()
+    feed(live, [replace(pose, parent_frame='map') for pose in SPHERE.poses[:400]]
+         if kind == 'pose' else [replace(p, frame_id='other') for p in SPHERE.profiles[:400]])
+    feed(live, SPHERE.poses[:400] if kind == 'sample' else ())
+    count = sample_count(state_of(live))
+    assert bool(count) == (kind == 'sample')
+    feed(live, later(items, 1000))  # of which the first seconds decide
+    feed(live, later(items, 2000))
+    assert bool(restarts) == (not count)
+    if count:
+        assert sample_count(state_of(live)) == count
+        assert f'two frames, "other" and "{SPHERE.profiles[0].frame_id}"' in (
+            state_of(live)['session']['trouble'])
+    else:
+        assert sample_count(state_of(live)) > 10 and not state_of(live)['session']['trouble']
+        assert not any(sample['excluded'] for sample in state_of(live)['samples'])
+
+
+def test_two_frames_before_the_first_sample_tell_of_no_sample() -> None:
+    live = new()
+    feed(live, [replace(p, frame_id='other') for p in SPHERE.profiles[:9]])
+    feed(live, SPHERE.profiles[9:18])
     trouble = state_of(live)['session']['trouble']
-    assert 'two frames' in trouble and '~/clear_samples begins anew' in trouble
-    assert not sample_count(state_of(live)) and not restarts
-    live.clear_samples()
-    assert restarts
-    feed(live, later(SPHERE.messages, 2000))
-    assert sample_count(state_of(live)) > 10 and not state_of(live)['session']['trouble']
-    assert not any(sample['excluded'] for sample in state_of(live)['samples'])
+    assert 'two frames' in trouble and 'samples' not in trouble
 
 
 @pytest.mark.parametrize('kind', ['pose', 'profile'])
@@ -199,7 +213,7 @@ def test_another_frame_after_the_samples_is_told_and_they_are_computed(kind: str
                 SPHERE.poses[:90]] if kind == 'pose' else
          [replace(p, frame_id='other', stamp=end + p.stamp % 10**9) for p in SPHERE.profiles[:90]])
     trouble = state_of(live)['session']['trouble']
-    assert 'two frames' in trouble and 'comes in the second is dropped' in trouble
+    assert 'two frames' in trouble and 'all samples are of the first' in trouble
     changed(live, noise__sensor=2e-5)
     changed(live, noise__sensor=SPHERE.config.noise.sensor)
     answer, save = before.split('; save it')
@@ -264,7 +278,7 @@ def test_a_retaken_stop_has_a_new_number_and_outdates_the_answer() -> None:
     assert (state['calibration']['state'], state['guidance']['sample']) == ('outdated', last - 1)
     assert live.take_sample().startswith(f'sample {last + 1} taken: ')
     status = state_of(live)['calibration']
-    assert status['state'] == 'outdated' and 'have changed since' in status['text']
+    assert status['state'] == 'outdated' and '1 removed and 1 added' in status['text']
 
 
 def test_cleared_and_refused_answers_are_withdrawn() -> None:

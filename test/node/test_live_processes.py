@@ -62,7 +62,8 @@ def test_nobody_waits_for_a_solve_or_a_verdict() -> None:
     assert live.working == 'the calibration is computed'
     assert ' taken again, ' in live.call_on_worker(live.take_sample)
     assert live.call_on_worker(live.remove_last_sample).startswith('removed sample ')
-    live.call_on_worker(live.solver.save_calibration)  # that of before
+    saved = live.call_on_worker(live.solver.save_calibration)
+    assert saved.endswith('again: save it again after that')
     gate.open.set()
     assert answer.result(PATIENCE).startswith('laser in flange')
     live.call_on_worker(live.verification.verify_start)

@@ -81,7 +81,7 @@ def test_the_stop_in_which_a_verification_is_given_up_is_no_sample() -> None:
     assert [stop.number for stop in live.session_copy().stops] == before
 
 
-def test_a_verdict_is_asked_for_again_and_a_verification_begun_anew() -> None:
+def test_a_verification_begun_anew_says_what_is_dropped() -> None:
     live = fed(TO_VERIFY, PARTS[0])
     computed(live)
     live.verification.verify_start()
@@ -97,4 +97,5 @@ def test_a_verdict_is_asked_for_again_and_a_verification_begun_anew() -> None:
     assert verdict(live).startswith('sphere: PASS, 6 stations; ')
     live.verification.verify_start()
     feed(live, later(PARTS[1].messages, 1000))
-    assert live.verification.verify_start().startswith('sphere: 0 usable stops of 0; ')
+    assert live.verification.verify_start().endswith(
+        '; what was measured before is dropped (sphere: 6 usable stops of 6)')

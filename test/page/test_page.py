@@ -160,6 +160,7 @@ def went_on(browser: Any, count: int) -> None:
     assert len(cell['sessions']) == 1
     assert tuple(one['key'] for one in cell['settings']) == PAGE_SETTINGS  # in their order
     wait(browser, "!document.getElementById('before').hidden", 'the banner')
+    assert words(browser, 'before-text') == f'The previous session holds {count} samples.'
     click(browser, '#continue')
     wait(browser, f'{LINES} === {count}', 'its samples')
     wait(browser, "document.getElementById('answer-x')", 'its answer')

@@ -60,6 +60,7 @@ async function readCell() {
   routine.addEventListener('change', showNominal);
   showNominal();
   $('before').hidden = !previous;
+  text('before-text', `The previous session holds ${previous} sample${previous === 1 ? '' : 's'}.`);
   $('sessions').replaceChildren(...sessions.map(name => element('option', name)));
   $('open').disabled = !$('sessions').options.length;
 }
