@@ -35,6 +35,7 @@ from handeye_ros.frames import mount_frame, T_sensor_plane, weakest_position
 import numpy as np
 from numpy.typing import NDArray
 
+MAX_POINTS = 200_000  # measured points of which residuals are computed
 MAX_FOLDS = 20  # of the cross-validation
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
              'crosses the edge at too small an angle')
@@ -199,14 +200,19 @@ class MeasuredPoints:
 
 
 def measured_points(used: Sequence[Sample], problem: Problem) -> MeasuredPoints:
-    """Return all measured points of samples, in the order of the problem's stations."""
+    """
+    Return all measured points of samples, in the order of the problem's stations.
+
+    Of more than MAX_POINTS every second, third, ... is taken: their RMS is the same.
+    """
     obs = problem.observations
     bounds = np.searchsorted(obs.station, np.arange(len(used) + 1))
     parts = [problem.target.measured(sample, obs.points[first:last], obs.kind[first:last])
              for sample, first, last in zip(used, bounds[:-1], bounds[1:], strict=True)]
     station = np.repeat(np.arange(len(used)), [len(kind) for _, kind in parts])
     points, kind = map(np.concatenate, zip(*parts, strict=True))
-    return MeasuredPoints(points, kind, station)
+    step = max(-(-len(kind) // MAX_POINTS), 1)
+    return MeasuredPoints(points[::step], kind[::step], station[::step])
 
 
 @dataclass(frozen=True)
@@ -354,6 +360,9 @@ def unused_edges_in_words(solution: Solution) -> str:
     if not len(stations):
         return ''
     shown = int(solution.full_problem.subset(solution.used_stations).shows_edge.sum())
+    target = solution.problem.config.target
+    hint = ' (of a plate of unknown target.size only two count)' if not target.size and (
+        target.type == 'plate') else ''
     return (f'the edges of {len(stations)} of the {shown} samples that show one lie on none of '
-            'the target (the far edges of a plate are used with target.size), or the laser '
-            'crosses them at less than sampling.min_crossing_angle')
+            f'the target{hint}, or the laser crosses them at less than '
+            'sampling.min_crossing_angle')

@@ -606,7 +606,8 @@ def load(path: Path | str, config: Config | None = None) -> Config:
     for_ours = [node for node in sections if node.split('/')[-1] == NODE_NAME]
     if not for_all and not for_ours:
         raise InputError(f'{path} holds the parameters of {", ".join(sections) or "no node"}, and '
-                         f'none of them is "{NODE_NAME}" or "/**", with keys in "ros__parameters"')
+                         f'none of them is "{NODE_NAME}": give the calibration a section "/**:" '
+                         'or of that name, below it "ros__parameters:", below it the keys')
     if len(for_ours) > 1:
         raise InputError(f'{path} holds the parameters of {", ".join(for_ours)}: keep those of '
                          f'one "{NODE_NAME}"')

@@ -120,10 +120,14 @@ class Table:
         """
         notation = self.notation(prefix, angles)
         names, axes = notation.columns(prefix), _axes(prefix)
-        self._require(axes)
-        if not self.columns.keys() >= {*names}:
-            raise TableError(self.path, f'has no columns {", ".join(names)}; --angles states how '
-                             f'a flange is written otherwise: {", ".join(NOTATIONS)}')
+        readable = [name for name, other in {**NOTATIONS, '': self.notation(prefix)}.items()
+                    if self.columns.keys() >= {*other.columns(prefix)}]
+        if readable and not self.columns.keys() >= {*names}:
+            how = (f'--angles {" or ".join(readable)} reads, of the flange only' if all(readable)
+                   else 'are read without --angles')
+            raise TableError(self.path, f'has no columns {", ".join(names)}; it has those that '
+                             f'{how}')
+        self._require([*axes, *names])
         kind = ANGLE if notation.angle_unit else NUMBER
         length, unit = (notation.length_unit, notation.angle_unit) if angles else ('', '')
         numbers = self.values(names, kind, unit) / UNITS[kind][notation.angle_unit]

@@ -47,10 +47,11 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[TrendEnt
     """
     Return the calibrations below a folder by time, and a warning for each file left out.
 
-    first: the reference, the oldest calibration if not given; only calibrations between its frames
-    are compared. Raises DataError for a single one of these, InputError where the folder holds no
-    calibration or is not there.
+    first: the reference, the oldest if not given; only those between its frames are compared.
+    Raises DataError for a single one of these, InputError for a folder without any.
     """
+    if not folder.is_dir():
+        raise InputError(f'there is no folder {folder}: name one that holds calibrations')
     calibrations, warnings = [], []
     for path in sorted(folder.rglob(NAME)):
         try:
@@ -92,11 +93,7 @@ def _frames(calibration: Calibration) -> str:
 
 
 def difference_of(a: Calibration, b: Calibration) -> tuple[Array, Array, float]:
-    """
-    Return the difference (6,) of calibration a from b, its 1 sigma (6,) and its p-value.
-
-    The difference is x y z rx ry rz in the axes of the mount (m, rad).
-    """
+    """Return the difference (6,) of a from b, its 1 sigma (6,) and its p-value."""
     difference = se3.difference(a.T_flange_sensor, b.T_flange_sensor)
     covariance = a.covariance + b.covariance
     p_value = float(chi2_sf(difference @ np.linalg.solve(covariance, difference), 6))

@@ -70,12 +70,19 @@ def test_tables_that_cannot_be_read_are_refused_with_a_reason(tmp_path, text, me
 @pytest.mark.parametrize(('header', 'message'), [
     ('f_x [m],f_y [m]', r'has no column f_z$'),
     ('f_x [m],f_y [m],F_Z [m]', r'has no column f_z; did you mean "F_Z"'),
-    ('f_x,f_y,f_z,f_a,f_b,f_c', 'f_qz, f_qw; --angles states how a .*: kuka-abc, fanuc-wpr, '),
+    ('f_x [m],f_y [m],f_z [m],f_qx,f_qy,f_qz', r'has no column f_qw$'),
+    ('f_x,f_y,f_z,f_a,f_b,f_c', '; it has those that --angles kuka-abc reads, of the fl'),
     ('f_x [m],f_y [m],f_z [m],f_qx,f_qy,f_qz,f_qw', r'row 1: f_q... is no unit quaternion')])
 def test_poses_without_all_columns_or_unit_length_are_refused(tmp_path, header, message):
     (tmp_path / 'a.csv').write_text(f'{header}\n' + ','.join('1' for _ in header.split(',')))
     with pytest.raises(TableError, match=message):
         Table(tmp_path / 'a.csv').poses('f')
+
+
+def test_poses_that_need_no_notation_are_told_so(tmp_path):
+    (tmp_path / 'a.csv').write_text('f_x,f_y,f_z,f_roll,f_pitch,f_yaw\n1,1,1,1,1,1')
+    with pytest.raises(TableError, match='those that are read without --angles'):
+        Table(tmp_path / 'a.csv').poses('f', 'kuka-abc')
 
 
 def matrix(name: str, *numbers: float) -> np.ndarray:

@@ -89,5 +89,5 @@ def test_the_verb_shows_writes_and_refuses(tmp_path):
     assert_refused(handeye('trend', 'steady/day_0', cwd=tmp_path), 3, 'steady')
     (tmp_path / 'empty').mkdir()
     assert_refused(handeye('trend', 'empty', cwd=tmp_path), 2, 'empty holds 0 readable')
-    assert_refused(handeye('trend', 'nights', cwd=tmp_path), 2, 'nights holds 0 readable')
+    assert_refused(handeye('trend', 'nights', cwd=tmp_path), 2, 'no folder nights: ')
     succeeds('trend', 'steady/day_0', '--against', 'steady/day_1', cwd=tmp_path)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from functools import lru_cache
 import json
 import os
@@ -109,12 +108,14 @@ def write_mcap(stream: BinaryIO, messages: Iterable[RecordedMessage]) -> None:
 
 
 def summary_of(file: Path) -> Summary:
-    """Return the summary of a whole .mcap file, with statistics; raises InputError for others."""
-    with suppress(Exception):  # damaged bytes cause all kinds of errors in parsers
+    """Return the summary of a whole .mcap file, with statistics; raises InputError."""
+    try:
         summary = _contents(file, file.stat().st_mtime_ns)
         if summary and summary.statistics:
             return summary
-    raise InputError(f'{file}: is damaged or cut off, or cannot be read')
+    except Exception as error:  # damaged bytes cause all kinds of errors in parsers
+        raise InputError(f'{file}: is damaged, or cannot be read: {error}') from error
+    raise InputError(f'{file}: is cut off')
 
 
 @lru_cache(10_000)

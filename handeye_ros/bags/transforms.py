@@ -68,7 +68,7 @@ class FlangeFollower:
         base, flange: the ids of the two frames
         max_gap: the largest time between two transforms of a moving link that are interpolated (s)
         """
-        self._max_gap = max_gap
+        self._max_gap, self._sparse_count = max_gap, 0
         self._base = base.removeprefix('/')
         self._flange = flange.removeprefix('/')
         self._links: dict[str, _Link] = {}
@@ -77,8 +77,11 @@ class FlangeFollower:
     @property
     def warnings(self) -> list[str]:
         """Return one sentence for each frame and reason for which transforms were dropped."""
-        return [f'/tf (frame {child}): {warning}' for child, link in self._links.items()
-                for warning in link.stream.warnings]
+        sparse = [f'{self._sparse_count} poses of /tf were left out: another link moved, and its '
+                  f'transforms are more than {self._max_gap:g} s apart (sampling.max_pose_gap)'
+                  ] if self._sparse_count else []
+        return [*sparse, *(f'/tf (frame {child}): {warning}' for child, link in self._links.items()
+                           for warning in link.stream.warnings)]
 
     def add(self, transforms: Sequence[tuple[str, TimedPose]], static: bool) -> list[TimedPose]:
         """
@@ -108,7 +111,9 @@ class FlangeFollower:
                 break
             self._sent_until = stamp
             T_base_flange = se3.inverse(T_ancestor_base) @ T_ancestor_flange
-            if np.isfinite(T_base_flange).all():
+            if np.isnan(T_base_flange).any():
+                self._sparse_count += 1
+            else:
                 poses.append(TimedPose(stamp, T_base_flange[:3, 3],
                                        se3.quaternion(T_base_flange), self._base))
         return poses

@@ -76,9 +76,9 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
     Another setting may explain that (UnexplainedError) only where there were stops enough.
     """
     if len(samples) < target.min_samples:
-        causes = [without_numbers(reject.reason) for reject in rejects]
-        example = max(rejects, default=None, key=lambda reject: causes.count(
-            without_numbers(reject.reason)))
+        causes = Counter(without_numbers(reject.reason) for reject in rejects)
+        example = max(rejects, default=None, key=lambda reject: causes[
+            without_numbers(reject.reason)])
         why = f' ({count_of(len(rejects), "stop")} gave none, most often: {example.reason})' if (
             example) else ''
         refusal, advice = DataError, 'take more, with the laser across the target'

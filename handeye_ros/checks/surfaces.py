@@ -47,7 +47,7 @@ class OtherSurfaceError(DataError):
         """Build the sentence from stops, and what they show in words."""
         stops = list(stops)
         self.stamps, self.why = {stop.result.stamp for stop in stops}, why
-        they_show = f'the stops {", ".join(str(stop.number) for stop in stops)} show {why}'
+        they_show = f'the {_numbers(stops)} show {why}'
         self.warning = f'{they_show}: they are left out'
         super().__init__(f'{they_show}: {ADVICE}', reason='surface')
 
@@ -63,26 +63,32 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
         return
     stops = np.array([stop for stop in stops_to_explain(session) if stop.sample])
     at_edge, shown, agreeing = _heights_over_plane(stops, config)
-    near = _is_near(at_edge[:, None], at_edge)
-    of_levels = np.unique(near[near.any(axis=1)], axis=0)  # which stops are at each
-    for is_at_level in sorted(of_levels, key=np.sum, reverse=True):
-        level = float(np.median(at_edge[is_at_level]))
+    levels, several = _levels(at_edge), False
+    for level, is_at_level in levels:
         shows_level = np.array([bool(np.any(_is_near(heights, level))) for heights in shown])
         if (shows_level & ~is_at_level).sum() < MIN_STOPS:
             continue  # only those that show both tell that there are two
         above = at_edge[~is_at_level] - level
         if not np.isfinite(above).any():
             continue
+        several |= bool(is_at_level.sum() >= MIN_STOPS)
         # only wrong axes or a wrong sign make the ground beneath a face
-        if np.nanmedian(above) > 0 and explain_samples(
-                [stop.sample for stop in stops[is_at_level]], config, all_starts=True).agrees:
+        if np.nanmedian(above) > 0 and _agree_on_target(stops[is_at_level], config):
             raise OtherSurfaceError(stops[~is_at_level], _surface_in_words(above))
-    if agreeing and refusal.reason == 'misfit':
-        raise DataError(
-            f'{agreeing} of {len(stops)} stops agree on one plane, but not on the edges of the '
-            'target: they show the ends of other objects, such as a clamp or a second plate, the '
-            'target moved in its plane or is not as target.type and target.size state, or poses '
-            f'or clocks are wrong along this plane: {ADVICE}', reason='surface')
+    if several and refusal.reason in ('misfit', 'edges'):
+        listed = '; '.join(
+            f'{(level - np.nanmin(at_edge)) * 1e3:.1f} mm: {_numbers(stops[is_at_level])}'
+            for level, is_at_level in levels)
+        why = f'they show edges at several heights ({listed}), as of a clamp or a second plate'
+    elif agreeing and refusal.reason == 'misfit':
+        why = ('the ends of their faces lie on another object, such as a clamp or a second plate, '
+               'the target moved in its plane or is not as target.type and target.size state, '
+               'or poses or clocks are wrong along this plane')
+    else:
+        return
+    raise DataError(
+        f'{agreeing} of {len(stops)} stops agree on one plane, but not on the edges of the '
+        f'target: {why}: {ADVICE}', reason='surface')
 
 
 def _heights_over_plane(stops: NDArray[np.object_], config: Config
@@ -117,8 +123,23 @@ def _face_heights(result: Sample | Reject, T_target_plane: Array) -> Array:
         else np.nan for face in getattr(result, 'features', ()) if isinstance(face, FaceLine)])
 
 
+def _levels(heights: Array) -> list[tuple[float, NDArray[np.bool_]]]:
+    """Return levels (m) that differ, and which of the heights (n,) are at each; most first."""
+    near = _is_near(heights[:, None], heights)
+    levels: list[tuple[float, NDArray[np.bool_]]] = []
+    for k in np.argsort(-near.sum(axis=1), kind='stable'):
+        if near[k].any() and not any(is_at_level[k] for _, is_at_level in levels):
+            levels.append((heights[k], near[k]))
+    return levels
+
+
 def _is_near(heights: Array, level: Array | float) -> NDArray[np.bool_]:
     return np.asarray(np.abs(heights - level) < MIN_DISTANCE)
+
+
+def _agree_on_target(stops: NDArray[np.object_], config: Config) -> bool:
+    """Return whether stops, however few, agree on the target as configured."""
+    return explain_samples([stop.sample for stop in stops], config, all_starts=True).agrees
 
 
 def _surface_in_words(heights: Array) -> str:
@@ -128,3 +149,7 @@ def _surface_in_words(heights: Array) -> str:
     inclined = ' or inclined' if np.isnan(heights).any() else ''
     return (f'the edge of another surface, {span} mm above that of the others{inclined}, such as '
             'a clamp or a second plate')
+
+
+def _numbers(stops: Iterable[Stop]) -> str:
+    return 'stops ' + ', '.join(str(stop.number) for stop in stops)

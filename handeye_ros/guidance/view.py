@@ -173,17 +173,20 @@ def next_move(taken: int, target: Target, config: Config, view: View) -> Advised
 def _advice(target: Target, config: Config, turn: float, tilt: Array, place: Array, edge: int,
             beside: float) -> str:
     # beside the robot the sensor stays, and the robot turns the target the other way
-    mover, sign = ('sensor', 1) if config.in_hand else ('target', -1)
+    mover, other, turn_axis, sign = (
+        ('sensor', 'target', 'its viewing direction', 1) if config.in_hand else
+        ('target', 'sensor', 'the viewing direction', -1))
     where = ('at the other edge, that meets the first one in the corner, ' if edge else
              'at the same edge, ' if len(target.required_edges) > 1 else '')
     turns = ', then '.join(
         f'{np.degrees(sign * angle):+.0f} degrees about {axis}' for angle, axis in (
-            (turn, 'the viewing direction'), (tilt[0], 'the laser line'),
-            (tilt[1], 'the normal of the light plane')))
+            (turn, turn_axis), (tilt[0], 'the laser line'),
+            (tilt[1], 'the normal of the light plane')) if angle)
+    turned = f'turn the {mover} {turns}' if turns else f'hold the {mover} square to the {other}'
     x, z = place * 1e3
     side = 'positive' if beside > 0 else 'negative'
     crossing = f'; let the line cross the ball {abs(beside):.1f} of its radius beside the top, ' \
                f'its middle on the {side} side of the light plane' if beside else ''
-    return (f'from the pose of the first sample, {where}turn the {mover} {turns}; keep the '
-            f'{seen_feature_noun(target)} in view, at x = {round(x)} mm, '
-            f'range {round(z)} mm{crossing}')
+    return (f'from the pose of the first sample, {where}{turned}; keep the '
+            f'{seen_feature_noun(target)} in '
+            f'view, at x = {round(x)} mm, range {round(z)} mm{crossing}')

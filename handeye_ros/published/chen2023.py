@@ -64,18 +64,25 @@ def edge_rows(T_base_flange: Array, points: Array) -> Array:
     return triangle.reshape(30, 3, 10)
 
 
-def cost(u: Array, rows: tuple[Array, Array], scale: float = 1.0) -> tuple[float, Array]:
+def cost(rows: tuple[Array, Array], u: Array) -> tuple[float, Array, Array]:
     """
-    Return trace(S_p S_q) and its gradient (9,), both times a scale.
+    Return trace(S_p S_q), its gradient (9,) and Hessian (9, 9) in u = [r1, r3, t / LENGTH_UNIT].
 
-    u: (9,) [r1, r3, t / LENGTH_UNIT], real or complex; rows: M of edge p and of edge q from
-    `edge_rows`.
+    rows: M of edge p and of edge q from `edge_rows`.
     """
-    p, q = (M @ np.append(u, 1.0) for M in rows)
-    products = p @ q.T
-    wrt_p, wrt_q = 2.0 * products @ q, 2.0 * products.T @ p
-    gradient = np.tensordot(wrt_p, rows[0][:, :, :9]) + np.tensordot(wrt_q, rows[1][:, :, :9])
-    return scale * np.sum(products ** 2), scale * gradient
+    sides = []
+    for M in rows:
+        P = M @ np.append(u, 1.0)
+        half = np.tensordot(M[:, :, :9], P, axes=(0, 0)).transpose(1, 0, 2)
+        sides.append((P.T @ P, half + half.transpose(0, 2, 1)))
+    (S_p, D_p), (S_q, D_q) = sides
+    D_p, D_q = D_p.reshape(9, 9), D_q.reshape(9, 9)
+    gradient = D_p @ S_q.ravel() + D_q @ S_p.ravel()
+    H = D_p @ D_q.T
+    H = H + H.T
+    for M, S in ((rows[0], S_q), (rows[1], S_p)):
+        H += 2.0 * M[:, :, :9].reshape(-1, 9).T @ (S @ M[:, :, :9]).reshape(-1, 9)
+    return float(np.sum(S_p * S_q)), gradient, H
 
 
 def solve_nine(T_base_flange: Array, points: Array, edges: Array) -> Array:
@@ -96,7 +103,8 @@ def solve_nine(T_base_flange: Array, points: Array, edges: Array) -> Array:
         p, q = (M @ np.append(start, 1.0) for M in rows)
         scale = 1e3 / float(np.sum(p ** 2) * np.sum(q ** 2))  # for the solver's tolerances
         solutions.append(minimize(
-            cost, start, (rows, scale), 'trust-constr', jac=True, hess='cs',
+            lambda u, s=scale: (s * cost(rows, u)[0], s * cost(rows, u)[1]), start, jac=True,
+            hess=lambda u, s=scale: s * cost(rows, u)[2], method='trust-constr',
             bounds=Bounds(-bound, bound), constraints=[_norms()], options=_OPTIONS).x)
     return _best(rows, np.array(solutions))
 
@@ -150,7 +158,7 @@ def _products(delta: Array, rows: tuple[Array, Array], R: Array) -> Array:
 
 def _best(rows: tuple[Array, Array], solutions: Array) -> Array:
     """Return the transform of the start that ended lowest, of those that met eq. 4."""
-    costs = np.array([cost(u, rows)[0] for u in solutions])
+    costs = np.array([cost(rows, u)[0] for u in solutions])
     norms = np.linalg.norm(solutions[:, :6].reshape(-1, 2, 3), axis=2)
     met = np.abs(norms - 1.0).max(axis=1) < 1e-6
     best = solutions[np.argmin(np.where(met, costs, np.inf if met.any() else costs))]

@@ -14,9 +14,9 @@ What is lost or wrong in print, and what is done here:
   and r2 . r3 = 0, squared and summed; distances |(p - c) x d| (eq. 10 with eq. 11).
 - the factor's update, u = 0.5 M / k + 0.1 u, makes it fall with M. As a multiplier of the
   constraints it would let d = 0 win, and did; so the constraints are divided by it.
-- the step norm Er = 1e-3 (mm, and cosines beside it) is far from converged; see `OPTIONS`.
-- Powell's test has lost a square and a factor. scipy's Powell has both, and Brent's line search in
-  place of the 0.618 method: both find the minimum of the same line.
+- the step norm Er = 1e-3 (mm, and cosines beside it) is far from converged; see `STEP`.
+- Powell's test has lost a square and a factor: (f0 - 2 f1 + f2)(f0 - f1 - Max)^2 <
+  0.5 Max (f0 - f2)^2 and f2 < f0 are used.
 - the start is not said. It is the mounting's nominal transform, and the line fitted to the
   points it gives; 20 mm and 10 degrees off still converge.
 - the sensor's calibration and the profile filter (sections 1.2, 1.3, whose formulas are lost) are
@@ -24,13 +24,14 @@ What is lost or wrong in print, and what is done here:
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import require_count
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import golden
 
 MIN_POINTS = 5
 """Fewest points: two equations each for ten unknowns (four of them the line's)."""
@@ -41,8 +42,11 @@ LENGTH_UNIT = 0.1
 FACTOR = 1e-2
 """The first penalty factor u0."""
 
-OPTIONS = {'xtol': 1e-9, 'ftol': 1e-12, 'maxiter': 2000, 'maxfev': 1_000_000}
-"""Of Powell for one factor: far below Er = 1e-3, so that the answer is that of the penalty."""
+STEP = 1e-9
+"""Er: the search ends when a round of Powell moves the parameters by less (in LENGTH_UNIT)."""
+
+MAX_ROUNDS, FIRST_ADVANCE = 2000, 0.05
+"""Of Powell for one factor; the first step of a line search, as a share of its direction."""
 
 ENOUGH = 1e-18
 """Err1: the penalty rounds end when M is less (LENGTH_UNIT^2); or when u has settled."""
@@ -50,6 +54,8 @@ ENOUGH = 1e-18
 T_plane_x_plane_y = se3.transform(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
                                   np.zeros(3))
 """From the right: turns the answer into that of a sensor with x along the line and y = 0."""
+
+_CONSTRAINTS = ((0, 0, 1.0), (3, 3, 1.0), (0, 3, 0.0), (12, 12, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +69,26 @@ class _Problem:
         """Return p_i - c (n, 3), the points from the one of the line at parameters x (15,)."""
         return self.A @ x[:9] + self.a - x[9:12]
 
-    def objective(self, x: Array, factor: float) -> float:
-        """Return M: the squared distances from the line (10) and the constraints over a factor."""
-        r2, r3, direction = x[:3], x[3:6], x[12:]
-        crossed = self.offsets(x) @ se3.skew(direction)  # a third of the time of numpy's cross
-        violated = np.array([r2 @ r2 - 1.0, r3 @ r3 - 1.0, r2 @ r3, direction @ direction - 1.0])
-        return float(np.vdot(crossed, crossed) + violated @ violated / factor)
+    def along(self, x: Array, D: Array, factor: float) -> list[float]:
+        """
+        Return M(x + s D) as the five coefficients of a polynomial in s, lowest first.
+
+        Each distance and constraint is quadratic in s, so the line search need not touch the
+        points again.
+        """
+        e, g = self.offsets(x), self.A @ D[:9] - D[9:12]
+        d, h = se3.skew(x[12:]), se3.skew(D[12:])  # e @ d is e x d, several times faster
+        parts = [(e @ d, e @ h + g @ d, g @ h)]
+        for i, j, value in _CONSTRAINTS:
+            p, q, r, s = x[i:i + 3], x[j:j + 3], D[i:i + 3], D[j:j + 3]
+            weight = factor ** -0.5
+            parts.append((weight * (p @ q - value), weight * (p @ s + r @ q), weight * (r @ s)))
+        total = np.zeros(5)
+        for c0, c1, c2 in parts:
+            total += [np.vdot(c0, c0), 2 * np.vdot(c0, c1),
+                      np.vdot(c1, c1) + 2 * np.vdot(c0, c2), 2 * np.vdot(c1, c2),
+                      np.vdot(c2, c2)]
+        return [float(c) for c in total]
 
 
 def solve(T_base_flange: Array, points: Array, T_flange_sensor: Array) -> Array:
@@ -102,10 +122,52 @@ def _penalty(problem: _Problem, x: Array, k: int) -> Array:
     """Return the parameters by the penalty method (section 1.4)."""
     factor = FACTOR
     for _ in range(40):
-        fit = minimize(problem.objective, x, (factor,), 'Powell', options=OPTIONS)
-        x, M = fit.x, fit.fun
+        x = minimise(problem, x, factor)
+        M = problem.along(x, np.zeros(15), factor)[0]
         following = 0.5 * M / k + 0.1 * factor
         if M < ENOUGH or abs(following - factor) < 1e-3 * factor:
             break
         factor = following
     return x
+
+
+def minimise(problem: _Problem, x: Array, factor: float) -> Array:
+    """Return the minimum of M(., factor) by the modified Powell method, steps (1) to (7)."""
+    directions = np.eye(len(x))
+    for _ in range(MAX_ROUNDS):
+        start, values = x, [problem.along(x, directions[0], factor)[0]]
+        for direction in directions:
+            line = problem.along(x, direction, factor)
+            s = line_search(line)
+            x = x + s * direction
+            values.append(min(quartic(line, s), values[-1]))
+        D = x - start
+        line = problem.along(x, D, factor)
+        last = x + line_search(line) * D
+        if np.linalg.norm(last - start) < STEP:
+            return last
+        drops = -np.diff(values)
+        best = int(np.argmax(drops))
+        f0, f1, f2 = values[0], values[-1], quartic(line, 1.0)
+        curved = (f0 - 2 * f1 + f2) * (f0 - f1 - drops[best]) ** 2
+        if f2 < f0 and curved < 0.5 * drops[best] * (f0 - f2) ** 2:
+            directions[best] = D / np.linalg.norm(D)
+            x = last
+        else:
+            x = last if f1 < f2 else x + D
+    return x
+
+
+def quartic(coefficients: Sequence[float], s: float) -> float:
+    """Return the value at s of a polynomial of degree four, lowest coefficient first."""
+    c0, c1, c2, c3, c4 = coefficients
+    return (((c4 * s + c3) * s + c2) * s + c1) * s + c0
+
+
+def line_search(line: Sequence[float]) -> float:
+    """Return the minimum of a quartic near 0: advance and retreat, then the 0.618 method."""
+    try:
+        s = float(golden(lambda s: quartic(line, s), brack=(0.0, FIRST_ADVANCE), maxiter=45))
+    except RuntimeError:  # it falls to neither side
+        return 0.0
+    return s if quartic(line, s) < line[0] else 0.0

@@ -51,8 +51,8 @@ def checked_value(path: Path, key: str, value: Any, kind: type[Kind]) -> Kind:
             for name in names}))
     right = type(value) is kind or (type(value), kind) == (int, float)
     if not right or kind is float and not abs(value) <= sys.float_info.max:
-        found = 'missing' if value is None else repr(value)
-        expected = 'a finite number' if kind is float else kind.__name__
+        found = 'missing' if value is None else repr(value)[:40]
+        expected = {float: 'a finite number', dict: 'a mapping'}.get(kind, kind.__name__)
         raise unusable_file(path, f'{key} is {found}, expected {expected}')
     return kind(value)  # type: ignore[call-arg]
 

@@ -120,7 +120,8 @@ def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
                       'the others)'
     yield 'weakest', weakest(calibration)
     yield 'samples', f'{quality.samples_used} used, {quality.samples_rejected} rejected'
-    reasons = [sample.reason for sample in calibration.samples if not sample.used]
+    reasons = [sample.reason or 'no reason given' for sample in calibration.samples
+               if not sample.used]
     for cause, count in Counter(map(without_numbers, reasons)).items():
         first = next(reason for reason in reasons if without_numbers(reason) == cause)
         yield '', f'{count} rejected{", the first" if count > 1 else ""}: {first}'

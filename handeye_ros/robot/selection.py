@@ -211,9 +211,9 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
 def _contradiction(fit: ArmFit, stop_count: int, limit: float) -> DataError:
     """Return the refusal of a fit that leaves contradictions; else as corrected_arm."""
     return DataError(
-        f'joint values and measured points contradict each other: {fit.used.sum()} of '
-        f'{stop_count} configurations agree best, to {mm(fit.residual_rms)}; those of a robot '
-        f'that is only inaccurate agree to {mm(limit)}: check that the URDF is of this robot, '
+        f'joint values and measured points contradict each other: the best fit, of '
+        f'{fit.used.sum()} of {stop_count} configurations, leaves {mm(fit.residual_rms)}, a robot '
+        f'that is only inaccurate at most {mm(limit)}: check that the URDF is of this robot, '
         '--base and --flange, the sign of each joint, whether a joint is counted from the '
         'horizontal, all units (degrees or radians?), calibration_type, and that the target is '
         'the stated one and fixed', reason=UNSOLVED)

@@ -66,8 +66,11 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     rounded = np.logaddexp.reduce(log_likelihoods[:-1]) - np.log(len(TRIED_RADII))
     if rounded > log_likelihoods[-1]:
         shape = EdgeShape(*_radius_and_std(log_likelihoods[:-1]))
-    else:  # of a bevel that returns no light an end is not deep
-        legs = float(np.median(depth[depth > np.quantile(depth, 0.75) / 2]))
+    else:  # deeper ends say more about the legs of a bevel
+        order = np.argsort(depth)
+        squares = np.cumsum(depth[order] ** 2)
+        weighted_median = depth[order][np.searchsorted(squares, squares[-1] / 2)]
+        legs = float(np.median(depth[depth > weighted_median / 2]))
         shape = EdgeShape(legs, SHAPE_STD, is_round=False)
     return shape if np.median(depth) > MIN_SEEN * shape.size else EdgeShape()
 

@@ -27,7 +27,7 @@ from handeye_ros.data import AnyProfile, Array, NS, Reject, Sample, TimedPose
 from handeye_ros.errors import count_of, DataError, InputError
 from handeye_ros.frames import frame_notes
 from handeye_ros.sampling.features import result_of
-from handeye_ros.sampling.stops import Motion, ProfileBuffer, Stop, StopFinder
+from handeye_ros.sampling.stops import Motion, ProfileBuffer, PROFILES_OF_SAMPLE, Stop, StopFinder
 from handeye_ros.sampling.stream import Copyable, LAST_STAMP, REORDER_TIME, Stream
 from handeye_ros.sampling.sweep import passes_expanded
 import numpy as np
@@ -177,7 +177,7 @@ class Session(Copyable):
         not_returned = [stop for stop in stops if not self.is_done(stop)]
         self._done.update(stop.stamp for stop in stops)
         self._waiting = [stop for stop in self._waiting if not self.is_done(stop)]
-        return [stop.with_profiles(self._profiles.items) for stop in not_returned]
+        return [stop.with_profiles(self._profiles.items, self.config) for stop in not_returned]
 
     def is_done(self, stop: Stop) -> bool:
         """Return whether a stop was already sampled, or is to be ignored."""
@@ -212,7 +212,7 @@ class Session(Copyable):
             raise DataError(f'the robot must stand still for {self.config.sampling.still_time:g} '
                             f's, and {motion}: wait, and take the sample again', reason='moving')
         self._profiles.add(self._profile_stream.release(stop.start, stop.end))
-        return stop.with_profiles(self._profiles.items)
+        return stop.with_profiles(self._profiles.items, self.config)
 
     @property
     def unusable_poses_error(self) -> DataError | None:
@@ -407,12 +407,12 @@ class Session(Copyable):
 
     def early_stop(self) -> Stop | None:
         """
-        Return the current stop as soon as it may give a sample, else None.
+        Return the current stop as soon as it has enough profiles for a sample, else None.
 
         It is looked at when the robot has stood for still_time and twice settle_time, and, until
         it gives a sample, each time that this has become LATER_LOOK times longer, as the cause may
-        be gone. It needs a profile, and none after NO_PROFILE_PATIENCE. take_completed() returns
-        it again when it is over.
+        be gone. At first it needs PROFILES_OF_SAMPLE, later one, and none after
+        NO_PROFILE_PATIENCE. take_completed() returns it again when it is over.
         """
         sampling, stood = self.config.sampling, self._pose_stream.latest - self._finder.stamp
         first_look = (sampling.still_time + 2 * sampling.settle_time) * NS
@@ -420,13 +420,14 @@ class Session(Copyable):
             self._early_looks = 0
         if sampling.mode != 'still' or stood < first_look * LATER_LOOK ** self._early_looks:
             return None
+        fewest = (PROFILES_OF_SAMPLE if self._early_looks == 0 else
+                  1 if stood < NO_PROFILE_PATIENCE else 0)
         self._early_looks += 1
         stop, evaluated = self._finder.current(), self._stops.get(self._finder.stamp)
         if stop is None or self.is_done(stop) or (evaluated and evaluated.sample):
             return None
-        stop = stop.with_profiles(self._profiles.items)
-        has_profiles = bool(stop.settled_profiles(self.config))
-        return stop if has_profiles or stood >= NO_PROFILE_PATIENCE else None
+        stop = stop.with_profiles(self._profiles.items, self.config)
+        return stop if len(stop.settled_profiles(self.config)) >= fewest else None
 
     def numbered(self, stop: Stop, result: Sample | Reject) -> Stop:
         """Return a stop with its number and result; a duplicate pose gives no sample."""

@@ -29,7 +29,7 @@ from handeye_ros.data import (
     TimedPose,
 )
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.sampling.stream import by_stamp, Copyable, LAST_STAMP
+from handeye_ros.sampling.stream import by_stamp, Copyable, LAST_STAMP, poses_around
 import numpy as np
 
 MOTION_TIME = 3 * NS // 10  # time over which the speed is averaged
@@ -40,8 +40,10 @@ MAX_POSES = 20_000  # of one stop: stamps need not go on as time does
 
 # Profiles of a sample, evenly spread. A robot at rest sees the same speckle, and 32 profiles
 # reduce the noise of single ones far below that of the poses. A stop keeps more: for other
-# settings, and for the test of the clocks (50 ms apart, see checks/clocks.py) in 7.5 s.
-PROFILES_OF_SAMPLE, MAX_KEPT = 32, 150
+# settings, and for the test of the clocks (50 ms apart, see checks/clocks.py) in 3.75 s.
+PROFILES_OF_SAMPLE = 32
+KEPT_PER_SECOND, MAX_KEPT = 40, 150
+MIN_SETTLED, MIN_SETTLING = 64, 8  # kept of short times without and with vibration
 
 NOT_EVALUATED = Reject(0, 'not evaluated yet')
 
@@ -100,21 +102,22 @@ class Stop:
         """Return the last pose (4, 4), which a stored stop of a node has too."""
         return se3.of_pose(self.poses[-1])
 
-    def with_profiles(self, candidates: Sequence[AnyProfile]) -> Stop:
-        """
-        Return the stop with profiles that were surely taken during it, MAX_KEPT at most.
-
-        candidates: in the order of their stamps.
-        """
+    def with_profiles(self, candidates: Sequence[AnyProfile], config: Config) -> Stop:
+        """Return the stop with the profiles surely taken during it, among candidates in order."""
         begin = bisect_left(candidates, self.start, key=by_stamp)
         end = bisect_right(candidates, self.end, key=by_stamp)
         taken = [profile for profile in candidates[begin:end]
                  if self.start <= profile.stamp - profile.time_margins[0]
                  and profile.stamp + profile.time_margins[1] <= self.end]
-        return replace(self, profiles=tuple(evenly_spaced(taken, MAX_KEPT)))
+        first_settled, last_settled = self._settled_span(config)
+        begin = bisect_left(taken, first_settled, key=by_stamp)
+        end = max(begin, bisect_right(taken, last_settled, key=by_stamp))
+        return replace(self, profiles=(*_thinned(taken[:begin], MIN_SETTLING),
+                                       *_thinned(taken[begin:end], MIN_SETTLED),
+                                       *_thinned(taken[end:], MIN_SETTLING)))
 
     def settled_profiles(self, config: Config) -> list[AnyProfile]:
-        """Return at most PROFILES_OF_SAMPLE profiles of the time without vibration."""
+        """Return PROFILES_OF_SAMPLE of the time without vibration at most, not yet decoded."""
         first, last = self._settled_span(config)
         settled = [profile for profile in self.profiles if first <= profile.stamp <= last]
         return evenly_spaced(settled, PROFILES_OF_SAMPLE)
@@ -124,7 +127,9 @@ class Stop:
         stop = replace(self, result=NOT_EVALUATED)
         if self.load_messages or config.sampling.moving:
             return stop
-        return replace(stop, profiles=tuple(self.settled_profiles(config)))
+        profiles = self.settled_profiles(config)
+        poses = poses_around(self.poses, [profile.stamp for profile in profiles])
+        return replace(stop, poses=tuple(poses), profiles=tuple(profiles))
 
     def _settled_span(self, config: Config) -> tuple[int, int]:
         """Return the first and last stamp of the time without vibration."""
@@ -133,6 +138,13 @@ class Stop:
 
 
 NO_STOP = Stop(0)
+
+
+def _thinned(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
+    """Return a part of the profiles of a stop, evenly spread."""
+    seconds = (profiles[-1].stamp - profiles[0].stamp) / NS if profiles else 0.0
+    most = min(MAX_KEPT, max(least, 1 + round(KEPT_PER_SECOND * seconds)))
+    return evenly_spaced(profiles, most)
 
 
 def decoded(profiles: Iterable[AnyProfile], config: Config) -> list[Profile]:

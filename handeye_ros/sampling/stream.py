@@ -10,6 +10,7 @@ time.
 """
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Sequence
 from copy import copy
@@ -20,7 +21,6 @@ from handeye_ros import se3
 from handeye_ros.data import Array, NS, Profile, RawProfile, TimedPose
 from handeye_ros.errors import DataError, InputError
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -30,7 +30,6 @@ LAST_STAMP = 2 ** 63 - 1  # the largest (ns)
 LATE_COUNT, LATE_TIME = 5, NS // 2
 FEW_STRAYS = 3  # messages of another frame, or with wrong stamps: a topic may hold this number,
 FEW_SHARE = 0.05  # or a recording this share of many; with more, the right one is unknown
-AROUND = 5  # messages before and after one that tell whether its stamp is in order
 UNMIXED_TIME = 3 * NS  # of messages of one frame, after which others are of the past
 
 by_stamp = attrgetter('stamp')
@@ -175,31 +174,50 @@ def two_frames_error(kind: str, first: str, second: str) -> InputError:
 
 def in_majority_order(stamps: NDArray[np.int64], source: str) -> NDArray[np.bool_]:
     """
-    Return which messages (n,) fit the order of those around them; raises DataError for two runs.
+    Return which messages fit the order of the majority; raises DataError for two runs.
 
     stamps: in the order of recording (ns); deviations up to REORDER_TIME from the order fit.
     source: whose they are, in words.
     """
-    n = len(stamps)
     if (stamps[1:] >= stamps[:-1]).all():
-        return np.ones(n, dtype=bool)
-    padded = np.pad(stamps.astype(float), AROUND, constant_values=(-np.inf, np.inf))
-    medians = np.median(sliding_window_view(padded, AROUND), axis=1)
-    before, after = medians[:n], medians[-n:]
-    fits = (stamps >= before - REORDER_TIME) & (stamps <= after + REORDER_TIME)
+        return np.ones(len(stamps), dtype=bool)
+    rising = _longest_rising(stamps.tolist())
+    before = np.maximum.accumulate(np.where(rising, stamps, -1))
+    after = np.minimum.accumulate(np.where(rising, stamps, LAST_STAMP)[::-1])[::-1]
+    fits = (stamps >= before - REORDER_TIME) & (stamps - REORDER_TIME <= after)
     wrong = np.count_nonzero(~fits)
-    if wrong > max(FEW_STRAYS, FEW_SHARE * n) or 2 * wrong >= n or _jumps_back(stamps[fits]).any():
-        index = int(_jumps_back(stamps).argmax())
-        back = (stamps[:index].max() - stamps[index]) * 1e-9
-        raise DataError(f'the stamps {source} jump back by {back:.1f} s at message {index + 1}: '
-                        'two runs seem to be mixed (a bag recorded in a loop?); record one run',
-                        reason='two_runs')
-    return np.asarray(fits)
+    if wrong and (wrong > max(FEW_STRAYS, FEW_SHARE * len(fits)) or 2 * wrong >= len(fits)):
+        back = np.maximum.accumulate(stamps) - stamps
+        index = int(np.argmax(back > REORDER_TIME))
+        raise DataError(f'the stamps {source} jump back by {back[index] * 1e-9:.1f} s at message '
+                        f'{index + 1}: two runs seem to be mixed (a bag recorded in a loop?); '
+                        'record one run', reason='two_runs')
+    return fits
 
 
-def _jumps_back(stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which stamps (n,) are far before one of those before them."""
-    return np.asarray(np.maximum.accumulate(stamps) - stamps > REORDER_TIME)
+def _longest_rising(stamps: Sequence[int]) -> NDArray[np.bool_]:
+    """Return which values make up the longest subsequence that never falls (patience)."""
+    ends: list[int] = []  # the smallest last value of a subsequence of each length
+    indices: list[int] = []
+    for stamp in stamps:
+        place = bisect_right(ends, stamp)
+        ends[place:place + 1] = [stamp]
+        indices.append(place)
+    rising, wanted = np.zeros(len(stamps), dtype=bool), len(ends) - 1
+    for index in reversed(range(len(stamps))):
+        if indices[index] == wanted:
+            rising[index], wanted = True, wanted - 1
+    return rising
+
+
+def poses_around(poses: Sequence[TimedPose], stamps: Sequence[int]) -> list[TimedPose]:
+    """Return the poses next to each stamp, the first and the last: enough for interpolate."""
+    last = len(poses) - 1
+    indices = {0, last}
+    for stamp in stamps:
+        indices.add(max(bisect_right(poses, stamp, key=by_stamp) - 1, 0))
+        indices.add(min(bisect_left(poses, stamp, key=by_stamp), last))
+    return [poses[place] for place in sorted(indices)]
 
 
 def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:
@@ -208,12 +226,11 @@ def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:
 
     Linear in the translation, slerp in the rotation. Raises ValueError outside.
     """
-    start = poses[0].stamp  # seconds since 1970 have too few digits
-    pose_times, first_of = np.unique([float(pose.stamp - start) for pose in poses],
-                                     return_index=True)
-    times = np.array([stamp - start for stamp in stamps], dtype=float)
-    rotations = Rotation.from_quat([poses[i].quaternion for i in first_of])
-    translations = np.array([poses[i].translation for i in first_of])
+    poses = poses_around(poses, stamps)
+    pose_times = np.array([pose.stamp - poses[0].stamp for pose in poses], dtype=float)
+    times = np.array([stamp - poses[0].stamp for stamp in stamps], dtype=float)
+    rotations = Rotation.from_quat([pose.quaternion for pose in poses])
+    translations = np.array([pose.translation for pose in poses])
     return se3.transform(
         Slerp(pose_times, rotations)(times).as_matrix(),
         np.column_stack([np.interp(times, pose_times, axis) for axis in translations.T]))

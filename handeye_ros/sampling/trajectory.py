@@ -11,9 +11,10 @@ spacing of the knots (Craven and Wahba 1979, Numer. Math. 31:377).
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 from handeye_ros import se3
@@ -26,7 +27,7 @@ from scipy.sparse import csr_array, diags
 
 # spacings of knots that are tried (s)
 KNOT_SPACINGS = (0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018, 0.012)
-KNOTS_OF_GAP = 4  # so far apart are the ends of a gap, that they do not bend each other
+MIN_POSES = 8  # fewest poses of a piece
 AT_ONCE = 500  # stamps of which the uncertainty is evaluated together
 STIFFNESS = 1e-8  # of the spline, where there are no poses
 OUTLIER_SCATTERS = 8.0  # residual, in robust scatters, above which a pose is an outlier
@@ -61,78 +62,90 @@ class Trajectory:
     max_gap: float
 
     @cached_property
-    def _is_gap(self) -> NDArray[np.bool_]:
-        """Return after which poses (n,) nothing is interpolated; after the last there is none."""
-        steps = np.diff(self.stamps) * 1e-9
-        usual = float(np.median(steps)) if len(steps) else 0.0
-        return np.append(steps > min(self.max_gap, max(4.0 * usual, 0.06)), True)
+    def longest_bridged(self) -> float:
+        """Return the longest time (s) between two poses that is interpolated."""
+        period = float(np.median(np.diff(self.stamps))) * 1e-9 if len(self.stamps) > 1 else 0.0
+        return min(self.max_gap, max(4.0 * period, 0.06))
 
     @cached_property
-    def _spline(self) -> _Spline:
-        """
-        Return the spline through the poses with the knots that predict them best.
-
-        A few poses far from the spline through all are not used; of many, it is the spline that is
-        wrong.
-        """
-        values, every = _with_steady_signs(self.values), np.ones(len(self.stamps), dtype=bool)
-        spline, residuals = _fitted_spline(self.stamps, values, self._is_gap, every)
-        used = _are_inliers(residuals)
-        if not used.all() and used.mean() > 0.95:
-            spline, _ = _fitted_spline(self.stamps, values, self._is_gap, used)
-        return spline
+    def pieces(self) -> tuple[_SplinePiece, ...]:
+        """Return the pieces between the gaps."""
+        ends = np.flatnonzero(np.diff(self.stamps) > self.longest_bridged * 1e9) + 1
+        parts = zip(np.split(self.stamps, ends), np.split(self.values, ends), strict=True)
+        return tuple(_piece_through(stamps, values) for stamps, values in parts
+                     if len(stamps) >= MIN_POSES)
 
     def at(self, stamps: NDArray[np.int64], lag: float = 0.0) -> FlangeStates:
         """Return the flange at stamps (n,); lag: of the reported rotation (s)."""
-        curve = self._spline.curve
-        t, inside = self._times(stamps)
-        later_t, later_inside = self._times(stamps + round(lag * 1e9))
-        q, dq = curve(later_t)[:, 3:], curve(later_t, 1)[:, 3:]
-        length = np.linalg.norm(q, axis=1, keepdims=True)
-        q, dq = q / length, dq / length
+        values, rates, inside = self._at(stamps)
+        later_values, later_rates, later_inside = self._at(stamps + round(lag * 1e9))
+        length = np.linalg.norm(later_values[:, 3:], axis=1, keepdims=True)
+        q, dq = later_values[:, 3:] / length, later_rates[:, 3:] / length
         # the vector of 2 dq/dt q*, in which the change of length is of the scalar part alone
         turning = 2 * (q[:, 3:] * dq[:, :3] - dq[:, 3:] * q[:, :3] - np.cross(dq[:, :3], q[:, :3]))
-        return FlangeStates(se3.from_quaternion(curve(t)[:, :3], q),
-                            np.hstack([curve(t, 1)[:, :3], turning]), inside & later_inside)
+        return FlangeStates(se3.from_quaternion(values[:, :3], q),
+                            np.hstack([rates[:, :3], turning]), inside & later_inside)
+
+    def _at(self, stamps: NDArray[np.int64]) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return translation and quaternion (n, 7), their rates, and which are inside (n,)."""
+        values, rates = np.zeros((2, len(stamps), 7))
+        values[:, 6], inside = 1.0, np.zeros(len(stamps), dtype=bool)
+        for piece, nearest in self._nearest_pieces(stamps):
+            values[nearest], rates[nearest] = piece.at(stamps[nearest])
+            inside[nearest] = (stamps[nearest] >= piece.first) & (stamps[nearest] <= piece.last)
+        return values, rates, inside
 
     def std(self, stamps: NDArray[np.int64]) -> Array:
         """Return 1 sigma of the poses at stamps (n,), each axis: (n, 2) in m and rad."""
-        curve = self._spline.curve
-        design = curve.design_matrix(self._times(stamps)[0], curve.t, 3, True)
-        parts = (design[k:k + AT_ONCE] for k in range(0, len(stamps), AT_ONCE))
-        leverage = [part.multiply(cho_solve_banded((self._spline.root, True), part.T.toarray()).T
-                                  ).sum(axis=1) for part in parts]
-        return np.asarray(
-            np.sqrt(np.concatenate(leverage).reshape(-1, 1)) * self._spline.std)
+        std = np.full((len(stamps), 2), np.inf)
+        for piece, nearest in self._nearest_pieces(stamps):
+            std[nearest] = piece.std_at(stamps[nearest])
+        return std
 
-    def _times(self, stamps: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the times of stamps (n,) in the spline, and which have poses around them (n,)."""
-        after = self.stamps.searchsorted(stamps).clip(1, len(self.stamps) - 1)
-        first, last = self.stamps[after - 1], self.stamps[after]
-        nearest = np.where(stamps - first < last - stamps, first, last)
-        between = (first < stamps) & (stamps < last) & ~self._is_gap[after - 1]
-        held = np.where(between, stamps, nearest)
-        start = self.stamps[0]  # the difference of stamps is exact
-        return (np.interp(held - start, self.stamps - start, self._spline.times),
-                between | (stamps == nearest))
+    def _nearest_pieces(self, stamps: NDArray[np.int64]
+                        ) -> Iterator[tuple[_SplinePiece, NDArray[np.bool_]]]:
+        """Yield each piece with the stamps (n,) to which it is the nearest one, if any."""
+        middles = np.array([before.last + (after.first - before.last) // 2
+                            for before, after in pairwise(self.pieces)], dtype=np.int64)
+        index = np.searchsorted(middles, stamps)
+        for k, piece in enumerate(self.pieces):
+            if (nearest := index == k).any():
+                yield piece, nearest
 
 
 @dataclass(frozen=True, eq=False)
-class _Spline:
+class _SplinePiece:
     """
-    A cubic spline of translation and quaternion.
+    A cubic spline of translation and quaternion, from one stamp to another.
 
-    times: (n,) of the poses in it (s); a gap counts as KNOTS_OF_GAP knots
-    curve: scipy's BSpline of (n, 7) over these times
+    spline: scipy's BSpline of (n, 7) over the seconds since the first stamp
     std: (2,) 1 sigma of single poses (m, rad)
     root: the banded Cholesky factor of the information about the coefficients by poses of unit
         variance
     """
 
-    times: Array
-    curve: Any
+    first: int
+    last: int
+    spline: Any
     std: Array
     root: Array
+
+    def _seconds(self, stamps: NDArray[np.int64]) -> Array:
+        """Return the times (n,) of stamps in the spline; outside, that of the next end."""
+        return np.asarray((np.clip(stamps, self.first, self.last) - self.first) * 1e-9)
+
+    def at(self, stamps: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Return translation and quaternion (n, 7), and rates; outside those of the next end."""
+        t = self._seconds(stamps)
+        return self.spline(t), self.spline(t, 1)
+
+    def std_at(self, stamps: NDArray[np.int64]) -> Array:
+        """Return 1 sigma of positions and rotations, (n, 2)."""
+        design = self.spline.design_matrix(self._seconds(stamps), self.spline.t, 3, True)
+        parts = (design[k:k + AT_ONCE] for k in range(0, len(stamps), AT_ONCE))
+        leverage = [part.multiply(cho_solve_banded((self.root, True), part.T.toarray()).T).sum(
+            axis=1) for part in parts]
+        return np.asarray(np.sqrt(np.concatenate(leverage).reshape(-1, 1)) * self.std)
 
 
 def joined(parts: Sequence[Trajectory]) -> Trajectory:
@@ -142,16 +155,32 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
     return Trajectory(stamps, values, max(part.max_gap for part in parts))
 
 
-def trajectory_of(poses: Sequence[TimedPose], max_gap: float) -> Trajectory:
+def trajectory_of(poses: Iterable[TimedPose], max_gap: float) -> Trajectory:
     """
     Return the trajectory of poses in any order, without those with implausible stamps.
 
     Raises DataError when two runs are mixed.
     """
-    stamps = np.array([pose.stamp for pose in poses], dtype=np.int64)
-    values = np.array([(*pose.translation, *pose.quaternion) for pose in poses]).reshape(-1, 7)
-    fits = in_majority_order(stamps, 'of the poses')
-    return joined([Trajectory(stamps[fits], values[fits], max_gap)])
+    rows = np.fromiter(((p.stamp, (*p.translation, *p.quaternion)) for p in poses),
+                       np.dtype([('stamp', np.int64), ('pose', np.float64, 7)]))
+    rows = rows[in_majority_order(rows['stamp'], 'of the poses')]
+    stamps, first_of = np.unique(rows['stamp'], return_index=True)
+    return Trajectory(stamps, rows['pose'][first_of], max_gap)
+
+
+def _piece_through(stamps: NDArray[np.int64], values: Array) -> _SplinePiece:
+    """
+    Return the piece through poses (n, 7) with the knots that predict them best.
+
+    A few poses far from the spline through all are not used; of many, it is the spline that is
+    wrong.
+    """
+    values = _with_steady_signs(values)
+    piece, residuals = _fitted_spline(stamps, values)
+    fits = _are_inliers(residuals)
+    if not fits.all() and fits.mean() > 0.95:
+        piece, _ = _fitted_spline(stamps[fits], values[fits])
+    return piece
 
 
 def _with_steady_signs(values: Array) -> Array:
@@ -174,28 +203,25 @@ def _are_inliers(residuals: Array) -> NDArray[np.bool_]:
     return np.asarray(fits)
 
 
-def _fitted_spline(stamps: NDArray[np.int64], values: Array, is_gap: NDArray[np.bool_],
-                   used: NDArray[np.bool_]) -> tuple[_Spline, Array]:
+def _fitted_spline(stamps: NDArray[np.int64], values: Array) -> tuple[_SplinePiece, Array]:
     """
-    Return the least-squares spline through the used ones of poses (n, 7), and their residuals.
+    Return the least-squares spline through poses (n, 7), and its residuals (n, 7).
 
     Its knots are at equal intervals, the last one longer or shorter by half at most, and have the
     least generalised cross-validation error, log(squares / freedom^2), of positions and rotations
     together.
     """
     from scipy.interpolate import BSpline  # 0.09 s, only for robots that move
-    steps, is_gap, values = np.diff(stamps) * 1e-9, is_gap[:-1], values[used]
+    t = (stamps - stamps[0]) * 1e-9
     least, best = np.inf, None
-    # two poses to each interval
-    widest = max(KNOT_SPACINGS[0], 2 * float(steps[~is_gap].sum()) / max(len(steps), 1))
+    widest = max(KNOT_SPACINGS[0], 2 * t[-1] / (len(t) - 1))  # two poses to each interval
     for interval in (widest, *KNOT_SPACINGS[1:]):
-        times = np.append(0.0, np.where(is_gap, KNOTS_OF_GAP * interval, steps).cumsum())
-        count = max(int(times[-1] / interval + 0.5), 1) + 3
-        freedom = len(values) - count
-        if best and freedom < len(values) / 3:
+        count = max(int(t[-1] / interval + 0.5), 1) + 3
+        freedom = len(t) - count
+        if best and freedom < len(t) / 3:
             break
         knots = interval * np.arange(-3.0, count + 1)
-        design = BSpline.design_matrix(times[used], knots, 3, True)
+        design = BSpline.design_matrix(t, knots, 3, True)
         bends = csr_array(diags([1.0, -2.0, 1.0], [0, 1, 2], (count - 2, count)))
         information = design.T @ design + STIFFNESS * bends.T @ bends
         root = cholesky_banded([np.append(information.diagonal(k), np.zeros(k))
@@ -208,7 +234,7 @@ def _fitted_spline(stamps: NDArray[np.int64], values: Array, is_gap: NDArray[np.
         error = float(np.log(sums / max(freedom, 1) ** 2).sum())
         if error < least + 2 * np.log(0.995):  # nearer knots must be worth 0.5 %
             least = error
-            best = _Spline(times, BSpline(knots, coefficients, 3),
-                           np.sqrt(sums / max(freedom, 1)), root), residuals
+            best = _SplinePiece(int(stamps[0]), int(stamps[-1]), BSpline(knots, coefficients, 3),
+                                np.sqrt(sums / max(freedom, 1)), root), residuals
     assert best is not None
     return best

@@ -37,7 +37,7 @@ def test_ends_of_the_floor_that_scatter_are_no_edges(monkeypatch: pytest.MonkeyP
     scenario = replace(SCENARIOS['plate'], stations=(14, 14), scene='railed')
     recording = simulated(scenario, 1, target__type='plate')
     config = with_flipped_range(recording.config)
-    with pytest.raises(DataError, match='edges of the target scatter .* profile.range_sign'):
+    with pytest.raises(DataError, match='at several heights .* check profile.range_sign'):
         pipeline.calibrate(recording.profiles, recording.poses, config)
 
 
@@ -100,10 +100,14 @@ def test_the_stops_that_show_another_surface_are_named_and_left_out(
 
 
 @pytest.mark.thorough
-def test_other_objects_are_named_if_few_show_a_target(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_heights_of_edges_are_named_if_few_show_a_target(monkeypatch: pytest.MonkeyPatch) -> None:
     """Most stops show a clamp, and one the table: no part of them agrees on one edge."""
     monkeypatch.setitem(scenes.SCENES, 'clamped', replace(
         scenes.SCENES['plate'], solids=partial(clamped, height=0.015, share=0.41)))
     scenario = replace(SCENARIOS['line'], scene='clamped')
-    with refused('surface', 'agree on one plane, but not on the edges'):
+    with refused('surface', 'agree on one plane, but not on the edges') as caught:
         simulated(scenario, 2, target__type='line').calibrate()
+    listed = re.findall(r'(\d+\.\d) mm: stops ([\d, ]+)', str(caught.value))
+    heights = [float(height) for height, _ in listed]  # of clamps, target and table
+    assert heights == pytest.approx([40.0, 25.0, 0.0], abs=0.2)
+    assert [len(numbers.split(', ')) for _, numbers in listed] == [7, 6, 1]

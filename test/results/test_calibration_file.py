@@ -120,7 +120,7 @@ def test_damaged_values_are_refused_with_a_reason(path, old, new, reason):
 
 
 @pytest.mark.parametrize(('key', 'value', 'reason'), [
-    ('pose', 'x', "pose is 'x', expected dict"), ('edge_angle', 'x', "edge_angle is 'x'"),
+    ('pose', 'x', "pose is 'x', expected a mapping"), ('edge_angle', 'x', "edge_angle is 'x'"),
     ('radius_std', math.nan, 'radius_std is nan'), ('centre', {}, 'centre does not hold 3'),
     ('joint', {'state': [1.0, math.nan]}, r'joint\.state\[1\] is nan')])
 def test_a_damaged_estimate_is_named_by_every_verb_that_reads_it(path, key, value, reason):

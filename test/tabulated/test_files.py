@@ -248,8 +248,8 @@ INVERTED = 'set calibration_type to the other one, or, if it is right, give the 
     ('hand_eye', lambda text: in_order('flange', 'yzwx')(in_order('target', 'yzwx')(text)), 3,
      'with flange and target quaternions as w x y z they agree'),
     ('hand_eye', replaced(*((f'flange_{old}', f'flange_{new}') for old, new in (
-        ('qx', 'rx'), ('qy', 'ry'), ('qz', 'rz')))), 2, '--angles states how a flange '
-     'is written otherwise: kuka-abc, '),
+        ('qx', 'rx'), ('qy', 'ry'), ('qz', 'rz')))), 2, '--angles ur-rotation-vector or '
+     'staubli-rxryrz or yaskawa-rxryrz reads'),
     ('small_tracker', rows(lambda lines: sorted(lines[:3] * 2, key=lines.index) + lines[40:]), 3,
      'measure a longer arc'),
     ('small_tracker', rows(lambda lines: lines[:40] + lines[40:70][::-1] + lines[70:]), 3,
