@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 PAIR_COUNT, PAIR_SPANS = 48, (3, 8, 20)  # per span; profile length over that of a pair
 TRIPLE_COUNT, TRIPLE_SPANS = 72, (2.5, 4, 8, 16, 32)  # the same of triples
 VOTER_COUNT = 256  # points that vote
+DECISIVE_SHARE = 0.5  # share of a quarter of the voters that decides on a line: no other has more
 LINE_FIT_WIDTHS = (2.0, 1.5, 1.0)  # of successive lines, in tolerances
 MAX_CIRCLES = 8  # circles tried, in the order of their votes
 MIN_VOTES = 5
@@ -45,8 +46,11 @@ def dominant_line_inliers(x: Array, z: Array, tolerance: float, fewest: int
     width[np.abs(width) < MIN_LINE_WIDTH] = np.inf
     slopes = (z_after - z) / width
     lines = np.column_stack([z - slopes * x, slopes, np.full(len(x), -1.0)])
-    voters = terms[:3, ::-(-n // VOTER_COUNT)]
-    votes = _near(lines, voters, 2 * tolerance).sum(axis=1, dtype=np.int16)
+    step = -(-n // VOTER_COUNT)
+    for voters in (terms[:3, ::4 * step], terms[:3, ::step]):
+        votes = _near(lines, voters, 2 * tolerance).sum(axis=1, dtype=np.int16)
+        if votes.max() > DECISIVE_SHARE * voters.shape[1]:
+            break
     line = lines[votes.argmax()]
     for width in LINE_FIT_WIDTHS:
         count, sx, sz, sxx, sxz = (terms @ _near(line, terms[:3], width * tolerance)).tolist()
