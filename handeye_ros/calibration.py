@@ -28,6 +28,7 @@ from handeye_ros.data import (
     TIME_OFFSET,
 )
 from handeye_ros.estimation.blocks import blocks_with_columns, LINE_BEND
+from handeye_ros.estimation.least_squares import means_by
 from handeye_ros.estimation.posterior import Posterior
 from handeye_ros.estimation.problem import Estimate, mapped, Problem
 from handeye_ros.estimation.solution import Solution
@@ -164,9 +165,8 @@ def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
 
 def rms_by(number: NDArray[np.intp], residuals: Array, n: int) -> Array:
     """Return the RMS (n,) of the residuals (k,) of each number (k,), NaN for one without any."""
-    count = np.bincount(number, minlength=n)
-    with np.errstate(invalid='ignore', divide='ignore'):
-        return np.asarray(np.sqrt(np.bincount(number, residuals ** 2, minlength=n) / count))
+    has_any = np.bincount(number, minlength=n) > 0
+    return np.sqrt(np.where(has_any, means_by(number, residuals ** 2, n), np.nan))
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,10 +5,10 @@ From profiles and poses to the hand-eye transform: the algorithm on one page.
 
 `gather` turns a recording into samples (what each stop of the robot shows), `answer_samples` the
 samples into an `Answer` in ten steps: a calibration, or a refusal. The command line, the node, the
-review of samples, the guidance and the report all read that answer. A function `require_...`
-raises a refusal where what it names is missing (DataError; InputError where an argument or a
-setting is wrong), and else does nothing. `with_...` returns its argument with what it names, and
-may refuse too.
+review of samples, the guidance and the report all read that answer. A function or method
+`require_...` raises a refusal where what it names is missing (DataError; InputError where an
+argument or a setting is wrong); a method returns it otherwise. `with_...` returns its first
+argument together with what it names, and may refuse too.
 """
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def calibrate(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config
     """
     Return the calibration from a recording, its messages in the order of their stamps.
 
-    Raises DataError when the recording cannot carry an answer.
+    Raises DataError when the recording cannot carry an answer, and InputError as gather does.
     """
     return calibrate_session(gather(profiles, poses, config), config)
 

@@ -133,7 +133,7 @@ def outliers_at_one_end(solution: Solution) -> str:
     """
     n, used = len(solution.full_problem.poses), solution.used_stations
     dropped = n - len(used)
-    if solution.problem.has_pose_model or math.comb(n, dropped) < 2 / PARTED_P:
+    if solution.problem.is_sweep or math.comb(n, dropped) < 2 / PARTED_P:
         return ''
     which, side = {0: ('last', 'before'), dropped: ('first', 'after')}.get(int(used[0]), ('', ''))
     if not which or np.ptp(used) >= n - dropped:
@@ -201,7 +201,7 @@ class _Move:
     def evidence(self) -> float:
         """Return 2 log B against no move and, of a sweep, wrong times (step 3)."""
         alternatives = [self.unmoved]
-        if self.solution.problem.has_pose_model:
+        if self.solution.problem.is_sweep:
             near = self.station + _margin(self.solution) * np.arange(-2, 3)
             reported = self.solution.report_posterior
             alternatives.append(
@@ -227,7 +227,7 @@ class _Move:
                           if block.name == 'robot_smooth'), default=0.0)
                      for each in (self.moved, self.unmoved))
         smallest = MIN_MOVE_SIGMAS * smooth
-        if self.solution.problem.has_pose_model:  # its error is smooth in time, as a move is
+        if self.solution.problem.is_sweep:  # its error is smooth in time, as a move is
             smallest = max(smallest, self.solution.full_problem.config.noise.robot_smooth)
         return rms(np.linalg.norm(shifts, axis=1)) < smallest
 
@@ -246,7 +246,7 @@ class _Move:
                        else ('target', target_frame(config)))
         shift, turn = np.linalg.norm(self.displacement.reshape(2, 3), axis=1).tolist()
         count = self.solution.used_stations[self.station]
-        clocks = ', or a clock jumped' if self.solution.problem.has_pose_model else ''
+        clocks = ', or a clock jumped' if self.solution.problem.is_sweep else ''
         return (f'after the first {count} of {len(poses)} samples the {what} seems to have moved '
                 f'in {frame} by about {mm(shift)} and {degrees(turn)}, or the tool or base of the '
                 f'robot was switched, or robot or sensor drift{clocks}: check that it is fixed '
@@ -264,7 +264,7 @@ def _likeliest_move(solution: Solution) -> _Move | None:
     if n < problem.target.min_samples + 4:  # too few to tell a move from an outlier
         return None
     posteriors = [reported]
-    if not problem.has_pose_model:
+    if not problem.is_sweep:
         # of a few stations, estimated noise absorbs a move; configured may be too large
         posteriors.append(posterior_at(problem, solution.estimate, NoiseScales()))
     change_points = _change_points(solution, CHANGE_POINTS_TRIED)
@@ -291,7 +291,7 @@ def _likeliest_move(solution: Solution) -> _Move | None:
 def _margin(solution: Solution) -> int:
     """Return the fewest stations before and after a move."""
     return (max(2, len(solution.used_stations) // PARTS_EXCHANGED)
-            if solution.problem.has_pose_model else 2)
+            if solution.problem.is_sweep else 2)
 
 
 def _change_points(solution: Solution, count: int) -> NDArray[np.intp]:

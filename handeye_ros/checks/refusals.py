@@ -256,7 +256,7 @@ def require_edges(solution: Solution) -> None:
     target = solution.full_problem.target
     if not target.required_edges:
         return
-    posterior, at_rest = solution.posterior, not solution.problem.has_pose_model
+    posterior, at_rest = solution.posterior, not solution.problem.is_sweep
     factor = posterior.noise.variance_factors[EDGE_INDEX]
     # a robot on its way has errors of its own
     if at_rest and factor > STRAY_EDGES_CHI2 and posterior.residual_rms > posterior.expected_rms:

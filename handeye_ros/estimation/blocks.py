@@ -8,8 +8,7 @@ with a normal prior about 0. The scale of that prior is estimated (see noise).
 
 A new block is one more source: a function that yields blocks for a linearised problem.
 BLOCK_SOURCES holds the sources of all targets, Target.blocks those of one. Parameters that the
-poses depend on (a time offset, the joints of the robot) belong to the problem instead, as a
-PoseModel:
+poses depend on (the clocks of a sweep) belong to the problem instead, as a PoseModel:
 
     def poses_and_twists(values):  # (k,), so far 0
         return interpolated(stamps + values[0]), velocities(stamps + values[0])[:, :, None]

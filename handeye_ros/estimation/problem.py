@@ -123,7 +123,7 @@ class Observations:
 @dataclass(frozen=True, eq=False)
 class PoseModel:
     """
-    Poses that depend on parameters with a prior: a time offset, a robot's joints.
+    Poses of a moving robot, which depend on parameters with a prior, such as a time offset.
 
     evaluate(values (k,)): poses T_base_flange (N, 4, 4) of all samples, and twists (N, 6, k),
     their derivatives by the values: translation, and rotation vector about the flange's origin,
@@ -196,8 +196,8 @@ class Problem:
         return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
 
     @property
-    def has_pose_model(self) -> bool:
-        """Return whether the poses depend on parameters, as on the clocks of a moving robot."""
+    def is_sweep(self) -> bool:
+        """Return whether the robot moved at some stations: their poses depend on the clocks."""
         return self.pose_model is not None
 
     @property
@@ -234,7 +234,7 @@ class Problem:
     @property
     def enough_stations(self) -> int:
         """Return the number of stations that tell noise and scales."""
-        return ENOUGH_PROFILES if self.has_pose_model else ENOUGH_STATIONS
+        return ENOUGH_PROFILES if self.is_sweep else ENOUGH_STATIONS
 
     @property
     def is_large(self) -> bool:

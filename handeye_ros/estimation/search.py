@@ -7,9 +7,9 @@ Many starts are iterated independently, and poor ones are given up early, by pla
 from the solution these say more than whitened ones. One start is then refined robustly: stations
 that do not fit lose weight, (11). The first one that explains nearly all stations is taken.
 Otherwise further starts, and those of random subsets, compete by how well all stations are
-explained. Then stations are dropped one by one, worst first, (12): with the errors that stations
-share as noise of each (`without_outliers`), and again with all nuisance parameters
-(`refined_solution`).
+explained. Then stations far from the fit are dropped at once, and others a few at a time, worst
+first, (12): with the errors that stations share as noise of each (`without_outliers`), and again
+with all nuisance parameters (`refined_solution`).
 
 A *robust* fit is that of `refined_robustly`: all stations, the outliers among them, linearised
 there with the labels that their observations then have.

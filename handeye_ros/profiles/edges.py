@@ -160,7 +160,7 @@ def edge_at(end: FaceEnd) -> EdgePoint:
     roof    a wall or another face that meets it and goes down
     step    a lower surface
     shadow  a lower surface, with lost columns before it
-    gap     lost columns up to the end of the view, or a nearer surface too far aside to hide more
+    gap     lost columns and no surface beyond, or a nearer one too far aside to hide more
     open    nothing at all, in a profile without lost columns, as of a driver that leaves them out:
             it may be the border, and the target decides (reassign)
 
@@ -288,7 +288,7 @@ MIN_STEP_SIGMAS = 8.0
 
 def _ending(end: FaceEnd, next_surface: Segment | None, tail: Indices) -> str:
     """
-    Return how a face ends without a corner; raises NoEdgeError where it does not.
+    Return how a face ends that is no roof; raises NoEdgeError where it does not end.
 
     A nearer surface hides what lies beside it, but not farther aside than SHADOW_SLOPE times its
     height. Where nothing is seen even so, the face has ended before (gap).

@@ -157,12 +157,12 @@ def combined_features(profiles: Sequence[Profile], config: Config
     return list(used), features_of_stop(features_by_profile, targets.target_for(config).face_count)
 
 
-def features_of_stop(features_by_profile: Sequence[tuple[Feature, ...]], lines_per_group: int
+def features_of_stop(features_by_profile: Sequence[tuple[Feature, ...]], face_count: int
                      ) -> tuple[Feature, ...]:
     """
     Return the features of a stop from those of its profiles (one tuple each).
 
-    Features are matched by kind, place and facing direction; lines_per_group: number of
+    Features are matched by kind, place and facing direction; face_count: number of
     consecutive lines that are used only together. Raises FeatureError when the profiles of the
     stop do not agree.
     """
@@ -173,7 +173,7 @@ def features_of_stop(features_by_profile: Sequence[tuple[Feature, ...]], lines_p
         return (_combined_arc(arcs),)
     edges = [f for features in features_by_profile for f in features if isinstance(f, EdgePoint)]
     lines = _combined_lines([[f for f in features if isinstance(f, FaceLine)]
-                             for features in features_by_profile], lines_per_group)
+                             for features in features_by_profile], face_count)
     combined_edges = []
     for side in (-1.0, 1.0):
         of_side = [edge for edge in edges if np.sign(edge.direction[0]) == side]
@@ -184,7 +184,7 @@ def features_of_stop(features_by_profile: Sequence[tuple[Feature, ...]], lines_p
     return (*lines, *combined_edges)
 
 
-def _combined_lines(lines_by_profile: Sequence[Sequence[FaceLine]], lines_per_group: int
+def _combined_lines(lines_by_profile: Sequence[Sequence[FaceLine]], face_count: int
                     ) -> list[FaceLine]:
     """
     Return one line for each surface that most of the profiles show.
@@ -195,11 +195,11 @@ def _combined_lines(lines_by_profile: Sequence[Sequence[FaceLine]], lines_per_gr
     reference = next(lines for lines in lines_by_profile if len(lines) == usual_count)
     combined: list[FaceLine] = []
     failure = None
-    for first in range(0, usual_count, lines_per_group):
+    for first in range(0, usual_count, face_count):
         try:
             combined += [_combined_line([min(lines, key=partial(_line_distance, line))
                                          for lines in lines_by_profile if lines])
-                         for line in reference[first:first + lines_per_group]]
+                         for line in reference[first:first + face_count]]
         except FeatureError as error:
             failure = failure or error
     if failure and len(combined) < min(map(len, lines_by_profile)):

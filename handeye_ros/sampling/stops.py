@@ -3,8 +3,8 @@
 """
 Where the robot stopped, cut from the stream of poses, with the profiles of that time.
 
-A moving robot makes passes instead, of two seconds of motion or of one rest each: a pass is a stop
-in everything else.
+A moving robot makes passes instead, of two seconds of motion or of one rest each. A pass is a Stop
+too; what differs for it is listed in sweep.py.
 """
 from __future__ import annotations
 

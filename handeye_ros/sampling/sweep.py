@@ -21,7 +21,7 @@ from several offsets until one is good, then all. However long a sweep is, MAX_S
 profiles make the answer.
 
 A sweep differs from stops in these places, found by Sample.moving, sampling.moving and, in the
-estimation, Problem.has_pose_model:
+estimation, Problem.is_sweep:
 
 - profiles: fewer points of a line or arc are kept (lines.py, arcs.py)
 - stops.py cuts it by time, into passes, all of which is evaluated; features.py combines no
