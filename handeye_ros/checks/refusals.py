@@ -77,10 +77,11 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
     """
     if len(samples) < target.min_samples:
         causes = Counter(without_numbers(reject.reason) for reject in rejects)
-        example = max(rejects, default=None, key=lambda reject: causes[
-            without_numbers(reject.reason)])
-        why = f' ({count_of(len(rejects), "stop")} gave none, most often: {example.reason})' if (
-            example) else ''
+        reasons = Counter(reject.reason for reject in rejects)
+        example = max(reasons, default='',
+                      key=lambda reason: (causes[without_numbers(reason)], reasons[reason]))
+        why = f' ({count_of(len(rejects), "stop")} gave none, most often: {example})' if (
+            rejects) else ''
         refusal, advice = DataError, 'take more, with the laser across the target'
         if len(samples) + sum(not reject.final for reject in rejects) >= target.min_samples:
             refusal, advice = UnexplainedError, (

@@ -519,6 +519,6 @@ def test_nothing_is_left_behind_by_a_write_that_fails(tmp_path):
         yield from PROFILES[:3]
         raise OSError(28, 'No space left on device')
 
-    with pytest.raises(UnwritableError, match='No space left on device; choose another place$'):
+    with pytest.raises(UnwritableError, match='No space left on device; free some space$'):
         bag_write.write(tmp_path / 'bag', breaking(), POSES)
     assert list(tmp_path.iterdir()) == []

@@ -51,7 +51,7 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_recording_of_another_target_is_told(solved: Path, tmp_path: Path) -> None:
     run = succeeds('report', solved, '--bag', ROOT / 'bags/sphere', '--out', 'r.html',
                    cwd=tmp_path)
-    assert run.stderr.startswith('warning: the recording is refused now: as set, no stop fits')
+    assert run.stderr.startswith('warning: the recording is refused now: as set, no sample fits')
 
 
 @pytest.fixture(scope='module')
