@@ -80,7 +80,7 @@ Result = TypeVar('Result')
 
 class LiveSession:
     """
-    Samples of a running node, and what follows from them; the module says which thread does what.
+    The samples of a running node, their review and answer; for the threads see the module.
 
     config: the current settings, those of the session
     files, folders: where the session is stored, and where results are
@@ -187,7 +187,11 @@ class LiveSession:
             self._worker.submit(self._call_and_publish, self._do_due_work)
 
     def _call_and_publish(self, function: Callable[..., object], *args: Any) -> None:
-        """Call a function, on the worker; a failure is a trouble until another call succeeds."""
+        """
+        Call a function on the worker and publish the changes.
+
+        A failure stays in `troubles` until a later call succeeds.
+        """
         try:
             function(*args)
             self._publish_changes()
@@ -214,8 +218,9 @@ class LiveSession:
         """
         Begin a long computation in another process; return the future of what accept returns.
 
-        name: in words, '' for what nobody has asked for, so that a refusal too is a trouble of the
-        session, as are always other errors; accept: called by the worker with the result.
+        name: a description of it, '' for what nobody has asked for: then a refusal too is a
+        trouble of the session, as are always other errors; accept: called by the worker with the
+        result.
         """
         outcome = Future[Result]()
 
@@ -392,7 +397,7 @@ class LiveSession:
             self.running_jobs.remove(EVALUATING)
 
     def _evaluate_again(self, stops: Iterable[Stop]) -> None:
-        """Queue stops of the session, but those of which a later part waits."""
+        """Queue stops of the session to be evaluated again, unless a later part of them waits."""
         with self.lock:
             self._queue_stops(stop for stop in stops if stop.stamp not in self.to_evaluate)
 
@@ -438,7 +443,7 @@ class LiveSession:
 
     def take_sample(self) -> str:
         """
-        Take a sample at the current stop; return what it shows.
+        Take a sample at the current stop; return a sentence on its features.
 
         On return the stop is on the disk: a file of its own, synced, with its profiles (of many
         some), poses, joint values, result and the settings (SessionFiles.add_event). If it is
@@ -519,6 +524,7 @@ class LiveSession:
         self.solver.forget(why)
 
     def _sample_count(self) -> int:
+        """Return the number of stops of the session that gave a sample."""
         return sum(stop.sample is not None for stop in self.session.stops)
 
     @property
