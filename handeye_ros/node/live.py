@@ -174,7 +174,7 @@ class LiveSession:
         self._schedule_due_work()
 
     def call_on_worker(self, function: Callable[[], Result]) -> Result:
-        """Return what a function returns that the worker calls, or raise its exception."""
+        """Return the result of a function that the worker calls, or raise its exception."""
         try:
             return self._worker.submit(function).result()
         finally:
@@ -200,7 +200,7 @@ class LiveSession:
             self.troubles['work'] = sentence_and_log('the work on the samples', error)
 
     def _do_due_work(self) -> None:
-        """Do what is due, stop by stop: whoever calls meanwhile waits for one stop only."""
+        """Do the due work, stop by stop: whoever calls meanwhile waits for one stop only."""
         self._is_scheduled = False
         with self.lock:
             frame_change_notice = self._frame_change_notice
@@ -258,7 +258,7 @@ class LiveSession:
 
     @property
     def working(self) -> str:
-        """Return the running tasks in words; empty without any."""
+        """Return a sentence on the running tasks; empty without any."""
         with self.lock:
             again = any(stop.load_messages for stop in self.to_evaluate.values())
         text = 'the samples are extracted again from their profiles' if again else ''
@@ -350,7 +350,7 @@ class LiveSession:
 
     def _evaluate_new(self, stop: Stop, is_requested: bool = False) -> str:
         """
-        Evaluate a stop, store it, add it to the session; return what it gave, in words.
+        Evaluate a stop, store it, add it to the session; return what it gave, as a sentence.
 
         It replaces an earlier part of the same stop. During a verification it counts for that
         instead (LiveVerification.add_stop), unless it began before. is_requested: by
@@ -529,7 +529,7 @@ class LiveSession:
 
     @property
     def _frame_change_notice(self) -> str:
-        """Return in words that a topic has another frame now; '' if that would lose anything."""
+        """Return a sentence that a topic has another frame now; '' if a result would be lost."""
         in_use = self.verification.routine or self.solver.calibration
         return '' if in_use else self.session.frame_change_notice
 
