@@ -305,9 +305,9 @@ def runs(routine: Routine, made: Artefact, found: tuple[Calibration, ...], aim: 
 
 
 def within(found: Verification) -> bool:
-    if not found.fit.freedom:
+    if not found.fit.degrees_of_freedom:
         return found.fit.scatter.p > 0.05
-    return bool(found.fit.squared_deviation <= chi2.ppf(0.95, found.fit.freedom))
+    return bool(found.fit.chi2 <= chi2.ppf(0.95, found.fit.degrees_of_freedom))
 
 
 def trial(name: str, seed: int, scenes: dict = SCENES) -> tuple[Verification, Verification]:

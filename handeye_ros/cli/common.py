@@ -56,13 +56,13 @@ INTERRUPTED_EXIT_CODE, BROKEN_PIPE_EXIT_CODE = 130, 141  # 128 + SIGINT, SIGPIPE
 @dataclass(frozen=True, eq=False)
 class OpenedInput:
     """
-    What INPUT holds: the samples of a recording or of a session, or else a table.
+    The content of INPUT: the samples of a recording or of a session, or else a table.
 
-    settings: with which it was read
+    settings: the configuration with which it was read
     inputs: path and sha256 of its files, for the provenance of an answer
-    session: the samples, None of a table
-    warnings: of a recording, printed when it was read
-    table: the measured values, None of a recording and of a session
+    session: the samples, None for a table
+    warnings: the warnings about a recording, printed when it was read
+    table: the measured values, None for a recording and for a session
     """
 
     settings: 'Config'

@@ -107,7 +107,7 @@ def _passes(bags: list[Path], calibration: 'Calibration', config: 'Config'
 
 
 def _stops(bag: Path, calibration: 'Calibration', config: 'Config') -> 'list[Sample | Reject]':
-    """Return what the stops of a recording gave; print warnings."""
+    """Return the sample of each stop of a recording, or why it gave none; print warnings."""
     recording = read_bag_shown(bag, config)
     warn_of_frame(recording, calibration)
     session = collect_samples(recording, config)
@@ -118,7 +118,7 @@ def _stops(bag: Path, calibration: 'Calibration', config: 'Config') -> 'list[Sam
 
 def _warn_of_calibration_samples(bag: Path, stamps: 'Sequence[int]', calibration: 'Calibration',
                                  config: 'Config') -> None:
-    """Warn where the samples with these stamps (ns) are those that a calibration was made of."""
+    """Warn where samples with these stamps (ns) are those from which a calibration was made."""
     from handeye_ros.results.calibration_file import config_of
     import numpy as np
     later = config.time_offset - config_of(calibration).time_offset

@@ -80,7 +80,7 @@ Result = TypeVar('Result')
 
 class LiveSession:
     """
-    Samples of a running node, and what follows from them; the module says which thread does what.
+    The samples of a running node, their review and answer; for the threads see the module.
 
     config: the current settings, those of the session
     files, folders: where the session is stored, and where results are
@@ -174,7 +174,7 @@ class LiveSession:
         self._schedule_due_work()
 
     def call_on_worker(self, function: Callable[[], Result]) -> Result:
-        """Return what a function returns that the worker calls, or raise its exception."""
+        """Return the result of a function that the worker calls, or raise its exception."""
         try:
             return self._worker.submit(function).result()
         finally:
@@ -187,7 +187,11 @@ class LiveSession:
             self._worker.submit(self._call_and_publish, self._do_due_work)
 
     def _call_and_publish(self, function: Callable[..., object], *args: Any) -> None:
-        """Call a function, on the worker; a failure is a trouble until another call succeeds."""
+        """
+        Call a function on the worker and publish the changes.
+
+        A failure stays in `troubles` until a later call succeeds.
+        """
         try:
             function(*args)
             self._publish_changes()
@@ -196,7 +200,7 @@ class LiveSession:
             self.troubles['work'] = sentence_and_log('the work on the samples', error)
 
     def _do_due_work(self) -> None:
-        """Do what is due, stop by stop: whoever calls meanwhile waits for one stop only."""
+        """Do the due work, stop by stop: whoever calls meanwhile waits for one stop only."""
         self._is_scheduled = False
         with self.lock:
             frame_change_notice = self._frame_change_notice
@@ -214,8 +218,9 @@ class LiveSession:
         """
         Begin a long computation in another process; return the future of what accept returns.
 
-        name: in words, '' for what nobody has asked for, so that a refusal too is a trouble of the
-        session, as are always other errors; accept: called by the worker with the result.
+        name: a description of it, '' for what nobody has asked for: then a refusal too is a
+        trouble of the session, as are always other errors; accept: called by the worker with the
+        result.
         """
         outcome = Future[Result]()
 
@@ -253,7 +258,7 @@ class LiveSession:
 
     @property
     def working(self) -> str:
-        """Return the running tasks in words; empty without any."""
+        """Return a sentence on the running tasks; empty without any."""
         with self.lock:
             again = any(stop.load_messages for stop in self.to_evaluate.values())
         text = 'the samples are extracted again from their profiles' if again else ''
@@ -345,7 +350,7 @@ class LiveSession:
 
     def _evaluate_new(self, stop: Stop, is_requested: bool = False) -> str:
         """
-        Evaluate a stop, store it, add it to the session; return what it gave, in words.
+        Evaluate a stop, store it, add it to the session; return what it gave, as a sentence.
 
         It replaces an earlier part of the same stop. During a verification it counts for that
         instead (LiveVerification.add_stop), unless it began before. is_requested: by
@@ -392,7 +397,7 @@ class LiveSession:
             self.running_jobs.remove(EVALUATING)
 
     def _evaluate_again(self, stops: Iterable[Stop]) -> None:
-        """Queue stops of the session, but those of which a later part waits."""
+        """Queue stops of the session to be evaluated again, unless a later part of them waits."""
         with self.lock:
             self._queue_stops(stop for stop in stops if stop.stamp not in self.to_evaluate)
 
@@ -438,7 +443,7 @@ class LiveSession:
 
     def take_sample(self) -> str:
         """
-        Take a sample at the current stop; return what it shows.
+        Take a sample at the current stop; return a sentence on its features.
 
         On return the stop is on the disk: a file of its own, synced, with its profiles (of many
         some), poses, joint values, result and the settings (SessionFiles.add_event). If it is
@@ -519,11 +524,12 @@ class LiveSession:
         self.solver.forget(why)
 
     def _sample_count(self) -> int:
+        """Return the number of stops of the session that gave a sample."""
         return sum(stop.sample is not None for stop in self.session.stops)
 
     @property
     def _frame_change_notice(self) -> str:
-        """Return in words that a topic has another frame now; '' if that would lose anything."""
+        """Return a sentence that a topic has another frame now; '' if a result would be lost."""
         in_use = self.verification.routine or self.solver.calibration
         return '' if in_use else self.session.frame_change_notice
 

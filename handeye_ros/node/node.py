@@ -100,7 +100,7 @@ class HandeyeNode(Node):
     # what is published
 
     def _publish_changes(self) -> None:
-        """Publish what the worker has changed, derived parameters too."""
+        """Publish what the worker has changed, and set the derived parameters."""
         self.outputs.publish_changes()
         settings = configuration.flatten(self.live.config)
         declared = _values_by_key(self.get_parameters(DERIVED_KEYS))
@@ -117,6 +117,7 @@ class HandeyeNode(Node):
     # services, which the page calls too
 
     def _offer_services(self) -> None:
+        """Offer the services of the node, and take a sample for each message on ~/take."""
         live, solver, verification = self.live, self.live.solver, self.live.verification
         self._trigger_functions: dict[str, Callable[[], str | Future[str]]] = {
             function.__name__: function for function in (
@@ -151,12 +152,14 @@ class HandeyeNode(Node):
 
     def _on_trigger(self, name: str, _: Trigger.Request, response: Trigger.Response
                     ) -> Trigger.Response:
+        """Answer a request of a service: success, and the message with the current troubles."""
         response.success, message = self.call_service(name)
         response.message = with_troubles(self.state, message, response.success, name)
         return response
 
     def _on_auto_sample(self, request: SetBool.Request, response: SetBool.Response
                         ) -> SetBool.Response:
+        """Answer a request of ~/auto_sample: set sampling.mode to still (true) or manual."""
         mode = 'still' if request.data else 'manual'
         refusal = self.set_values({'sampling.mode': mode})
         response.success, response.message = not refusal, refusal or f'sampling.mode is {mode}'
@@ -204,10 +207,10 @@ class HandeyeNode(Node):
 
     def _apply_settings(self, values: Mapping[str, Any]) -> None:
         """
-        Check changed settings and apply them; for the worker: one after the other.
+        Check changed settings and apply them; the worker calls it, so one change after the other.
 
-        LiveSession.configure says what each does. Other topics are subscribed to instead. Raises
-        InputError for settings that cannot be used or stored: then none is applied.
+        See LiveSession.configure for their effects. Where topics change, subscribe to the new ones
+        instead. Raises InputError for settings that cannot be used or stored: none is applied.
         """
         config, live = self._config_with(values), self.live
         _require_usable_names(config)

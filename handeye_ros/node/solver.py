@@ -43,7 +43,7 @@ COMPUTING = 'the calibration is computed'
 
 
 class ReviewKey(NamedTuple):
-    """What a review is made from: equal where it would be the same again."""
+    """The inputs of a review: where two are equal, so are their reviews."""
 
     answer_settings: Mapping[str, Any]
     session: Session
@@ -55,9 +55,9 @@ class ReviewKey(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Review:
     """
-    What follows from the samples: their answer, how each agrees with it, and the advice.
+    The review of the samples: their answer, how each agrees with it, and the advice.
 
-    agreements: of the samples by their numbers, none without a solution
+    agreements: of each sample by its number, empty without a solution
     advised: the number of the last sample in the advice, 0 for none
     """
 
@@ -69,7 +69,7 @@ class Review:
 
 def review_of(session: Session, config: Config, view: Array, with_cause: bool) -> Review:
     """
-    Return what follows from the samples of a session.
+    Return the review of the samples of a session.
 
     view: visible points (k, 2) at the ends of the field of view; with_cause: whether the cause of
     a refusal is searched in the stops, which takes long: where somebody waits for the answer, or
@@ -88,9 +88,9 @@ class LiveSolver:
     """
     Reviews and solves the samples of a running session; for the worker (see live.py).
 
-    review: the last one of the samples
-    calibration: the last answer that was asked for, None where that was refused
-    solved_session: the samples of the last accepted answer, kept when that is withdrawn
+    review: the last review of the samples
+    calibration: the last answer that was asked for, None where it was refused
+    solved_session: the session of the last accepted answer, kept when the answer is withdrawn
     why_missing: why there is no calibration
     saved: the file of the calibration, '' before it is saved
     is_wanted: whether somebody has asked for an answer: other settings then compute it again
@@ -104,7 +104,7 @@ class LiveSolver:
         self.forget('no calibration has been computed yet')
 
     def forget(self, why: str) -> None:
-        """Begin anew with other samples; why: there is no answer any more."""
+        """Begin anew with other samples; why: the reason why there is no answer any more."""
         config, self.view = self._live.config, np.zeros((0, 2))
         self.review = review_of(Session(config), config, self.view, with_cause=False)
         self.calibration: Calibration | None = None
@@ -127,7 +127,7 @@ class LiveSolver:
             f'({changes}): call ~/compute_calibration for an answer from the current {len(now)}')
 
     def require_calibration(self, use: str = 'save') -> Calibration:
-        """Return the answer with name and record of now; raises DataError without one."""
+        """Return the answer with the current name and record; raises DataError without one."""
         if self.calibration is None:
             raise DataError(f'there is no calibration to {use}: call ~/compute_calibration first, '
                             'and check that it succeeds')
@@ -167,7 +167,7 @@ class LiveSolver:
             self._begin_review(is_requested=self.is_wanted and other_settings)
 
     def _inputs(self) -> ReviewKey:
-        """Return what a review would be made from now."""
+        """Return the inputs that a review would have now."""
         config, session = self._live.config, self._live.session
         return ReviewKey(settings_of(config, ANSWER_KEYS), session,
                          settings_of(config, ('guidance.',)),

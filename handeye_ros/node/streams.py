@@ -73,12 +73,12 @@ class _Subscribed:
     """
     A topic that is read.
 
-    counts: of its messages; several topics of poses share them
+    counts: the numbers of its messages; several topics of poses share them
     on_message: called with each serialised message
-    key: of the configuration, which names it: it should have one publisher; '' for those that may
-        have several
+    key: the key of the configuration that names the topic: it should have one publisher; '' for
+        topics that may have several
     publishers: rclpy's TopicEndpointInfo of each of this type, as of LOOK_PERIOD ago at most
-    last_number: of the last message, as its publisher counts them
+    last_number: the number of the last message, as its publisher counts them
     obstacle: why messages of other devices, which are no faults, give nothing
     """
 
@@ -146,6 +146,7 @@ class Streams:
         return topics
 
     def _subscribe(self, topic: _Subscribed) -> None:
+        """Subscribe to a topic with its QoS, for serialised messages."""
         topic.subscription = self._node.create_subscription(
             MESSAGES[topic.message_type], topic.name, topic.on_message, topic.qos, raw=True,
             callback_group=self._group, event_callbacks=NO_CALLBACKS)
@@ -201,7 +202,11 @@ class Streams:
                     time.sleep(READ_PERIOD)
 
     def _look_at_publishers(self) -> None:
-        """Note the publishers; subscribe again where their reliability is another than before."""
+        """
+        Look up the publishers of each topic.
+
+        Subscribe again where their reliability has changed.
+        """
         for topic in [topic for topic in self._topics if topic.key]:
             topic.publishers = [
                 info for info in self._node.get_publishers_info_by_topic(topic.name)
@@ -238,6 +243,7 @@ class Streams:
         return MAX_AT_ONCE
 
     def _on_profile(self, data: bytes) -> None:
+        """Give the profiles of a message to the receiver, their stamps with time_offset."""
         config = self._receiver.config
         if self._profile_reader.config != config.profile:
             self._profile_reader = ProfileReader(config.profile)
@@ -247,6 +253,7 @@ class Streams:
         self._last_stamp = message.stamp
 
     def _on_poses(self, read_poses: Callable[[bytes], Iterable[TimedPose]], data: bytes) -> None:
+        """Give the poses of the flange that a message holds to the receiver."""
         self._receiver.add_poses([self._stamped(pose) for pose in read_poses(data)])
 
     def _on_joints(self, add_joints: Callable[[int, bytes], None], data: bytes) -> None:
@@ -255,11 +262,11 @@ class Streams:
         add_joints(stamp or self._time_of_receipt(), data)
 
     def _stamped(self, item: Stamped) -> Stamped:
-        """Return an item; without a stamp it gets the time of receipt."""
+        """Return a profile or pose; without a stamp it gets the time of receipt."""
         return item if item.stamp else replace(item, stamp=self._time_of_receipt())
 
     def _time_of_receipt(self) -> int:
-        """Return the time of now (ns), with a warning."""
+        """Return the current time (ns), and log a warning that messages have no stamp."""
         self._node.get_logger().warning(
             'messages come without a stamp: the time of receipt is used',
             throttle_duration_sec=WARNING_PERIOD)

@@ -38,7 +38,7 @@ class LiveVerification:
     """
 
     def __init__(self, live: LiveSession) -> None:
-        """Begin with none."""
+        """Begin without a verification."""
         self._live = live
         self.content: Mapping[str, Any] = {}
         self._verified: Calibration | None = None  # the answer that it is of
@@ -46,7 +46,7 @@ class LiveVerification:
         self.end()
 
     def end(self) -> None:
-        """End the verification, with or without a result; what began before is no sample."""
+        """End the verification, with or without a result; stops begun before give no sample."""
         if self.routine:
             with suppress(InputError):  # of two frames, where no stop is taken
                 self._live.discard_begun_stops()
@@ -55,7 +55,11 @@ class LiveVerification:
 
     @property
     def content_of_answer(self) -> Mapping[str, Any]:
-        """Return the content of the last one, empty if it is of another answer than now."""
+        """
+        Return the content of the last verification.
+
+        It is empty where it was of another answer than the current one.
+        """
         live = self._live
         is_current = live.config.verify.calibration or (
             self._verified and self._verified is live.solver.calibration)
@@ -63,7 +67,7 @@ class LiveVerification:
 
     @property
     def has_next_part(self) -> bool:
-        """Return whether another part follows that of now."""
+        """Return whether another part (face, ball) follows the current one."""
         return len(self._parts) < self._most_parts
 
     @property
@@ -110,8 +114,8 @@ class LiveVerification:
         """
         Evaluate a stop for the verification, and return the progress in words.
 
-        It takes the place of an earlier part of the same stop. Raises DataError for a stop that
-        shows nothing to measure, which is counted all the same.
+        Its result replaces that of an earlier part of the same stop. Raises DataError for a stop
+        that shows nothing to measure, which is counted all the same.
         """
         live, routine = self._live, self.routine
         assert routine
@@ -127,8 +131,8 @@ class LiveVerification:
         """
         Compute and write the verdict with its figures; the current stop counts as complete.
 
-        It, or its future, raises DataError without a verification, a calibration or enough stops,
-        and where it is neither pass nor fail: the verification then continues.
+        The call, or its future, raises DataError without a verification, a calibration or enough
+        stops, and for a verdict that is neither pass nor fail: the verification then continues.
         """
         if self.routine is None:
             raise DataError('no verification was started: call ~/verify_start first')
@@ -163,7 +167,7 @@ class LiveVerification:
         return text
 
     def _calibration(self) -> Calibration:
-        """Return that of verify.calibration, or the answer; raises HandeyeError."""
+        """Return the calibration of verify.calibration, or the answer; raises HandeyeError."""
         file = self._live.config.verify.calibration
         return (read_calibration(Path(file).expanduser()) if file else
                 self._live.solver.require_calibration('verify (verify.calibration names none)'))

@@ -59,7 +59,7 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 def serve(node: HandeyeNode) -> None:
-    """Serve the page of a node; a warning in the log if it cannot be served."""
+    """Serve the page of a node, or log a warning that it cannot be served."""
     config, log = node.live.config, node.get_logger()
     try:
         token_file = node.live.folders.root(config) / '.page_token'
@@ -75,8 +75,8 @@ class PageServer:
     """
     Serves a page until the process ends.
 
-    token: '' where none is needed
-    cookie: name of the one that holds it
+    token: what a browser must know, '' where none is needed
+    cookie: the name of the cookie that holds the token
     """
 
     def __init__(self, source: PageSource, address: str, port: int, token_file: Path) -> None:
@@ -111,6 +111,7 @@ class PageServer:
         return f'http://{f"[{name}]" if ":" in name else name}:{self.port}/'
 
     def _app(self) -> web.Application:
+        """Return the application with all routes: page, events, assets, queries and actions."""
         app = web.Application(middlewares=[self._guarded], client_max_size=MAX_BODY_BYTES)
         app.on_response_prepare.append(_add_headers)
         app.router.add_get('/', self._index)
@@ -168,6 +169,7 @@ class PageServer:
             return _sentence(500, sentence_and_log('this', error))
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
+        """Answer with server-sent events, the state as JSON each, until the client is gone."""
         response = web.StreamResponse(headers={'Content-Type': 'text/event-stream'})
         with suppress(TimeoutError, ConnectionError):
             await response.prepare(request)
@@ -179,6 +181,7 @@ class PageServer:
         return response
 
     async def _index(self, request: web.Request) -> web.StreamResponse:
+        """Answer with the page; where the URL has the token, set the cookie and redirect."""
         if 'token' not in request.query:
             return await _asset('index.html')
         response = web.Response(status=303, headers={'Location': '/'})
@@ -187,6 +190,7 @@ class PageServer:
         return response
 
     async def _answer_query(self, query: Query, request: web.Request) -> web.StreamResponse:
+        """Answer a GET with what a query returns: JSON, or (name, text) as a file to download."""
         answer = await self._call_node(query, request.query)
         if isinstance(answer, tuple):
             return web.Response(text=answer[1], headers={
@@ -194,6 +198,11 @@ class PageServer:
         return web.json_response(text=json_text(answer))
 
     async def _run_action(self, action: Action, request: web.Request) -> web.StreamResponse:
+        """
+        Answer a POST: run a button with the JSON object of its body.
+
+        The answer holds success and message.
+        """
         if request.content_type != 'application/json':
             return _sentence(415, 'expected application/json')
         try:
@@ -209,10 +218,12 @@ class PageServer:
 
 
 async def _add_headers(_: web.Request, response: web.StreamResponse) -> None:
+    """Add HEADERS to a response."""
     response.headers.update(HEADERS)
 
 
 def _sentence(status: int, text: str) -> web.Response:
+    """Return the JSON response of a request that is refused, with the reason as message."""
     return web.json_response({'success': False, 'message': text}, status=status)
 
 
@@ -223,6 +234,7 @@ def json_text(values: Any) -> str:
 
 async def _asset(name: str, status: int = 200, _: web.Request | None = None
                  ) -> web.StreamResponse:
+    """Return the response with an asset of the page, or of the results that it shares."""
     room = 'handeye_ros.results' if name in ('viewer.js', 'profile.js') else 'handeye_ros.page'
     return web.FileResponse(Path(str(resources.files(room))) / 'assets' / name, status=status)
 

@@ -53,9 +53,9 @@ class Residuals:
     The residuals of one target, independent and of one variance, and their derivatives.
 
     values: (m,) of profiles in sigmas, of points in metres
-    station: (m,) the stop of each
-    wrt_X_and_target: (m, 6 + k) by X and the k parameters of the target
-    wrt_pose: (m, 6) by a shift of the flange and a turn about it, in the base
+    station: (m,) the stop of each residual
+    wrt_X_and_target: (m, 6 + k) derivatives by X and the k parameters of the target
+    wrt_pose: (m, 6) derivatives by a shift of the flange and a turn about it, in the base
     distances: (n,) of the points of each stop from the target, RMS (m)
     """
 

@@ -50,9 +50,9 @@ UNMOVED_SPREAD = {REVOLUTE: 0.02, PRISMATIC: 0.005}
 @dataclass(frozen=True, eq=False)
 class Model:
     """
-    A fit with some kinds of errors.
+    A fit with some kinds of errors of the arm, and its cross-validation.
 
-    left_out: (n,) cross-validation errors (m)
+    left_out: (n,) the cross-validation error of each stop (m)
     variance_ratio: variance of the cross-validation errors over the predicted one, of the worst
         region, at least 1: more shows errors of the arm that the model does not include
     """
@@ -72,11 +72,11 @@ class ArmSelection:
     """
     The chosen model, and all models; the simplest has no errors of the arm.
 
-    arm: with its k errors, their covariance, and where they were found
-    covariance: (6, 6) of X
+    arm: the corrected arm with its k errors, their covariance, and where they were found
+    covariance: (6, 6) of the hand-eye transform X
     undetermined: (k,) posterior over prior sigma of each error, 1 where the data say nothing
-    smooth_error_rms: of the smooth remaining error of the robot, per axis (m)
-    notes: sentences
+    smooth_error_rms: RMS of the smooth remaining error of the robot, per axis (m)
+    notes: sentences for the user
     """
 
     models: tuple[Model, ...]
@@ -127,7 +127,11 @@ def corrected_arm(fit: ArmFit, stop_count: int, limit: float) -> ArmSelection:
 
 
 def _regions(q: Array, most: int = REGION_COUNT) -> Indices:
-    """Return the region (n,) of stops (n, joints): halves of halves, across the widest axis."""
+    """
+    Return the number (n,) of the region of each stop.
+
+    The joint values (n, joints) are halved repeatedly across their direction of largest spread.
+    """
     region = np.zeros(len(q), dtype=np.intp)
     if most > 1 and len(q) >= 2 * MIN_OF_REGION:
         centred = q - q.mean(axis=0)
@@ -166,17 +170,19 @@ def _undetermined(fit: ArmFit) -> Array:
 
 
 def _require_same_robot(arm: Arm) -> None:
+    """Raise DataError for an axis that would be further from the URDF than MAX_ERROR."""
     for kind, largest in MAX_ERROR.items():
         sizes = np.linalg.norm(arm.errors[:, ERROR_KINDS == kind], axis=1)
         worst = int(np.argmax(sizes))
         if sizes[worst] > largest:
-            words = (mm if kind == POSITION else degrees)(float(sizes[worst]))
+            size = (mm if kind == POSITION else degrees)(float(sizes[worst]))
             raise DataError(
-                f'the axis of {arm.joints[worst].name} would be {words} off the URDF, more than '
+                f'the axis of {arm.joints[worst].name} would be {size} off the URDF, more than '
                 'the error of any real arm: the URDF is of another robot, or of a variant of it')
 
 
 def _notes(models: Sequence[Model], chosen: Model) -> Iterator[str]:
+    """Yield a sentence for stops that are left out, and for a richer model that is not used."""
     richest = models[-1]
     if dropped := int((~richest.fit.used).sum()):
         yield f'{dropped} of {len(richest.fit.used)} stops contradict the others and are left out'
@@ -209,7 +215,7 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
 
 
 def _contradiction(fit: ArmFit, stop_count: int, limit: float) -> DataError:
-    """Return the refusal of a fit that leaves contradictions; else as corrected_arm."""
+    """Return the refusal of a fit that leaves contradictions; see corrected_arm."""
     return DataError(
         f'joint values and measured points contradict each other: the best fit, of '
         f'{fit.used.sum()} of {stop_count} configurations, leaves {mm(fit.residual_rms)}, a robot '

@@ -67,8 +67,8 @@ class ArmSamples:
     The samples of one target, with joint values.
 
     samples: in the order of the stops of the problem, whose poses are those of the arm as stated
-    q: (n, joints)
-    inputs, warnings: of the reading
+    q: (n, joints) the joint values
+    inputs, warnings: the files that were read, and the warnings about them
     """
 
     session: Session
@@ -84,7 +84,7 @@ def source_of(session: Session, recording: Recording, arm: Arm, config: Config,
     """
     Return the samples of a session with the joint values of their time.
 
-    recording: with the joint values. Raises InputError, DataError.
+    recording: holds the joint values. Raises InputError, DataError.
     """
     config = replace(config, kinematics='', pose_source='topic', robot_base_frame=arm.base,
                      robot_effector_frame=arm.flange)
@@ -144,8 +144,8 @@ def solve_sources(sources: Sequence[ArmSamples], arm: Arm, inputs: Sequence[dict
     """
     Return the corrected arm, and the calibration that belongs to it; raises DataError.
 
-    sources: of one sensor on one robot, each with another target or another position of it.
-    inputs: further files.
+    sources: the samples of one sensor on one robot, each with another target or another position
+    of the target; inputs: further files.
     """
     try:
         outcome = corrected_arm(
@@ -163,7 +163,7 @@ def solve_sources(sources: Sequence[ArmSamples], arm: Arm, inputs: Sequence[dict
         calibration = _combined(calibrations, outcome.chosen.fit.X @ se3.inverse(
             T_sensor_plane(sources[0].problem.config)), covariance)
     files = [*(file for source in sources for file in source.inputs), *inputs]
-    warnings = dict.fromkeys(words for source in sources for words in source.warnings)
+    warnings = dict.fromkeys(warning for source in sources for warning in source.warnings)
     return ArmAnswer(outcome, replace(calibration, provenance={
         **calibration.provenance, 'inputs': files}), (*warnings, *outcome.notes))
 

@@ -58,9 +58,9 @@ class Truth:
     T_flange_sensor: with errors of robot or sensor, the best-fit transform over the volume of the
         stops and the field of view; with eye_on_base the sensor's pose in the base
     T_base_target: with eye_on_base the target's pose in the flange
-    time_offset: to be added to the stamps of the profiles (s), of a sweep
-    T_corrected_sensor: of a sensor on an arm with errors, its pose in the flange of that arm
-        corrected, which is another than that of the reported poses
+    time_offset: of a sweep, to be added to the stamps of the profiles (s)
+    T_corrected_sensor: the pose of a sensor on an arm with errors in the flange of the corrected
+        arm, which is not the flange of the reported poses
     """
 
     T_flange_sensor: Array
@@ -95,7 +95,7 @@ class Simulated:
 
     @property
     def true_values(self) -> dict[str, Any]:
-        """Return what truth.yaml holds, by key."""
+        """Return the content of truth.yaml by key."""
         sensor, robot, truth = self.scenario.sensor, self.scenario.robot, self.truth
         true_values = {key: getattr(truth, key) for key in (
             'T_flange_sensor', 'T_base_target', 'time_offset', 'T_corrected_sensor')}
@@ -126,7 +126,7 @@ def settings(scenario: Scenario) -> dict[str, Any]:
 @dataclass(frozen=True, eq=False)
 class Cell:
     """
-    What is fixed in a cell, and the robot's poses at n stations; standard sensor frame.
+    The fixed poses of a cell, and the robot's at n stations; the sensor frame is the standard one.
 
     stops: the sensor's poses in the target
     T_mount_sensor: the sensor in the flange (eye_in_hand) or in the base (eye_on_base)

@@ -25,10 +25,10 @@ class SensorModel:
         'fan_x': a fan that the driver resamples, regular in x
     camera: (y, z) of the camera's pinhole, outside the light plane: a step can hide a point from
         it
-    max_incidence: beyond it there is no return
-    rim_bias: range error just before it
+    max_incidence: the angle of incidence beyond which there is no return
+    rim_bias: range error just before max_incidence
     noise: 1 sigma of one range
-    resolution: step of the numbers, 0: none
+    resolution: step of the reported numbers, 0: none
     distortion: RMS of a smooth error over the field of view, drawn once
     scale: relative error of the coordinates about the middle of the field
     line_bend: y of the light at both ends of the line (at middle range), of a light plane that is
@@ -40,7 +40,7 @@ class SensorModel:
     mixed, lost, lost_at_edge, outliers: fractions of points at steps that lie between the levels,
         of lost points, of lost points within a few columns of a step, of gross outliers
     reflections: fraction of the profiles with a false piece of line
-    delay: of the stamps, which are those of receipt
+    delay: from the measurement to the stamp, which is that of receipt
     thinning: while the robot moves, only every nth profile is recorded
     """
 
@@ -231,7 +231,7 @@ class Scenario:
 
 
 def changed(base: Scenario, name: str, **changes: Any) -> Scenario:
-    """Return a scenario under another name; a dict changes some fields of a part of it."""
+    """Return a changed scenario under another name; a dict changes fields of one of its parts."""
     return replace(base, name=name, **{
         key: replace(getattr(base, key), **value) if isinstance(value, dict) else value
         for key, value in changes.items()})
@@ -330,7 +330,7 @@ STATED_TOO_SMALL = tuple(zip(('noise.robot_translation', 'noise.robot_rotation')
 
 
 def smooth(error: float) -> dict[str, tuple[float, float]]:
-    """Return a robot's error (m) that varies smoothly; in radians what it is at 0.3 m."""
+    """Return a smooth error (m) as fields of RobotModel; its rotation is that at 0.3 m (rad)."""
     return {'systematic': (error, error / 0.3)}
 
 

@@ -76,7 +76,7 @@ class Placements:
 
 
 def strata(rng: Generator, n: int, low: Array, high: Array) -> Array:
-    """Return (n, k) values from low to high (k,), one in each n-th of it, in random order."""
+    """Return values (n, k) from low to high (k,), one in each n-th of the range, shuffled."""
     order = rng.permuted(np.tile(np.arange(n), (len(low), 1)), axis=1).T
     return np.asarray(low + (order + rng.random(order.shape)) / n * (high - low))
 
@@ -98,7 +98,7 @@ def seeing(scenario: Scenario, rng: Generator, nominal: Array, spots: Array,
     Return stops of tilted sensors that see spots of the target at given points of their frame.
 
     nominal: R_target_sensor (3, 3) or (n, 3, 3) without the tilt; spots: (n, 3) in the target;
-    seen: (n, 3) the same in the sensor frame (m); groups: the labels of each group of stops.
+    seen: (n, 3) the spots in the sensor frame (m); groups: the labels of each group of stops.
     """
     R = nominal @ tilts(scenario, rng, tuple(map(len, groups)))
     T = se3.transform(R, spots - (R @ seen[:, :, None])[:, :, 0])
@@ -126,8 +126,8 @@ def _length_to_limits(rates: Array, room: Array) -> Array:
     """
     Return the length (n,) of a way until it reaches the first of k limits (m).
 
-    rates: (n, k) by which a metre of it comes nearer to each limit; room: (n, k) from its start
-    to them (m).
+    rates: (n, k) by which a metre of the way comes nearer to each limit; room: (n, k) from its
+    start to each limit (m).
     """
     nearing = rates > 1e-6
     return np.asarray((np.where(nearing, room, np.inf) / np.where(nearing, rates, 1)).min(axis=1))

@@ -21,7 +21,7 @@ EDGE_COLUMNS = 3
 
 
 def fan(points: Array) -> Array:
-    """Return of points (..., 2) in the sensor plane the tangent of the ray's angle, x / z."""
+    """Return the tangent x / z of the ray's angle of points (..., 2) in the sensor plane."""
     return np.asarray(points[..., 0] / points[..., 1])
 
 

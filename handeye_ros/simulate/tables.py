@@ -50,7 +50,7 @@ class SimulatedFiles:
 
     @property
     def true_values(self) -> dict[str, Any]:
-        """Return what truth.yaml holds, by key."""
+        """Return the content of truth.yaml by key."""
         return {'T_flange_sensor': se3.transform_values(self.T_flange_sensor),
                 'noise': self.noise, 'settings': self.settings}
 

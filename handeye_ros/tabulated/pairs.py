@@ -54,7 +54,7 @@ MAX_SURE_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
 @dataclass(frozen=True, eq=False)
 class PairedRows(TableProblem):
     """
-    Points (n, 3) or poses (n, 4, 4), as the sensor sees them and by the robot (m).
+    Points (n, 3) or poses (n, 4, 4) as seen by the sensor and as reported by the robot (m).
 
     The unknowns of the least squares are transforms, a state (k, 4, 4): X, of the sensor in its
     mount, and of poses also that of the target where it is fixed.
@@ -75,11 +75,11 @@ class PairedRows(TableProblem):
     @classmethod
     @abstractmethod
     def from_table(cls, table: Table, config: Config) -> Self:
-        """Return the rows of a table, each column with its unit; raises TableError."""
+        """Return the rows of a table, whose columns state their units; raises TableError."""
 
     @abstractmethod
     def in_other_notations(self, table: Table) -> Iterator[Misreading]:
-        """Yield the rows of the table as they would be written otherwise."""
+        """Yield the rows of the table as they would read in other notations."""
 
     @abstractmethod
     def closed_form(self) -> Array:

@@ -74,7 +74,7 @@ class TableProblem(ABC):
     @property
     @abstractmethod
     def samples(self) -> Sequence[tuple[int, str]]:
-        """Return of each sample its row number, or its stamp (ns), and its kind."""
+        """Return the number of the row, or the stamp (ns), and the kind of each sample."""
 
     @abstractmethod
     def require_determined(self) -> None:
@@ -90,18 +90,18 @@ class TableProblem(ABC):
 
     @property
     def T_sensor_plane(self) -> Array:
-        """Return (4, 4): the frame of the values in the sensor's; of profiles their plane."""
+        """Return the frame of the values (of profiles: their plane) in the sensor (4, 4)."""
         return np.eye(4)
 
 
 class Misreading(NamedTuple):
     """
-    A problem whose values are read in another unit or notation.
+    The same measured values, read in another unit or notation.
 
-    words: what is different, after "with"; remedy: what to do if this is right.
+    description: what is different, after "with"; remedy: what to do if this is right.
     """
 
-    words: str
+    description: str
     remedy: str
     problem: TableProblem
 
@@ -114,9 +114,9 @@ class TableAnswer:
     covariance: (6, 6), x y z rx ry rz in the mount (m, rad)
     used: (n,) whether each sample is used
     residuals: (n,) of all samples (m)
-    residual_rms: of the used ones (m)
-    holdout_rms: the same, each predicted from the others (m)
-    angle_rms: of the residuals of measured rotations (rad)
+    residual_rms: RMS residual of the used samples (m)
+    holdout_rms: RMS residual where each used sample is predicted from the others (m)
+    angle_rms: RMS residual of measured rotations (rad)
     target: other estimates, as plain values
     """
 
@@ -175,13 +175,14 @@ def answer_table(problem: TableProblem) -> TableAnswer:
     except DataError as error:
         refusal = error
     explaining = list[tuple[Array, str]]()
-    for words, remedy, misread in problem.misreadings:
+    for description, remedy, misread in problem.misreadings:
         with suppress(DataError):
             misread.require_determined()
             answer = misread.estimate()
             if answer.agrees and answer.residual_rms < MISREADING_RMS:
-                explaining.append((answer.X, f'the values contradict each other, but with {words} '
-                                   f'they agree to {mm(answer.residual_rms)}: {remedy}'))
+                explaining.append((
+                    answer.X, f'the values contradict each other, but with {description} they '
+                    f'agree to {mm(answer.residual_rms)}: {remedy}'))
     if explaining and all(np.allclose(X, explaining[0][0], atol=1e-9) for X, _ in explaining):
         raise DataError(explaining[0][1], reason='convention')
     raise refusal

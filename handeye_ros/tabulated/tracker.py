@@ -61,7 +61,7 @@ MAX_MISSED_PROFILES = 3
 
 class Piece(NamedTuple):
     """
-    Points of a part of ball, block or arm: of a row of the file, or what one profile shows of it.
+    The points of one part of ball, block or arm, from one row of the file or from one profile.
 
     sample: the number of the row, or the stamp of the profile (ns)
     points: (k, 3) in the tracker's frame; of swept parts x and z in the sensor plane and the
@@ -230,10 +230,10 @@ class TrackerProblem(TableProblem):
 
 def read_reflector_points(path: Path) -> dict[str, list[Piece]]:
     """
-    Return the positions of the reflector, row by row, by kind (m).
+    Return the positions of the reflector (m) by kind, one for each row.
 
-    Columns kind (arc, line, ball, face_c or face_d) and x, y, z with their unit, as in `x [mm]`,
-    in the order measured. Raises TableError.
+    The table has the columns kind (arc, line, ball, face_c or face_d) and x, y, z with their unit,
+    as in `x [mm]`; its rows are in the order measured. Raises TableError.
     """
     table = Table(path)
     kinds, points = table.texts('kind'), table.values('xyz', LENGTH)
@@ -252,7 +252,7 @@ def read_reflector_points(path: Path) -> dict[str, list[Piece]]:
 def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], config: Config
                ) -> tuple[dict[str, list[Piece]], float]:
     """
-    Return what a sweep shows of each of SWEPT_PARTS, and the reading of P3 in its middle (m).
+    Return the points of each of SWEPT_PARTS in a sweep, and the reading of P3 in its middle (m).
 
     profiles, poses: those of the sweep, in the order of their stamps
     config: gives tracker.first_reading, the reading of P3 at the first pose, noise.sensor,
@@ -305,7 +305,7 @@ def _travel(T: Array) -> Array:
 
 def _parts_in(points: Array, config: Config) -> dict[str, Array]:
     """
-    Return what a profile (n, 2) shows, with its points (k, 2): swept_ball, or both swept faces.
+    Return the points (k, 2) of each part in a profile (n, 2): swept_ball, or both swept faces.
 
     Raises FeatureError for a profile of neither.
     """

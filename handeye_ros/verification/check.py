@@ -77,6 +77,7 @@ MAX_OF_SWEEP = 30  # samples of a sweep: neighbours share the errors of the robo
 UNSEEN_SHIFT = 0.01  # m: a shift that would show only from here on is called unseen
 NO_MOVE = np.zeros(6)
 MOVABLE = 'target', 'sensor'
+MOVE_KEYS = {'shift': 'moved', 'turn': 'turned', 'smallest_shifts': 'shows', 'axes': 'axes'}
 ROBOT_CHANGED = ('the poses of the robot err otherwise than before (mastering, a joint, wear), '
                  'or repeat worse than noise.robot_* says: check the robot before the sensor')
 MORE_STOPS = ('Repeat some of them with the sensor turned by 90 degrees about its z, and by 25 '
@@ -86,17 +87,18 @@ MORE_STOPS = ('Repeat some of them with the sensor turned by 90 degrees about it
 @dataclass(frozen=True)
 class Move:
     """
-    What a check says of the target, or of the sensor.
+    The likeliest move of target or sensor, and the smallest shifts that would have shown.
 
-    moved, turned: its most likely move if it is the cause (m, rad)
-    shows: the smallest shift along each axis that would show (m), nan where none would
-    axes: their directions as rows, of the target in the base, of the sensor in the flange; with
-        eye_on_base it is the other way round
+    shift, turn: of the likeliest move (m, rad)
+    smallest_shifts: along each of three axes the smallest shift (m) that would have shown, nan
+        where none would
+    axes: (3, 3) the directions of these axes as rows, of the target in the base, of the sensor in
+        the flange; with eye_on_base it is the other way round
     """
 
-    moved: float
-    turned: float
-    shows: list[float]
+    shift: float
+    turn: float
+    smallest_shifts: list[float]
     axes: list[list[float]]
 
 
@@ -106,15 +108,15 @@ class Check:
     Result of a check.
 
     stamp: of the first sample (ns)
-    stations: number of those compared
+    stations: number of the compared stations
     verdict: unchanged, or the causes: target, sensor (it moved, or the robot's base did that is
         fixed to the other), robot (its pose errors changed), clock, with "or" or "and"
     evidence: how many times as likely the recording is with a change as without
     odds: probability of each cause if something changed
     points_off: the largest error of points if the sensor is the cause, and its std (m)
-    rms: of the residuals (m)
+    rms: RMS of the residuals (m)
     left_out: numbers of the stops, of a sweep of the passes, with what contradicts the others
-    time_offset_changed: of a sweep, and its 1 sigma (s)
+    time_offset_changed: change of the time offset of a sweep, and its 1 sigma (s)
     stamps: of all samples (ns); they are written to no file
     """
 
@@ -138,7 +140,7 @@ class Check:
 def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
                     calibration: Calibration, config: Config) -> Check:
     """
-    Return the check by a recording: by its stops, or by a sweep without stops.
+    Return the check of a calibration by the stops of a recording, or by a sweep without stops.
 
     Raises DataError, and InputError for a calibration without a target to compare with.
     """
@@ -170,8 +172,8 @@ def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Rej
     """
     Return the check of a calibration by samples of the same target; raises DataError.
 
-    rejects: the stops that gave no sample; pass_stamps: (ns) of those of a sweep, of which the
-    samples are single profiles.
+    rejects: the stops that gave no sample; pass_stamps: the stamps (ns) of the passes of a sweep,
+    of which the samples are single profiles.
     """
     problem, config = _observed(samples, cell, rejects), cell.config
 
@@ -242,10 +244,10 @@ def _verdict_and_sentence(sentences: Mapping[str, str], odds: Mapping[str, float
 
 class CalibratedCell(NamedTuple):
     """
-    What a calibration says of sensor and target, and the settings of the check.
+    Sensor and target as a calibration found them, and the settings of the check.
 
     root: R with R R' the joint covariance (6 + k, 6 + k) of transform and target
-    variance_factors: (5,) of its noise, see NoiseScales, at least 1
+    variance_factors: (5,) of the noise that the calibration found, see NoiseScales, at least 1
     noise: the settings, with the sizes of systematic errors that it found
     """
 
@@ -258,7 +260,7 @@ class CalibratedCell(NamedTuple):
 
     @classmethod
     def of_calibration(cls, calibration: Calibration, config: Config) -> CalibratedCell:
-        """Return what a stored calibration says; raises InputError where it cannot be compared."""
+        """Return the cell of a stored calibration; raises InputError where it holds no target."""
         method, found, configured = calibration.method, calibration.target, config.noise
         if method != config.target.type and method in TARGETS:
             raise InputError(
@@ -317,7 +319,7 @@ def _observed(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence
 @dataclass(frozen=True, eq=False)
 class _Prediction:
     """
-    What a recording shows where a calibration is right and nothing has changed.
+    The residuals of a recording where a calibration is right and nothing has changed.
 
     linear: residuals and derivatives at the calibrated estimate
     whiten: multiplies by the inverse root of the covariance of the noise
@@ -352,7 +354,7 @@ class _Prediction:
 
 
 def _predicted(problem: Problem, cell: CalibratedCell) -> _Prediction:
-    """Return what a recording shows at the calibrated estimate."""
+    """Return the residuals of a recording at the calibrated estimate, and their errors."""
     found_sizes = replace(problem, config=replace(cell.config, noise=cell.noise))
     at_found_sizes = linearise(found_sizes, cell.estimate)
     # the range of a face in grazing light may be off by as much as a calibration allows
@@ -394,9 +396,10 @@ def _move_sigmas(scale: float) -> Array:
 
 class _Cause(NamedTuple):
     """
-    That target or sensor moved: the log likelihood, what follows in words, and the likeliest move.
+    The hypothesis that target or sensor moved.
 
-    displacement, std: the largest displacement of a point by this move, and its 1 sigma (m).
+    It has its log likelihood, the sentence for the user, the likeliest move, and the largest
+    displacement of a point by it with 1 sigma, std (m).
     """
 
     log_likelihood: float
@@ -408,9 +411,9 @@ class _Cause(NamedTuple):
 
 def _cause_of(prediction: _Prediction, name: str) -> _Cause:
     """
-    Return the cause "target" or "sensor" (name): that it moved.
+    Return the hypothesis that the target or the sensor (name) moved.
 
-    Gauss-Newton steps for the move; the scale of its prior is the likeliest of MOVE_SCALES.
+    Gauss-Newton steps find the move; the scale of its prior is the likeliest of MOVE_SCALES.
     """
     move, sigmas = NO_MOVE, _move_sigmas(MOVE_SCALES[-1])
     for _ in range(MAX_ITERATIONS):
@@ -449,7 +452,12 @@ def _robot_log_likelihood(prediction: _Prediction) -> float:
 
 
 def _smallest_shifts(prediction: _Prediction, name: str) -> tuple[list[float], list[list[float]]]:
-    """Return shows and axes of the Move of target or sensor (name), the smallest shift first."""
+    """
+    Return the smallest detectable shifts (3) of target or sensor (name), and their directions.
+
+    The shifts are in metres, ascending, nan where none below UNSEEN_SHIFT shows; the directions
+    (3, 3) are rows.
+    """
     _, D, _ = prediction.undoing(name)
     A = prediction.errors  # a move that they explain as well does not show
     information = D.T @ (D - A @ np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T @ D))
@@ -464,7 +472,7 @@ def _smallest_shifts(prediction: _Prediction, name: str) -> tuple[list[float], l
 def _shifts_in_words(move: Move, frame: str) -> str:
     """Return in words from which size on shifts along the axes show, and which do not."""
     along = [(size, direction_in_words(np.array(axis), frame))
-             for size, axis in zip(move.shows, move.axes, strict=True)]
+             for size, axis in zip(move.smallest_shifts, move.axes, strict=True)]
     unseen = ' or '.join(name for size, name in along if np.isnan(size))
     return ', '.join(f'{mm(size)} along {name}' for size, name in along if size < UNSEEN_SHIFT) + (
         f' (a slide along {unseen} cannot be seen)' if unseen else '')
@@ -474,11 +482,11 @@ def _with_offset(result: Check, offset: ClockEstimate, before: ClockEstimate) ->
     """Return the check of a sweep with the change of its time offset since the calibration."""
     change, std = offset.value - before.value, math.hypot(offset.std, before.std)
     verdict = result.verdict
-    words = f'{change * 1e3:+.2f} ms (1 sigma {std * 1e3:.2f})'
-    sentence = f'The time offset is as it was: {words}'
+    text = f'{change * 1e3:+.2f} ms (1 sigma {std * 1e3:.2f})'
+    sentence = f'The time offset is as it was: {text}'
     if abs(change) > max(SURE_CHANGE_SIGMAS * std, MIN_CHANGE):
         verdict = 'clock' if verdict == 'unchanged' else f'{verdict} and clock'
-        sentence = (f'The time offset has changed by {words}: the clock or the delay of sensor or '
+        sentence = (f'The time offset has changed by {text}: the clock or the delay of sensor or '
                     f'robot is another; set time_offset to {offset.value:.5f}, or calibrate again')
     return replace(result, verdict=verdict, time_offset_changed=change,
                    time_offset_changed_std=std, sentence=f'{result.sentence}. {sentence}')
@@ -490,5 +498,5 @@ def plain_values(checks: Sequence[tuple[str, Check]], against: str) -> dict[str,
     for content in contents:
         del content['stamps']
     for content, name in product(contents, MOVABLE):
-        content |= {f'{name}_{key}': value for key, value in content.pop(name).items()}
+        content |= {f'{name}_{MOVE_KEYS[key]}': value for key, value in content.pop(name).items()}
     return {'format': FORMAT, 'against': against, 'checks': contents}

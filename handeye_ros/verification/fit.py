@@ -8,11 +8,11 @@ r = d(p, q), weighted by the noise of sensor and robot. Whitened by groups of po
 is off by dq has r = J dq + E e + n: e are the errors of the calibration and the smooth ones of the
 robot, n the noise of unit covariance. The error of the fitted q is -pinv(J) (E e + n), and what is
 left of the distances is M (E e + n), M = I - J pinv(J). An error of the calibration enters through
-E: its claimed covariance is never part of the measurement's own uncertainty.
+E: its stated covariance is never part of the measurement's own uncertainty.
 
-The claim is that e is as small as the covariance of the calibration states, beside robot errors of
-unit variance: "claim" is the root of this covariance of e. It is tested by the deviations v of the
-measured values from their nominal ones: their square v' cov^-1 v is chi square if it is true.
+That e is as small as the covariance of the calibration states, beside robot errors of unit
+variance, is tested by the deviations v of the measured values from their nominal ones: v' cov^-1 v
+is chi square if it is true.
 """
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ Result = TypeVar('Result')
 @dataclass(frozen=True, eq=False)
 class StationSet:
     """
-    What some recordings show of an artefact.
+    The poses and points at which some recordings show an artefact.
 
     problem: the n poses of the sensor's mount in the frame of the artefact, and the m points
     stamps: (n,) the time of each pose in nanoseconds
@@ -94,7 +94,7 @@ class StationSet:
 
     @property
     def observations(self) -> Observations:
-        """Return the points."""
+        """Return the points, as observations of the problem."""
         return self.problem.observations
 
     @property
@@ -133,7 +133,7 @@ def require_stations(usable: Sequence[int], rejects: Sequence[Reject] = ()) -> N
     """
     Raise DataError where a recording has fewer than MIN_STATIONS usable stations.
 
-    usable: their number in each recording; rejects: the stops that gave no sample.
+    usable: the number of usable stations of each recording; rejects: the stops without a sample.
     """
     least = min(usable)
     if least < MIN_STATIONS:
@@ -151,7 +151,7 @@ class Quantity:
 
     std: 1 sigma of the deviation by sensor, robot and nominal value, infinite for a value that the
         points leave open
-    claimed: 1 sigma by the calibration's covariance
+    std_by_calibration: 1 sigma by the calibration's covariance
     nominal: None where there is none
     characteristic: its symbol in VDI/VDE 2634 or ISO 10360 (see result_file.py)
     """
@@ -159,7 +159,7 @@ class Quantity:
     name: str
     value: float = math.nan
     std: float = math.nan
-    claimed: float = 0.0
+    std_by_calibration: float = 0.0
     nominal: float | None = None
     unit: str = 'm'
     characteristic: str = ''
@@ -181,8 +181,9 @@ class Shape:
     A shape with k unknowns, and the stations whose points lie on it.
 
     start: (k,) the unknowns q to start from
-    distance(p, q): the signed distances (m,) of its points p (m, 3) in the base
-    values(q): the measured values; quantities: name, unit and nominal value of each
+    distance(p, q): the signed distances (m,) of points p (m, 3) in the base from the shape, in
+        metres
+    values(q): the measured values; quantities: name, unit and nominal value of each value
     """
 
     stations: StationSet
@@ -240,14 +241,14 @@ class Scatter:
 
 class CalibrationError(NamedTuple):
     """
-    The error of the calibration that the distances of a shape suggest, whatever is claimed.
+    The error of the calibration that the distances of a shape suggest, whatever its covariance.
 
-    twist: (6,) the most likely one, of the sensor plane in the mount (m, rad)
+    twist: (6,) the most likely error, of the sensor plane in the mount (m, rad)
     p_explained: probability of larger distances from the shape with this error
     p_chance: probability that chance looks at least as much like an error
-    largest, largest_std: the largest displacement of a point by it, and its 1 sigma (m)
-    smallest_detectable: error that would show, in the direction in which it shows least, as RMS
-        displacement of the points (m)
+    largest, largest_std: the largest displacement of a point by the error, and its 1 sigma (m)
+    smallest_detectable: the smallest error that would show, in the direction in which it shows
+        least, as RMS displacement of the points (m)
     weakest_direction: this direction in words
     """
 
@@ -266,34 +267,32 @@ class ShapeFit:
     Result of a fit of a shape to m points.
 
     quantities: those of the shape, as measured
-    scatter: of the distances
-    distances: (m,) of the points from the shape, in metres
-    distance_stds: (m,) their 1 sigma due to sensor and robot, in metres
-    squared_deviation: (v - nominal)' cov^-1 (v - nominal) of the values v with a nominal, cov the
-        sum of their covariances by measurement and calibration
-    freedom: number of values with a nominal
-    claim_p: probability of a larger one if the calibration's covariance is true
-    error: of the calibration
+    scatter: statistics of the distances
+    distances: (m,) from the points to the shape, in metres
+    distance_stds: (m,) 1 sigma of the distances due to sensor and robot, in metres
+    chi2: (v - nominal)' cov^-1 (v - nominal) of the values v with a nominal, cov the sum of their
+        covariances by measurement and calibration
+    degrees_of_freedom: of chi2, the number of values with a nominal
+    p_calibration: probability of a larger chi2 if the calibration's covariance is true
+    error: the error of the calibration that the distances suggest
     """
 
     quantities: tuple[Quantity, ...]
     scatter: Scatter
     distances: Array
     distance_stds: Array
-    squared_deviation: float
-    freedom: int
-    claim_p: float
+    chi2: float
+    degrees_of_freedom: int
+    p_calibration: float
     error: CalibrationError
 
 
 class GroupFit(NamedTuple, Generic[Result]):
     """
-    A fit to some groups of points.
+    The fit of some groups (result), with what the outlier test needs.
 
-    result: what was fitted
-    residuals: (m,) whitened residuals of the points
-    wrt_unknowns: (m, k) their derivatives by all unknowns, in units of their 1 sigma a priori
-    group: (m,) the group of each point
+    That is m white residuals, their derivatives (m, k) by all unknowns in prior sigmas, and the
+    group (m,) of each residual.
     """
 
     result: Result
@@ -324,29 +323,30 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float
     white = whitening(linear)
     r, J = white(linear.residuals), white(linear.jacobian[:, 6:])
     E = white(np.hstack([linear.jacobian[:, :6], by_robot]))
-    claim = scipy.linalg.block_diag(covariance_root(C), np.eye(by_robot.shape[1]))
+    # R R' is the covariance of e that the calibration states
+    calibration_root = scipy.linalg.block_diag(covariance_root(C), np.eye(by_robot.shape[1]))
     # by how much the fitted q follows each distance
     gain = np.asarray(np.linalg.pinv(J), dtype=float)
 
-    quantities, deviation, deviation_wrt_errors, squared_deviation = _measured(
-        shape, q, J, gain, E, claim)
+    quantities, deviation, deviation_wrt_errors, chi2 = _measured(
+        shape, q, J, gain, E, calibration_root)
     known = len(deviation)
-    claim_p = float(chi2_sf(squared_deviation, known)) if known else 1.0
+    p_calibration = float(chi2_sf(chi2, known)) if known else 1.0
 
     # what the shape does not take up
     r_left, E_left = (values - J @ (gain @ values) for values in (r, E))
-    freedom = max(len(r_left) - len(q), 1)
+    degrees_of_freedom = max(len(r_left) - len(q), 1)
     sizes = np.abs(linear.residuals)
-    square = regularised_least_squares(E_left @ claim, r_left)[2]
+    square = regularised_least_squares(E_left @ calibration_root, r_left)[2]
     scatter = Scatter(len(sizes), float(sizes.mean()), float(sizes.std()), rms(sizes),
-                      float(sizes.max()), float(chi2_sf(square, freedom)))
+                      float(sizes.max()), float(chi2_sf(square, degrees_of_freedom)))
     variances = np.square(by_robot).sum(axis=1)  # of the distances, due to robot and sensor
     for group in groups:
         variances[group.rows] += np.einsum('nii->ni', _covariance(linear, group))
     error = _calibration_error(np.vstack([E_left, -deviation_wrt_errors]),
-                               np.append(r_left, deviation), freedom + known, linear)
-    fit = ShapeFit(quantities, scatter, linear.residuals, np.sqrt(variances), squared_deviation,
-                   known, claim_p, error)
+                               np.append(r_left, deviation), degrees_of_freedom + known, linear)
+    fit = ShapeFit(quantities, scatter, linear.residuals, np.sqrt(variances), chi2, known,
+                   p_calibration, error)
 
     # the test for outliers leaves shape and calibration free
     unknowns = np.hstack([J, E[:, :6]])
@@ -368,10 +368,10 @@ def _calibration_error(A: Array, b: Array, conditions: int, linear: Linearisatio
     twist, covariance = errors[:6], covariance[:6, :6]
     square -= float(twist ** 2 @ information[:6])
     _, _, square_without = regularised_least_squares(A[:, 6:], b, information[6:])
-    freedom = max(conditions - 6, 1)
-    factor = max(square / freedom, 1.0)
+    degrees_of_freedom = max(conditions - 6, 1)
+    factor = max(square / degrees_of_freedom, 1.0)
     return CalibrationError(
-        twist, float(chi2_sf(square, freedom)),
+        twist, float(chi2_sf(square, degrees_of_freedom)),
         float(chi2_sf((square_without - square) / factor, 6)),
         *largest_displacement(linear.lever, twist, factor * covariance),
         *_weakest(covariance, linear.lever, mount_frame(linear.problem.config)))
@@ -399,21 +399,21 @@ def regularised_least_squares(A: Array, b: Array, information: Array | float = 1
     return x, covariance, float(b @ b - explained @ x)
 
 
-def _measured(shape: Shape, q: Array, J: Array, gain: Array, E: Array, claim: Array
+def _measured(shape: Shape, q: Array, J: Array, gain: Array, E: Array, calibration_root: Array
               ) -> tuple[tuple[Quantity, ...], Array, Array, float]:
     """
     Return the measured quantities of a shape q (k,), and how the v with a nominal value deviate.
 
-    That is the white deviations (v,), their derivatives (v, 6 + s) by e, and the
-    squared_deviation of a ShapeFit. J (m, k), E (m, 6 + s): white derivatives of the distances;
-    gain: pinv(J); claim: (6 + s, 6 + s).
+    That is the white deviations (v,), their derivatives (v, 6 + s) by e, and the chi2 of a
+    ShapeFit. J (m, k), E (m, 6 + s): white derivatives of the distances; gain: pinv(J);
+    calibration_root: R (6 + s, 6 + s) with R R' the covariance of e that the calibration states.
     """
     certificate = shape.stations.problem.config.verify.certificate  # U of nominal lengths
     values, wrt_shape = shape.values(q), derivatives(shape.values, q)
     wrt_distances = wrt_shape @ gain
     wrt_errors = wrt_distances @ E
-    by_claim, by_smooth = np.split(wrt_errors @ claim, [6], axis=1)
-    covariance, claimed = wrt_distances @ wrt_distances.T, by_claim @ by_claim.T
+    of_calibration, by_smooth = np.split(wrt_errors @ calibration_root, [6], axis=1)
+    covariance, by_calibration = (A @ A.T for A in (wrt_distances, of_calibration))
     unseen = np.abs(wrt_shape - wrt_distances @ J).max(axis=1, initial=0.0) > UNSEEN_CHANGE
     nominal = np.array([quantity.nominal for quantity in shape.quantities], dtype=float)
     known = np.flatnonzero(np.isfinite(nominal) & ~unseen)
@@ -422,14 +422,15 @@ def _measured(shape: Shape, q: Array, J: Array, gain: Array, E: Array, claim: Ar
     deviation, block = (values - nominal)[known], np.ix_(known, known)
     whiten = np.linalg.inv(np.linalg.cholesky(covariance[block]))  # the smooth error is an error
     covariance += by_smooth @ by_smooth.T
-    total = (covariance + claimed)[block]
-    squared_deviation = float(deviation @ np.linalg.solve(total, deviation))
+    total = (covariance + by_calibration)[block]
+    chi2 = float(deviation @ np.linalg.solve(total, deviation))
     covariance[unseen, unseen] = np.inf
-    stds, claimed_stds = (np.sqrt(np.maximum(np.diag(C), 0.0)) for C in (covariance, claimed))
-    quantities = (replace(quantity, value=float(value), std=float(std), claimed=float(claimed_std))
-                  for quantity, value, std, claimed_std in zip(
-                      shape.quantities, values, stds, claimed_stds, strict=True))
-    return tuple(quantities), whiten @ deviation, whiten @ wrt_errors[known], squared_deviation
+    stds = [np.sqrt(np.maximum(np.diag(C), 0.0)).tolist() for C in (covariance, by_calibration)]
+    quantities = tuple(
+        replace(quantity, value=value, std=std, std_by_calibration=std_by_calibration)
+        for quantity, value, std, std_by_calibration in zip(
+            shape.quantities, values.tolist(), *stds, strict=True))
+    return quantities, whiten @ deviation, whiten @ wrt_errors[known], chi2
 
 
 def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, float]:
@@ -441,7 +442,7 @@ def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, fl
 
 def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
     """
-    Return detectable and weakest_direction of a CalibrationError.
+    Return smallest_detectable and weakest_direction of a CalibrationError.
 
     covariance (6, 6): of the calibration's error, in its mount; lever (m, 3): from the sensor.
     """
@@ -480,18 +481,19 @@ def fit_without_outliers(groups: Indices, fit_groups: Callable[[Indices], GroupF
     """
     Return the fit of the groups that agree, the p-value of each group, and those left out.
 
-    fit_groups: of some of them. The p-value of a group left out is that of the last fit in which
-    it took part. None is left out where it would be too many, or where too few would be left.
+    fit_groups: fits some of the groups. The p-value of a group left out is that of the last fit in
+    which it took part. None is left out where they would be too many, or where too few would be
+    left.
     """
     p_values, most = dict[int, float](), int(MAX_OUTLIER_SHARE * len(groups))
 
     def of_groups(_: object, used: Indices, dropped: dict[int, float]
                   ) -> tuple[Result, Array, Indices, list[int]]:
         fit = fit_groups(used)
-        squares, freedom = _left_out_squares(fit, used)
-        p_values.update(zip(used.tolist(), chi2_sf(squares * freedom, freedom).tolist(),
-                            strict=True))
-        return fit.result, squares, freedom, [*dropped]
+        squares, degrees_of_freedom = _left_out_squares(fit, used)
+        p = chi2_sf(squares * degrees_of_freedom, degrees_of_freedom)
+        p_values.update(zip(used.tolist(), p.tolist(), strict=True))
+        return fit.result, squares, degrees_of_freedom, [*dropped]
 
     with suppress(DataError):
         result, _, _, dropped = drop_outliers(
@@ -503,19 +505,20 @@ def fit_without_outliers(groups: Indices, fit_groups: Callable[[Indices], GroupF
 
 def _left_out_squares(fit: GroupFit[Result], groups: Indices) -> tuple[Array, Indices]:
     """
-    Return how well the others predict each of groups (g,): mean squares of (12), and freedom.
+    Return the mean square (g,) of each group's residuals, and its degrees of freedom (g,).
 
-    What a group alone determines is no part of it.
+    The other groups predict these residuals; they are in units of the predicted variance (eq. (12)
+    of docs/estimator.md). What a group alone determines is no part of it.
     """
     U, s, _ = np.linalg.svd(fit.wrt_unknowns, full_matrices=False)
     U *= s / np.hypot(s, 1.0)  # U U' r is what the unknowns take up
     left = fit.residuals - U @ (U.T @ fit.residuals)
-    squares, freedom = np.zeros(len(groups)), np.zeros(len(groups), dtype=np.intp)
+    squares, degrees_of_freedom = np.zeros(len(groups)), np.zeros(len(groups), dtype=np.intp)
     for k, group in enumerate(groups):
         U_group, left_group = U[fit.group == group], left[fit.group == group]
         share, V = np.linalg.eigh(U_group.T @ U_group)
         by_others = share < 1 - LEFT_BY_OTHERS_SHARE  # directions that the others determine too
         b = (left_group @ U_group @ V)[by_others]
         squares[k] = left_group @ left_group + b @ (b / (1 - share[by_others]))  # Woodbury
-        freedom[k] = len(U_group) - np.count_nonzero(~by_others)
-    return squares / np.maximum(freedom, 1), freedom
+        degrees_of_freedom[k] = len(U_group) - np.count_nonzero(~by_others)
+    return squares / np.maximum(degrees_of_freedom, 1), degrees_of_freedom

@@ -46,19 +46,22 @@ CHARACTERISTICS = {
 
 def plain_values(verification: Verification, inputs: Iterable[object] = (),
                  calibration_file: Path | None = None) -> dict[str, Any]:
-    """Return a verification, of now and what it comes from, as the content of its YAML."""
+    """Return a verification as the content of its YAML, with its inputs and the time of now."""
     values, fit = asdict(verification), verification.fit
     del values['fit']
+    values['quantities'] = [{'claimed' if name == 'std_by_calibration' else name: value
+                             for name, value in q.items()} for q in values['quantities']]
     return {'format': FORMAT, 'version': __version__, 'k': COVERAGE_FACTOR, **values,
             'scatter': asdict(fit.scatter), 'smallest_error': fit.error.smallest_detectable,
-            'weakest_direction': fit.error.weakest_direction, 'region': fit.squared_deviation,
-            'freedom': fit.freedom, 'claim_p': fit.claim_p, 'inputs': list(map(str, inputs)),
+            'weakest_direction': fit.error.weakest_direction, 'region': fit.chi2,
+            'freedom': fit.degrees_of_freedom, 'claim_p': fit.p_calibration,
+            'inputs': list(map(str, inputs)),
             'calibration_file': input_provenance(calibration_file) if calibration_file else {},
             'created': datetime.now(UTC).isoformat(timespec='seconds')}
 
 
 def title_of(content: Mapping[str, Any]) -> str:
-    """Return the routine with its verdict."""
+    """Return the routine with its verdict and its number of stations."""
     return f'{content["routine"]}: {content["verdict"].upper()}, {content["stations"]} stations'
 
 
@@ -71,7 +74,7 @@ def table_rows(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...
             deviation = value - nominal
             decided = decision(deviation, U,
                                content['tolerance' if unit == 'm' else 'angle_tolerance'])
-        claimed = quantity['claimed'] or None  # a scatter claims nothing
+        claimed = quantity['claimed'] or None  # none of a scatter
         figures = (in_mm_or_degrees(figure, unit)
                    for figure in (value, nominal, deviation, U, claimed))
         yield quantity['name'], (*figures, decided)

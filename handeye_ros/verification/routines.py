@@ -132,14 +132,14 @@ class Routine:
     """
     One way to verify a calibration.
 
-    measures: what, in words
+    measures: a description of what is measured
     target: the target.type whose features the stations give; empty where points are taken in
         passes, while the robot moves
     recording_counts: for each valid number of verify.lengths the possible numbers of recordings,
         ascending
     shape: what is fitted to the stations, with the sensor plane at X (4, 4) in the mount
     form_name: what the scatter of each face, ball or axis is called in the result; empty: not told
-    form_symbol: the characteristic that it is
+    form_symbol: the symbol of this scatter as a characteristic, see result_file.py
     edge_distances: into how many distances an edge point counts, two from a line or three from a
         point; 0: the points count as in a calibration
     """
@@ -167,9 +167,9 @@ class Routine:
 
     def settings(self, config: Config, recordings: int | None = None) -> Config:
         """
-        Return the settings that extract its features.
+        Return the settings that extract the features of the routine.
 
-        recordings: how many there are, once all are; raises InputError for a wrong number.
+        recordings: their number, once all are there; raises InputError for a wrong number.
         """
         if recordings is not None:
             possible = self.recordings_for(len(config.verify.lengths))

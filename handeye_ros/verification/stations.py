@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-From a recording to the stations of a routine: what of it shows the artefact.
+From a recording to the stations of a routine: the features and points that show the artefact.
 
 Where several surfaces are in sight, those in a region of interest take part, or the nearest one.
 A sweep over the artefact takes its poses at the time offset of the calibration. Of a gauge of
@@ -78,8 +78,8 @@ def _problem(target: Target, poses: Array, observations: Observations, config: C
     """
     Return what is seen from poses (n, 4, 4); config.verify.aim is a further error of their place.
 
-    is_face: whether it is a face. The ends of a line are none, and the flanks of teeth are steep
-    by design.
+    is_face: whether the artefact is a face. The ends of a line are none, and the flanks of teeth
+    are steep by design.
     """
     noise = replace(
         config.noise, distortion=config.noise.distortion if is_face else 0.0,
@@ -89,7 +89,11 @@ def _problem(target: Target, poses: Array, observations: Observations, config: C
 
 def _select_artefact(routine: Routine, samples: Sequence[Sample], X: Array,
                      calibration: Calibration, config: Config) -> tuple[Sequence[Sample], str]:
-    """Return what of a recording shows the artefact, and in words how it was chosen."""
+    """
+    Return the samples reduced to the features of the artefact, and how its surface was chosen.
+
+    That is a sentence, '' where there was no choice.
+    """
     if any(sample.moving for sample in samples):
         samples = _with_calibrated_times(samples, calibration, config)
     T = mount_poses_of(samples, config) @ X
@@ -166,8 +170,8 @@ def _distances_from_common(points: Array, stop: Indices, dimension: int) -> tupl
     """
     Return the distance of each feature (k,) from the point, line or plane that the stops share.
 
-    With that of the nearest feature of each stop (s,). RANSAC over pairs of features of different
-    stops: of what they define, the best is near at least one feature of most stops.
+    Return the distance of the nearest feature of each stop (s,) too. RANSAC over pairs of features
+    of different stops: of what they define, the best is near at least one feature of most stops.
 
     points: (k, n, 3) of each feature; stop: (k,) its stop, ascending; dimension: 0 for a point, 1
     for a line, 2 for a plane.
@@ -218,10 +222,11 @@ def _crop_to_ball(samples: Sequence[Sample], T: Array, config: Config) -> list[S
 def _select_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
                             ) -> tuple[Sequence[Sample], str]:
     """
-    Return the samples with the pieces of one surface only, and in words which it is.
+    Return the samples with the pieces of one surface only, and a sentence on which it is.
 
-    It is the plane nearest to the sensor of those that at least half of the stops see; without
-    one all pieces take part. T: (n, 4, 4) sensor planes in the base.
+    The surface is the plane nearest to the sensor of those that at least half of the stops see;
+    without one all pieces take part, and the sentence is ''. T: (n, 4, 4) sensor planes in the
+    base.
     """
     stop, pieces, ends = _features_with_stops(samples, T, FaceLine)
     if len(pieces) == len(np.unique(stop)):

@@ -130,7 +130,11 @@ def _shape(stations: StationSet, frame: Array, pitch: float, height: float, toot
 
 def _faces(local: Array, pitch: float, height: float, q: Array
            ) -> tuple[Indices, Indices, Indices]:
-    """Return which points (k,) are clearly on a face, and the face and the tooth of each."""
+    """
+    Return the rows (k,) of the points that clearly lie on a face, with face and tooth of each.
+
+    The face (k,) is TOP, VALLEY, RISING or FALLING, the tooth (k,) its number.
+    """
     x, z = local[:, 0], local[:, 2]
     pitch_off, _, outwards, slope = q[TEETH]
     tooth = np.round(x / (pitch + pitch_off)).astype(np.intp)

@@ -4,7 +4,7 @@
 From the stations of several recordings and a calibration to the verdict of a routine.
 
 The decision is that of ISO 14253-1 with the expanded uncertainty U = k u of the measurement here
-(sensor, robot, nominal value). The covariance that the calibration claims is what is verified, and
+(sensor, robot, nominal value). The covariance that the calibration states is what is verified, and
 takes no part in U.
 """
 from __future__ import annotations
@@ -46,8 +46,9 @@ CONFORMS, VIOLATES, UNDECIDED = 'conforms', 'does not conform', 'not decided'
 @dataclass(frozen=True)
 class StationResult:
     """
-    Result of one stop: the largest distance from the fit, and its 1 sigma (m).
+    Result of one stop.
 
+    distance, std: the largest distance of its points from the fit, and its 1 sigma (m)
     bag: number of the recording, from 1
     number: of the stop among those of this recording that show the artefact, from 1
     stamp: its time in nanoseconds
@@ -75,7 +76,7 @@ class Verification:
     """
     Result of a routine.
 
-    calibration: its name
+    calibration: the name of the calibration
     verdict: pass, fail, undecided (the uncertainty is too large for the tolerance), or insensitive
         (an error of the calibration as large as the tolerance would not have shown)
     reasons: sentences
@@ -83,8 +84,8 @@ class Verification:
     stations: number of stops used, of a sweep of profiles
     quantities: those of the fit, the scatter of each face or ball, and the error of the
         calibration that the points suggest, as the largest displacement of one of them
-    surface: the choice between several in sight
-    says: what the routine measures, in words
+    surface: a sentence on the choice between several surfaces in sight
+    says: what the routine measures, see Routine.measures
     recorded: the time of the first stop (ISO 8601), empty where it is not known
     certificate: U of the nominal values (m)
     record: record.* of the configuration
@@ -211,9 +212,8 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Sta
     failed, undecided = ([sentence for outcome, sentence in findings if outcome == wanted]
                          for wanted in (VIOLATES, UNDECIDED))
     verdict = 'fail' if failed else 'undecided' if undecided else 'pass'
-    if not failed and fit.error.smallest_detectable > artefact.tolerance:
+    if not failed and (detectable := fit.error.smallest_detectable) > artefact.tolerance:
         verdict = 'insensitive'
-        detectable = fit.error.smallest_detectable
         undecided.insert(0, (
             'this decides nothing: an error of the calibration would show only from '
             f'{mm(detectable)} on ({fit.error.weakest_direction}), and the tolerance is '
@@ -295,5 +295,5 @@ def _notes(fit: ShapeFit, other_size: bool, results: Sequence[StationResult]) ->
     if unknown := [q.name for q in fit.quantities if q.deviation is None]:
         yield (f'without a nominal value (verify.radius, verify.reference) nothing is said about '
                f'{", ".join(unknown)}')
-    if fit.claim_p < SIGNIFICANCE:
-        yield f'the deviations are larger than the calibration claims (p = {fit.claim_p:.1g})'
+    if (p := fit.p_calibration) < SIGNIFICANCE:
+        yield f'the deviations are larger than the calibration claims (p = {p:.1g})'

@@ -85,10 +85,10 @@ def test_a_stop_that_is_left_out_has_its_number_among_all_stops(calibrated):
 
 def test_a_change_is_measured(calibrated):
     check_result = check_after(calibrated, 'sphere', 'target', 0)
-    assert check_result.target.moved == pytest.approx(3e-4, rel=0.2)
+    assert check_result.target.shift == pytest.approx(3e-4, rel=0.2)
     assert 'the target, or the base of the robot, moved by up to 0.3' in check_result.sentence
     check_result = check_after(calibrated, 'plate', 'sensor', 0)
-    assert check_result.sensor.moved == pytest.approx(3e-4, rel=0.3)
+    assert check_result.sensor.shift == pytest.approx(3e-4, rel=0.3)
     assert check_result.points_off > 2 * check_result.points_off_std
     # 0.7 mm at the flange, and no extrapolation
     assert check_after(calibrated, 'plate', 'joint 0.2', 0).points_off < 2e-3
@@ -115,19 +115,20 @@ def test_where_the_target_may_have_moved_unseen_is_said(calibrated):
     assert check_result.verdict == 'unchanged'
     assert 'would have shown from' in check_result.sentence
     assert 'cannot be seen' in check_result.sentence
-    assert check_result.target.shows[0] < 1e-4 and np.isnan(check_result.target.shows[1:]).all()
+    shifts = check_result.target.smallest_shifts
+    assert shifts[0] < 1e-4 and np.isnan(shifts[1:]).all()
     assert np.abs(check_result.target.axes[0] @ calibrated['plane'].T_base_target[:3, 2]) > 0.99
 
 
 def test_the_edges_of_a_plate_show_a_move_in_each_direction(calibrated):
-    assert max(check_after(calibrated, 'plate', 'unchanged', 1).target.shows) < 5e-4
+    assert max(check_after(calibrated, 'plate', 'unchanged', 1).target.smallest_shifts) < 5e-4
 
 
 @pytest.mark.parametrize('moved', [(3e-3, 0, 0), (0.03, 0.01, 0)])
 def test_a_plate_that_slid_along_its_face_has_moved(calibrated, moved):
     check_result = check_cell(calibrated, 'plate', moved=moved)
     assert check_result.verdict == 'target'
-    assert check_result.target.moved == pytest.approx(np.linalg.norm(moved), abs=2e-4)
+    assert check_result.target.shift == pytest.approx(np.linalg.norm(moved), abs=2e-4)
 
 
 def test_stops_of_one_orientation_name_both_target_and_sensor(

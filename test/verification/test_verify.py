@@ -204,8 +204,9 @@ def test_the_calibration_s_claim_takes_no_part_in_the_decision():
     artefact, calibration = measure('point')
     modest = replace(calibration, covariance=1e4 * calibration.covariance)  # 3 mm
     verification = assess('point', artefact, modest)
-    assert verification.verdict == 'pass' and verification.fit.claim_p > 0.5
-    assert verification.quantities[0].claimed > 1e-3 > 1e-4 > verification.quantities[0].expanded
+    assert verification.verdict == 'pass' and verification.fit.p_calibration > 0.5
+    assert verification.quantities[0].std_by_calibration > 1e-3
+    assert verification.quantities[0].expanded < 1e-4
     bold = replace(calibration, covariance=1e-6 * calibration.covariance)
     shifted = replace(artefact, reference=tuple(np.add(artefact.reference, [0, 0, 1e-4])))
     verification = assess('point', shifted, bold)
@@ -268,7 +269,7 @@ def test_the_smooth_error_of_the_robot_is_part_of_the_uncertainty():
                 verdicts[stated].append('refused')
                 continue
             verdicts[stated].append(verification.verdict)
-            inside[stated] += [abs(q.deviation) < 1.96 * np.hypot(q.std, q.claimed)
+            inside[stated] += [abs(q.deviation) < 1.96 * np.hypot(q.std, q.std_by_calibration)
                                for q in verification.quantities if q.deviation is not None]
             if stated and verification.verdict == 'insensitive':
                 assert 'smooth error of the robot' in verification.reasons[0]
