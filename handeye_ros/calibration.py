@@ -361,7 +361,7 @@ def unused_edges_in_words(solution: Solution) -> str:
         return ''
     shown = int(solution.full_problem.subset(solution.used_stations).shows_edge.sum())
     target = solution.problem.config.target
-    hint = ' (of a plate of unknown target.size only two count)' if not target.size and (
+    hint = ' (of a plate of unknown target.size only two edges count)' if not target.size and (
         target.type == 'plate') else ''
     return (f'the edges of {len(stations)} of the {shown} samples that show one lie on none of '
             f'the target{hint}, or the laser crosses them at less than '

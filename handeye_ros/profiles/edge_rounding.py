@@ -18,16 +18,14 @@ from dataclasses import dataclass
 from handeye_ros.data import Array
 import numpy as np
 
-# The shapes that are fitted are arcs that go on straight where they are steepest: roundings of
-# these radii (m), up to a slope beyond which no light returns, and bevels, whose arcs are too
-# small to see.
-TRIED_RADII, TRIED_SLOPES = np.geomspace(5e-5, 4e-3, 40), np.geomspace(0.6, 1.7, 8)
-COUNTS = len(TRIED_RADII), len(TRIED_SLOPES)
-ROUNDED, BEVELLED = slice(COUNTS[0]), slice(COUNTS[0], None)
-RADII = np.append(TRIED_RADII, np.full(COUNTS[1], 1e-9))[:, None]
-STEEPEST_SLOPES = np.append(np.full(COUNTS[0], 4.0), TRIED_SLOPES)[:, None]
-STEEPEST_SINES = STEEPEST_SLOPES / np.hypot(1.0, STEEPEST_SLOPES)
-PRIOR = np.repeat(1 / np.array(COUNTS), COUNTS)  # a rounding is as likely as a bevel
+# The shapes that are fitted: roundings of these radii (m), then bevels of these slopes.
+TRIED_RADII = np.geomspace(5e-5, 4e-3, 40)[:, None]
+TRIED_SLOPES = np.geomspace(0.6, 1.7, 8)[:, None]
+ROUNDED, BEVELLED = slice(len(TRIED_RADII)), slice(len(TRIED_RADII), None)
+# of each shape before it is seen: a rounding is as likely as a bevel
+PRIOR = np.repeat(1 / np.array([len(TRIED_RADII), len(TRIED_SLOPES)]),
+                  [len(TRIED_RADII), len(TRIED_SLOPES)])
+STEEPEST_SINE = 0.97  # largest sine of the slope of a fitted arc: no light returns beyond
 ALONG_STD = 0.3  # 1 sigma of where a point lies along the laser line, in columns
 STRAY_SIGMAS = 3.0  # sigmas beyond which a point loses weight: near the rim most are wrong
 BEND_SIGMAS = 2.0  # sigmas below the face line from which points indicate a bend
@@ -60,21 +58,20 @@ def fitted_bend(u: Array, v: Array, end_u: float, pitch: float, noise: float) ->
     """
     Return the bend through the last points of a face.
 
-    u, v: (n,) the points in the frame of the end (FaceEnd of edges.py), in order, in metres;
-    end_u: where the face ends, as u (m); pitch: the distance of neighbouring points along the face
-    (m); noise: 1 sigma of v (m).
+    u, v (n,): of the points, in order; end_u: of the end; pitch: distance of neighbouring points
+    along the face; noise: 1 sigma of v (m).
     """
     start, slope, weights, misfit = _fitted_shapes(u, v, pitch, noise)
     log_likelihood = np.maximum((misfit.min() - misfit) / 2, MIN_LOG_LIKELIHOOD)
     likelihood = np.exp(log_likelihood)
     log_likelihoods = np.append(log_likelihood[ROUNDED], np.log(likelihood[BEVELLED].mean()))
     posterior = likelihood * PRIOR
-    depths = _shapes(end_u - start)[0][:, 0]
+    depths = _depths_of_ends(np.maximum(end_u - start, 0.0))[:, 0]
     best = int(log_likelihood[ROUNDED].argmax())
     information = weights[best] * slope[best] ** 2  # of each point about the start
     total = max(float(information.sum()), TINY)
     sine = float(information @ (slope[best] / np.sqrt(1 + slope[best] ** 2))) / total
-    radius = float(TRIED_RADII[best])
+    radius = float(TRIED_RADII[best, 0])
     return Bend(float(posterior @ depths / posterior.sum()),
                 log_likelihoods - log_likelihoods.max(),
                 float(start[best, 0]) + radius * sine, radius * (1 - (1 - sine ** 2) ** 0.5),
@@ -112,15 +109,23 @@ def _fitted_shapes(u: Array, v: Array, pitch: float, noise: float
 
 def _distances_at(depth: float) -> Array:
     """Return how far from their start the shapes (k, 1) are at a depth."""
-    of_arc = np.minimum(depth, RADII * (1 - np.sqrt(1 - STEEPEST_SINES ** 2)))
-    return np.asarray(np.sqrt(of_arc * (2 * RADII - of_arc)) + (depth - of_arc) / STEEPEST_SLOPES)
+    within = np.minimum(depth, STEEPEST_SINE * TRIED_RADII)
+    return np.concatenate([np.sqrt(within * (2 * TRIED_RADII - within)), depth / TRIED_SLOPES])
+
+
+def _depths_of_ends(distances: Array) -> Array:
+    """Return how deep the shapes (k, 1) that end at distances (k, 1) from their start end."""
+    below_middle = np.sqrt(np.maximum(TRIED_RADII ** 2 - distances[ROUNDED] ** 2, 0.0))
+    return np.concatenate([TRIED_RADII - below_middle, TRIED_SLOPES * distances[BEVELLED]])
 
 
 def _shapes(distances: Array) -> tuple[Array, Array]:
     """Return depths and slopes (k, n) of the shapes at distances (k, n) from their start."""
     distances = np.maximum(distances, 0.0)
-    sine = np.minimum(distances / RADII, STEEPEST_SINES)
+    sine = np.minimum(distances[ROUNDED] / TRIED_RADII, STEEPEST_SINE)
     cosine = np.sqrt(1 - sine * sine)
     slope = sine / cosine
-    beyond = np.maximum(distances - STEEPEST_SINES * RADII, 0.0)
-    return RADII * (1 - cosine) + slope * beyond, slope
+    beyond = np.maximum(distances[ROUNDED] - STEEPEST_SINE * TRIED_RADII, 0.0)  # straight on
+    depth = TRIED_RADII * (1 - cosine) + slope * beyond
+    return (np.concatenate([depth, TRIED_SLOPES * distances[BEVELLED]]),
+            np.concatenate([slope, TRIED_SLOPES * (distances[BEVELLED] > 0)]))

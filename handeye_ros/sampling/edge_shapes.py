@@ -81,7 +81,7 @@ def _blurred(log_likelihoods: Array) -> Array:
 
     A laser that crosses at a slant sees an ellipse: other radii nearby are as likely.
     """
-    log_radii = np.log(TRIED_RADII)
+    log_radii = np.log(TRIED_RADII[:, 0])
     kernel = -0.5 * ((log_radii[:, None] - log_radii) / ELLIPSE_RADIUS_STD) ** 2
     rounded = np.logaddexp.reduce(kernel + log_likelihoods[:-1], axis=1)
     rounded += log_likelihoods[:-1].max() - rounded.max()
@@ -90,8 +90,11 @@ def _blurred(log_likelihoods: Array) -> Array:
 
 def _radius_and_std(log_likelihoods: Array) -> tuple[float, float]:
     """Return the radius (m) and its relative 1 sigma from log likelihoods (k,) of TRIED_RADII."""
-    log_radii = np.log(TRIED_RADII)
-    weights = np.exp(log_likelihoods - log_likelihoods.max())
+    from scipy.interpolate import CubicSpline  # 0.09 s, only for round edges
+    tried = np.log(TRIED_RADII[:, 0])
+    log_radii = np.linspace(tried[0], tried[-1], 8 * len(log_likelihoods))
+    log_likelihood = CubicSpline(tried, log_likelihoods)(log_radii)
+    weights = np.exp(log_likelihood - log_likelihood.max())
     mean = float(weights @ log_radii / weights.sum())
     spread = float(weights @ (log_radii - mean) ** 2 / weights.sum()) ** 0.5
     return float(np.exp(mean)), float(np.hypot(spread, SHAPE_STD))
