@@ -211,7 +211,7 @@ def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
 
 
 def sentences(seam: Seam, frames: ToolFrames) -> list[str]:
-    """Return what is told of a seam and its frames, one sentence each."""
+    """Return the sentences that tell the user about a seam and its tool frames."""
     gap, mismatch, _, std = 1e3 * frames.measures.T
     begins, ends = frames.lengths[0], seam.curve.length - frames.lengths[-1]
     lines = [f'{seam.kind} seam of {seam.curve.length * 1e3:.1f} mm, path along its {seam.line}: '
