@@ -192,7 +192,7 @@ def _park(pairs: PosePairs) -> Array:
     return pairs.closed_form()
 
 
-PUBLISHED_ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
+ESTIMATORS_BUT_OWN: dict[str, tuple[Estimator, ...]] = {
     'plate': (
         Estimator('plane, the face lines alone', partial(_by_own_method, 'plane')),
         Estimator('Chen 2023, nine parameters', lambda given: chen2023.solve_nine(*_edges(given))),
@@ -210,9 +210,9 @@ PUBLISHED_ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
         Estimator('CN105021139A', lambda given: cn105021139a.solve_motions(
             *cn105021139a.motions(given.robot, given.seen)))),
 }
-ALL_ESTIMATORS = {
+ESTIMATORS_OWN_FIRST = {
     name: (Estimator(name, partial(_by_own_method, name) if name in TARGETS else _from_files),
-           *PUBLISHED_ESTIMATORS.get(name, ())) for name in {**TARGETS, **PUBLISHED_ESTIMATORS}}
+           *ESTIMATORS_BUT_OWN.get(name, ())) for name in {**TARGETS, **ESTIMATORS_BUT_OWN}}
 """The estimators of each target, its own method first."""
 
 
@@ -301,7 +301,7 @@ def _comparison(target: str, data: ComparedData, own: Array | DataError, started
     own: X (4, 4) of the own method, the sensor plane in the mount, or why it is no answer;
     started: when that method began (s); count: number of all samples.
     """
-    own_method, *others = ALL_ESTIMATORS[target]
+    own_method, *others = ESTIMATORS_OWN_FIRST[target]
 
     def row(estimator: Estimator, outcome: Array | Exception, start: float) -> EstimatorResult:
         """Return the result of an estimator: outcome is X (4, 4) or why there is none."""

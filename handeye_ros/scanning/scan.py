@@ -150,7 +150,7 @@ class Scanner:
         return cloud
 
     def _within_limits(self, points: Array) -> NDArray[np.bool_]:
-        """Return a mask (n,) of points (n, 2) within the limits; count returns, and those beyond."""
+        """Return a mask (n,) of the points (n, 2) within the limits (m); count returns."""
         is_return, z = np.isfinite(points).all(axis=1), points[:, 1]
         keep = is_return & (z >= self.options.nearest) & (z <= self.options.farthest)
         if self.options.incidence < np.pi / 2:  # only then: they take half of the time
