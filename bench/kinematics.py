@@ -142,7 +142,8 @@ def _seen(arm: Arm, X: Array, ball: Array, case: Case, rng: np.random.Generator
 
 def _off(arm: Arm, q: Array, X: Array, ball: Array, wanted: Array, on_flange: bool
          ) -> tuple[Array, Array]:
-    T, twists = arm.freed(()).forward(q[None]), arm.freed(()).twists(q[None])[..., 0]
+    stated = arm.with_errors_of(())
+    T, twists = stated.forward(q[None]), stated.error_jacobian(q[None])[..., 0]
     carried, fixed = (X @ np.append(wanted, 1), np.append(ball, 1)) if on_flange else (
         np.append(ball, 1), X @ np.append(wanted, 1))
     there = (T[0] @ carried)[:3]
@@ -184,7 +185,7 @@ def judged(cell: Cell, case: Case, outcome: ArmSelection, held: ArmPoints) -> tu
                      for m in (outcome.models[0], outcome.chosen))
     nees = trials.nees(outcome.chosen.fit.X, outcome.covariance, cell.X) / 6
     arm = outcome.arm
-    off = np.abs(arm.errors - cell.arm.errors)[arm.free]
+    off = np.abs(arm.errors - cell.arm.errors)[arm.is_estimated]
     inside = off < 2 * np.maximum(np.sqrt(np.diag(arm.covariance)), 1e-12)
     return before, after, nees, float(inside.mean()) if len(off) else 1.0
 
@@ -261,7 +262,7 @@ def main() -> None:
             first = np.arange(len(cell.data.q)) < given.stops
             began = time.perf_counter()
             seen, held = selected(cell.data, first), selected(cell.exact, ~first)
-            outcome = solve_points([seen], cell.arm.freed(()), LIMIT)
+            outcome = solve_points([seen], cell.arm.with_errors_of(()), LIMIT)
             times.append(time.perf_counter() - began)
             rows.append((*judged(cell, case, outcome, held),
                          bound(cell, seen, held)))

@@ -60,15 +60,23 @@ class Joint:
     upper: float = np.inf
 
     @cached_property
-    def across(self) -> Array:
-        """Return two unit vectors (3, 2) orthogonal to the axis: for z, x and y."""
+    def normal_basis(self) -> Array:
+        """
+        Return two unit vectors as columns (3, 2), orthogonal to the axis and to each other.
+
+        They are in the frame of the joint; for the axis z they are x and y.
+        """
         helper = np.eye(3)[0 if abs(self.axis[0]) < 0.9 else 1]
         first = se3.unit(helper - self.axis * (self.axis @ helper))
         return np.column_stack([first, np.cross(self.axis, first)])
 
     @property
     def twist(self) -> Array:
-        """Return its motion (6,) per unit of its value: shift and turn, in its frame."""
+        """
+        Return the screw (6,) of the joint in its own frame.
+
+        That is its translation and rotation for a unit of its value.
+        """
         zero = np.zeros(3)
         return np.append(zero, self.axis) if self.kind == REVOLUTE else np.append(self.axis, zero)
 
@@ -82,9 +90,10 @@ class Arm:
     joints: from the base to the flange
     end: (4, 4) the flange in the frame of the last joint
     error_kinds: the kinds of errors that are estimated, of ALL_KINDS
-    error_values: (k,) of them, joint by joint, each in the order of ERROR_KINDS
+    error_values: (k,) of the estimated errors, joint by joint, each in the order of ERROR_KINDS
     covariance: (k, k) of the error values
-    configurations: (n, joints) at which they were found; both empty before they are
+    configurations: (n, joints) values at which the errors were estimated; covariance and
+        configurations are empty before
     """
 
     base: str
@@ -96,26 +105,34 @@ class Arm:
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     configurations: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
-    def freed(self, kinds: Sequence[str]) -> Arm:
-        """Return the arm with some kinds of errors, all 0."""
-        freed = replace(self, error_kinds=tuple(kinds), error_values=np.zeros(0))
-        return replace(freed, error_values=np.zeros(freed.free.sum()))
+    def with_errors_of(self, kinds: Sequence[str]) -> Arm:
+        """
+        Return the arm with the errors of these kinds estimated, and the others removed.
+
+        All estimated errors start at zero.
+        """
+        arm = replace(self, error_kinds=tuple(kinds), error_values=np.zeros(0))
+        return replace(arm, error_values=np.zeros(arm.is_estimated.sum()))
 
     @cached_property
     def priors(self) -> Array:
-        """Return the prior sigmas (joints, 5) of all errors."""
+        """Return the prior 1 sigma (joints, 5) of all errors (rad or m), 0 where there is none."""
         return np.array([PRIOR_STDS[joint.kind] for joint in self.joints])
 
     @cached_property
-    def free(self) -> NDArray[np.bool_]:
-        """Return which errors (joints, 5) are estimated: values and priors[free] are of them."""
+    def is_estimated(self) -> NDArray[np.bool_]:
+        """
+        Return a mask (joints, 5) of the estimated errors.
+
+        error_values and priors[mask] are in its order.
+        """
         return (self.priors > 0) & np.isin(ERROR_KINDS, self.error_kinds)
 
     @cached_property
     def errors(self) -> Array:
-        """Return all errors (joints, 5), 0 where they are not estimated."""
-        errors = np.zeros(self.free.shape)
-        errors[self.free] = self.error_values
+        """Return all errors (joints, 5) (rad or m), 0 where they are not estimated."""
+        errors = np.zeros(self.is_estimated.shape)
+        errors[self.is_estimated] = self.error_values
         return errors
 
     def joint_values(self, readings: Mapping[str, Any], source: object) -> Array:
@@ -134,9 +151,9 @@ class Arm:
 
     @cached_property
     def displacements(self) -> Array:
-        """Return each D_j (joints, 4, 4), the shift and turn of an axis."""
+        """Return D_j (joints, 4, 4), the shift and rotation of the axis of each joint."""
         return se3.perturb(np.eye(4), np.array([
-            np.append(joint.across @ errors[3:], joint.across @ errors[1:3])
+            np.append(joint.normal_basis @ errors[3:], joint.normal_basis @ errors[1:3])
             for joint, errors in zip(self.joints, self.errors, strict=True)]))
 
     @cached_property
@@ -154,7 +171,7 @@ class Arm:
         return model
 
     def forward(self, q: Array) -> Array:
-        """Return T_base_flange (n, 4, 4) of reported joint values (n, joints)."""
+        """Return T_base_flange (n, 4, 4) at reported joint values (n, joints) (rad or m)."""
         pinocchio, model = _pinocchio(), self.model
         data, T = model.createData(), np.empty((len(q), 4, 4))
         for k, positions in enumerate(q + self.errors[:, 0]):
@@ -162,11 +179,12 @@ class Arm:
             T[k] = data.oMf[model.nframes - 1].homogeneous
         return T
 
-    def twists(self, q: Array) -> Array:
+    def error_jacobian(self, q: Array) -> Array:
         """
-        Return the twists (n, 6, joints, 5) of the flange per unit of every error, in the base.
+        Return the Jacobian (n, 6, joints, 5) of the flange by the geometric errors, in the base.
 
-        They are the translation of the flange's origin, and the rotation.
+        The six are the translation of the flange's origin, and the rotation; q: (n, joints)
+        reported joint values (rad or m).
         """
         pinocchio, model = _pinocchio(), self.model
         data, wrt_placements = model.createData(), np.empty((len(q), 6, 6 * len(self.joints)))
@@ -177,16 +195,16 @@ class Arm:
         wrt_errors = np.zeros((len(self.joints), 6, 5))  # of the placements, in their own axes
         for wrt_joint, joint, D in zip(wrt_errors, self.joints, self.displacements, strict=True):
             wrt_joint[:, 0] = joint.twist
-            wrt_joint[3:, 1:3] = wrt_joint[:3, 3:] = D[:3, :3].T @ joint.across
+            wrt_joint[3:, 1:3] = wrt_joint[:3, 3:] = D[:3, :3].T @ joint.normal_basis
         wrt_joints = wrt_placements.reshape(len(q), 6, -1, 6)
         return np.asarray(np.einsum('ntjs,jse->ntje', wrt_joints, wrt_errors))
 
-    def joints_near(self, T_base_flange: Array) -> Array:
+    def inverse(self, T_base_flange: Array) -> Array:
         """
-        Return joint values (n, joints) at poses (n, 4, 4), from the nearest known configurations.
+        Return the joint values (n, joints) at poses (n, 4, 4): the inverse of `forward`.
 
-        By Gauss-Newton steps of at most MAX_STEP; poses beyond reach get values that come
-        near.
+        Gauss-Newton steps of at most MAX_STEP (rad or m) start at the nearest of the known
+        configurations; poses beyond reach get values that come near.
         """
         known, lengths = self.forward(self.configurations), np.repeat([1.0, TURN_LENGTH], 3)
         q = self.configurations[[
@@ -194,7 +212,7 @@ class Arm:
             for T in T_base_flange]]
         for _ in range(MAX_ROUNDS):
             missing = se3.difference(T_base_flange, self.forward(q))
-            J = self.twists(q)[..., 0]  # a joint moves the flange as its offset does
+            J = self.error_jacobian(q)[..., 0]  # a joint moves the flange as its offset does
             step = np.einsum('njx,nx->nj', np.linalg.pinv(J, rcond=1e-3), missing)
             q = q + step / np.maximum(np.abs(step).max(axis=1) / MAX_STEP, 1)[:, None]
         return np.asarray(q)
@@ -209,7 +227,7 @@ def with_arm_errors(solution: Solution, kinematics: Path) -> Solution:
     or not the arm was found from the same samples. Raises InputError.
     """
     arm, posterior = read_arm(kinematics), solution.posterior
-    twists = arm.twists(arm.joints_near(solution.problem.robot_poses))[:, :, arm.free]
+    twists = arm.error_jacobian(arm.inverse(solution.problem.robot_poses))[..., arm.is_estimated]
     wrt_arm = posterior.whitening(posterior.linear.wrt_twists(twists))
     G = posterior.covariance[:6] @ posterior.jacobian.T @ wrt_arm
     return replace(solution, added_covariances={
@@ -235,7 +253,7 @@ def read_arm(path: Path) -> Arm:
         arm = Arm(str(content['base']), str(content['flange']), joints,
                   transform_from(path, 'end', content['end']), kinds, np.array(values), covariance,
                   np.array(content['configurations'], dtype=float).reshape(-1, len(joints)))
-        if arm.free.sum() != len(values) or any(
+        if arm.is_estimated.sum() != len(values) or any(
                 joint.get('follows', joint['name']) != joint['name'] for joint in stored):
             raise ValueError('errors of some joints are missing, or some mimic others')
     except (AttributeError, KeyError, TypeError, ValueError) as error:
@@ -245,7 +263,7 @@ def read_arm(path: Path) -> Arm:
 
 
 def read_urdf(path: Path, base: str = '', flange: str = '') -> tuple[str, Arm]:
-    """Return the text of a URDF, and its arm; see arm_of."""
+    """Return the text of a URDF, and the arm as `arm_of` reads it; raises InputError."""
     try:
         text = path.read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError) as error:

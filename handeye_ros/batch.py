@@ -25,14 +25,19 @@ from handeye_ros.errors import count_of, InputError, without_numbers
 from handeye_ros.output import csv_text, rendered, write_atomically
 from handeye_ros.se3 import AXES
 from handeye_ros.tables import Table
+from handeye_ros.verification.routines import ROUTINES
 
 JobRow: TypeAlias = dict[str, Any]
-RunWords: TypeAlias = Callable[[list[str]], int]
+# runs `handeye` with arguments, the verb first, in its process; returns the exit code
+RunVerb: TypeAlias = Callable[[list[str]], int]
 
 LIST_COLUMNS = {'bag', 'label', 'config', 'settings', 'args'}  # of a list
 JOB_FILE = 'job.json'  # in the folder of a job: what it was computed from, and its row
 OUTPUTS = {'solve': '', 'verify': 'verification.yaml', 'check': 'check.yaml',
            'compare': 'comparison.yaml'}  # below --out, by verb
+# options and keys of these verbs that hold a path
+PATH_OPTIONS = ('--config', '--kinematics', '--calibration', '--against', '--protocol')
+PATH_KEYS = ('kinematics', 'verify.calibration', 'output_dir')
 # of a result, beside its numbers
 WORD_KEYS = ('child_frame', 'target', 'routine', 'against', 'method', 'verdict',
              'weakest_direction')
@@ -52,21 +57,26 @@ LOCAL_DASK = {  # settings of Dask on this machine
 
 @dataclass(frozen=True)
 class Job:
-    """A recording, its name in the results, and the verb with its other words."""
+    """A recording, its folder below the results, and the verb and arguments run on it."""
 
     bag: str
     label: str
     verb: str
-    words: tuple[str, ...] = ()
+    arguments: tuple[str, ...] = ()
 
     def command(self, folder: Path) -> list[str]:
-        """Return the words after `handeye`; folder: of the results."""
-        return [self.verb, *self.words, self.bag, '--out', str(folder / OUTPUTS[self.verb])]
+        """Return the arguments of `handeye`, the verb first; folder: where its results are put."""
+        return [self.verb, *self.arguments, self.bag, '--out', str(folder / OUTPUTS[self.verb])]
 
     def fingerprint(self) -> list[Any]:
-        """Return what the result depends on: version, command, and size and time of all files."""
-        words = (word.rpartition('=')[2] for word in self.words)
-        paths = (Path(self.bag), *(Path(word) for word in words if word and os.path.exists(word)))
+        """
+        Return what the result depends on: the version, the command, and its files.
+
+        Of the recording and of every file that the arguments name these are path, size (bytes)
+        and modification time (ns).
+        """
+        values = (argument.rpartition('=')[2] for argument in self.arguments)
+        paths = (Path(self.bag), *(Path(value) for value in values if os.path.isabs(value)))
         return [__version__, self.command(Path()), *(
             [str(file), file.stat().st_size, file.stat().st_mtime_ns]
             for path in paths for file in files_below(path))]
@@ -85,21 +95,22 @@ def files_below(path: Path) -> list[Path]:
     return sorted(files)
 
 
-def jobs_of(sources: Sequence[str], verb: str, words: tuple[str, ...] = ()) -> list[Job]:
+def jobs_of(sources: Sequence[str], verb: str, arguments: tuple[str, ...] = ()) -> list[Job]:
     """
-    Return the jobs of bags, folders of bags, and CSV lists; verb, words: of all of them.
+    Return the jobs of bags, folders of bags, and CSV lists.
 
-    Raises InputError for a list that cannot be read and for labels that are no folders of their
-    own, and without a recording.
+    verb, arguments: those of every job; a list adds arguments of its own. Raises InputError for a
+    list that cannot be read, for labels that are no folders of their own, and where there is no
+    recording.
     """
     jobs: list[Job] = []
     for source in map(Path, sources):
         if not source.exists():
             raise InputError(f'{source} is not there: give bags, folders of bags, or a CSV list')
         if source.suffix == '.csv' and source.is_file():
-            jobs += _jobs_of_list(source, verb, words)
+            jobs += _jobs_of_list(source, verb, arguments)
         else:
-            jobs += [Job(str(bag.absolute()), label, verb, words)
+            jobs += [Job(str(bag.absolute()), label, verb, arguments)
                      for bag, label in _bags_in(source, several=len(sources) > 1)]
     if not jobs:
         raise InputError(f'no recording in {" ".join(sources)}: give bags, folders of bags, or a '
@@ -115,7 +126,7 @@ def jobs_of(sources: Sequence[str], verb: str, words: tuple[str, ...] = ()) -> l
 
 
 def _bags_in(source: Path, several: bool) -> Iterator[tuple[Path, str]]:
-    """Yield the bags at a path, and their labels; several: with the folder's name."""
+    """Yield the bags at a path, and their labels; several: these begin with the folder's name."""
     files = [file.relative_to(source) for file in files_below(source)]
     folders = {file.parent for file in files if file.name == 'metadata.yaml'}
     if Path() in {*files, *folders}:
@@ -129,29 +140,36 @@ def _bags_in(source: Path, several: bool) -> Iterator[tuple[Path, str]]:
 
 
 def _label_of(bag: Path) -> str:
-    """Return the name of a bag, of a file without its suffix."""
+    """Return the name of a bag, that of a file without its suffix."""
     return bag.stem if bag.suffix in SUFFIXES else bag.name
 
 
-def words_of(args: str, config: Path | str | None, settings: Iterable[str],
-             folder: Path = Path()) -> tuple[str, ...]:
-    """Return the words of a command with absolute paths of what it names, for workers."""
+def arguments_of(args: str, config: Path | str | None, settings: Iterable[str],
+                 folder: Path = Path()) -> tuple[str, ...]:
+    """
+    Return the arguments of a command, for workers: the paths that exist are absolute.
+
+    These are the values of PATH_OPTIONS and PATH_KEYS, and further recordings; the routine of
+    verify is none. args: as typed; settings: texts KEY=VALUE; folder: paths are relative to it.
+    Raises InputError for args that cannot be split.
+    """
     try:
-        words = [part for word in shlex.split(args)
-                 for part in (word.split('=', 1) if word[:2] == '--' else [word])]
+        arguments = [part for word in shlex.split(args)
+                     for part in (word.split('=', 1) if word[:2] == '--' else [word])]
     except ValueError as error:
         raise InputError(f'args: {args!r} has a quotation mark that is not closed') from error
-    words += [word for text in settings for word in ('--set', text)]
-    for k, word in enumerate(words):
-        key, equals, value = word.rpartition('=')
-        path, is_value = folder / value, k > 0 and words[k - 1][:2] == '--' and not equals
-        if path.is_file() or (is_value and value and path.is_dir()):  # no folder called "sphere"
-            words[k] = f'{key}{equals}{path.absolute()}'
+    arguments += [argument for text in settings for argument in ('--set', text)]
+    for k, (option, argument) in enumerate(zip(['', *arguments], arguments, strict=False)):
+        key, equals, value = argument.partition('=') if option == '--set' else ('', '', argument)
+        is_path = (key in PATH_KEYS if option == '--set' else
+                   option in PATH_OPTIONS if option[:2] == '--' else value not in ROUTINES)
+        if is_path and value and (folder / value).exists():
+            arguments[k] = f'{key}{equals}{(folder / value).absolute()}'
     files = ['--config', str((folder / config).absolute())] if config else []
-    return (*words, *files)
+    return (*arguments, *files)
 
 
-def _jobs_of_list(path: Path, verb: str, words: tuple[str, ...]) -> Iterator[Job]:
+def _jobs_of_list(path: Path, verb: str, arguments: tuple[str, ...]) -> Iterator[Job]:
     """Yield the jobs of a list, whose paths are relative to it."""
     table, folder = Table(path), path.absolute().parent
     if not LIST_COLUMNS.issuperset(table.columns) or '' in table.texts('bag'):
@@ -159,10 +177,10 @@ def _jobs_of_list(path: Path, verb: str, words: tuple[str, ...]) -> Iterator[Job
                          'with a value in each row, and, if wanted, label, config, settings, args')
     for values in zip(*map(table.texts, table.columns), strict=True):
         row = dict(zip(table.columns, values, strict=True))
-        further = words_of(row.get('args', ''), row.get('config'), row.get('settings', '').split(),
-                           folder)
+        own = arguments_of(row.get('args', ''), row.get('config'),
+                           row.get('settings', '').split(), folder)
         label = row.get('label') or _label_of(Path(row['bag']))
-        yield Job(str(folder / row['bag']), label, verb, (*words, *further))
+        yield Job(str(folder / row['bag']), label, verb, (*arguments, *own))
 
 
 @contextmanager
@@ -192,14 +210,14 @@ def client_of(scheduler: str) -> Iterator[Any]:
             yield client
 
 
-def job_rows(jobs: Sequence[Job], out: Path, run_words: RunWords, scheduler: str = 'local'
+def job_rows(jobs: Sequence[Job], out: Path, run_verb: RunVerb, scheduler: str = 'local'
              ) -> Iterator[JobRow]:
     """
     Yield the row of each job: of the unchanged at once, of the others when they are done.
 
-    run_words: runs the words of a command in a process, and returns its exit code; scheduler: its
-    address, asked where there is something to compute. A worker that ends costs only its own
-    job. Raises InputError, also for a folder that is there but holds no result.
+    out: the folder of the results; scheduler: 'local' or the address of one, which is asked only
+    where there is something to compute. A worker that ends costs only its own job. Raises
+    InputError where no scheduler answers, and for a folder that is there but holds no result.
     """
     for folder in (out / job.label for job in jobs):
         if folder.exists() and not (folder / JOB_FILE).is_file():
@@ -217,7 +235,7 @@ def job_rows(jobs: Sequence[Job], out: Path, run_words: RunWords, scheduler: str
         from distributed import as_completed
         # an entry is given up with its result, as a future that is held keeps it in memory
         job_of_future = dict(zip(
-            workers.map(partial(run, out=out, run_words=run_words), pending, pure=False), pending,
+            workers.map(partial(run, out=out, run_verb=run_verb), pending, pure=False), pending,
             strict=True))
         for future, result in as_completed(job_of_future, with_results=True, raise_errors=False):
             job, error = job_of_future.pop(future), future.exception()
@@ -227,7 +245,7 @@ def job_rows(jobs: Sequence[Job], out: Path, run_words: RunWords, scheduler: str
 
 
 def earlier_row(job: Job, out: Path) -> JobRow | None:
-    """Return the row of a job from its folder below out if it would be computed from the same."""
+    """Return the row of a job from its folder below out, None where the job must be run."""
     try:
         previous = json.loads((out / job.label / JOB_FILE).read_text(encoding='utf-8'))
         same = (previous['state'] == job.fingerprint()
@@ -237,7 +255,7 @@ def earlier_row(job: Job, out: Path) -> JobRow | None:
     return {**previous['row'], 'computed': False} if same else None
 
 
-def run(job: Job, out: Path, run_words: RunWords) -> JobRow:
+def run(job: Job, out: Path, run_verb: RunVerb) -> JobRow:
     """Return the row of a job after running it; its folder below out appears whole or not."""
     folder = out / job.label
     unfinished = folder.with_name(f'.{folder.name}.handeye-batch')
@@ -247,7 +265,7 @@ def run(job: Job, out: Path, run_words: RunWords) -> JobRow:
     printed, errors = io.StringIO(), io.StringIO()
     try:
         with redirect_stdout(printed), redirect_stderr(errors):
-            code = run_words(job.command(unfinished))
+            code = run_verb(job.command(unfinished))
     except Exception as error:  # noqa: BLE001 - costs this job alone
         code = CRASH_EXIT_CODE
         errors.write(f'error: {type(error).__name__}: {error}')
@@ -290,7 +308,7 @@ def _figures(content: Mapping[str, Any], prefix: str = '') -> JobRow:
 
 
 def outcome_of(row: JobRow) -> str:
-    """Return the result of a job in words: of one not as wanted, its verdict."""
+    """Return the outcome of a job: pass, warning, its verdict, unusable, refused or crashed."""
     if row['exit_code'] == 0:
         return 'warning' if row.get('warnings') else 'pass'
     return {1: row.get('verdict'), 2: 'unusable', 3: 'refused'}.get(row['exit_code']) or 'crashed'

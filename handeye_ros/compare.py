@@ -75,11 +75,11 @@ class ComparedStations:
 
     @property
     def T_sensor_plane(self) -> Array:
-        """Return the sensor plane (4, 4), in which X and field are, in the sensor."""
+        """Return T_sensor_plane (4, 4): X and `field` are in the sensor plane."""
         return T_sensor_plane(self.problem.config)
 
     def field(self) -> Array:
-        """Return points (k, 3) in the sensor plane over which errors are reported."""
+        """Return points (k, 3) in the sensor plane over which errors are reported (m)."""
         return field_points()
 
     def subset(self, stations: Indices) -> ComparedStations:
@@ -122,12 +122,12 @@ class Estimator:
 
     fit: returns X (4, 4), the pose of the sensor plane in the mount, from the compared data;
         raises DataError or LinAlgError where it finds none
-    refit: whether it is fast enough for cross-validation
+    is_cross_validated: whether it is fitted again without parts of the stations (it is fast)
     """
 
     name: str
     fit: Callable[[Any], Array]
-    refit: bool = True
+    is_cross_validated: bool = True
 
 
 def _by_own_method(name: str, stations: ComparedStations) -> Array:
@@ -165,6 +165,11 @@ def _ball(stations: ComparedStations) -> tuple[Array, Array]:
 
 
 def _zheng(stations: ComparedStations) -> Array:
+    """
+    Return X (4, 4) by Zheng 2018, started 10 mm and 5 degrees beside our answer.
+
+    Raises DataError.
+    """
     observations = stations.problem.observations
     on_edge = observations.kind == line.EDGE_Y  # each point is there twice, for y and for z
     to_plane = zheng2018.T_plane_x_plane_y
@@ -175,17 +180,19 @@ def _zheng(stations: ComparedStations) -> Array:
 
 
 def _from_files(pairs: PairedRows) -> Array:
+    """Return X (4, 4) by our own method for values from files; raises DataError."""
     answer = answer_table(pairs)
     answer.require_trusted(pairs)
     return answer.X
 
 
 def _park(pairs: PosePairs) -> Array:
+    """Return X (4, 4) by the closed form of Park and Martin 1994; raises DataError."""
     pairs.require_determined()
     return pairs.closed_form()
 
 
-OTHER_ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
+ESTIMATORS_BUT_OWN: dict[str, tuple[Estimator, ...]] = {
     'plate': (
         Estimator('plane, the face lines alone', partial(_by_own_method, 'plane')),
         Estimator('Chen 2023, nine parameters', lambda given: chen2023.solve_nine(*_edges(given))),
@@ -195,7 +202,7 @@ OTHER_ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
                   lambda given: jing2020.fixed_point_linear(*_ball(given))[0]),
         Estimator('fixed point, least squares',
                   lambda given: jing2020.fixed_point_least_squares(*_ball(given)))),
-    'line': (Estimator('Zheng 2018', _zheng, refit=False),),
+    'line': (Estimator('Zheng 2018', _zheng, is_cross_validated=False),),
     'points': (Estimator('Wu 2017, best of all quadruples',
                          lambda given: wu2017.solve(given.seen, given.robot)),),
     'hand_eye': (
@@ -203,10 +210,10 @@ OTHER_ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
         Estimator('CN105021139A', lambda given: cn105021139a.solve_motions(
             *cn105021139a.motions(given.robot, given.seen)))),
 }
-ESTIMATORS = {
+ESTIMATORS_OWN_FIRST = {
     name: (Estimator(name, partial(_by_own_method, name) if name in TARGETS else _from_files),
-           *OTHER_ESTIMATORS.get(name, ())) for name in {**TARGETS, **OTHER_ESTIMATORS}}
-"""By target, its own method first."""
+           *ESTIMATORS_BUT_OWN.get(name, ())) for name in {**TARGETS, **ESTIMATORS_BUT_OWN}}
+"""The estimators of each target, its own method first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,12 +221,12 @@ class EstimatorResult:
     """
     Result of one estimator.
 
-    figures: those that are known, of ROW_FIGURES, in SI units. residual_rms: RMS residual of the
-        target's own method with this transform, the target fitted to it; holdout_rms: the same for
+    figures: the known ones of ROW_FIGURES, in SI units. residual_rms: RMS residual of the target's
+        own method with this transform, the target fitted to it; holdout_rms: RMS residual of
         stations left out of the estimate; error_...: against the true transform; seconds: duration
         of one fit
     T_flange_sensor: (4, 4), None if the estimator failed
-    failure: the reason
+    failure: why the estimator failed, '' if it did not
     """
 
     name: str
@@ -233,9 +240,9 @@ class Comparison:
     """
     The rows, the target's own method first.
 
-    used, rejected: number of stations given to every estimator, and of the others
-    refusal: why the answer of the target's own method is none, or None
-    field_text: region of the errors, in words
+    used, rejected: number of stations that every estimator was given, and of the other stations
+    refusal: why the target's own method has no answer, None if it has one
+    field_text: region over which the errors are reported, in words
     """
 
     rows: tuple[EstimatorResult, ...]
@@ -291,17 +298,18 @@ def _comparison(target: str, data: ComparedData, own: Array | DataError, started
     """
     Return the rows of the target's own method, and of the others, from the same data.
 
-    own: transform (4, 4) of the own method, from the mount to the sensor plane, or why it is no
-    answer; started: when it began (s); count: of all samples.
+    own: X (4, 4) of the own method, the sensor plane in the mount, or why it is no answer;
+    started: when that method began (s); count: number of all samples.
     """
-    own_method, *others = ESTIMATORS[target]
+    own_method, *others = ESTIMATORS_OWN_FIRST[target]
 
     def row(estimator: Estimator, outcome: Array | Exception, start: float) -> EstimatorResult:
+        """Return the result of an estimator: outcome is X (4, 4) or why there is none."""
         seconds, every = time.perf_counter() - start, np.arange(len(data))
         if isinstance(outcome, Exception):
             return EstimatorResult(estimator.name, {'seconds': seconds}, failure=str(outcome))
         figures = {'residual_rms': rms(data.residuals(outcome, every, every))}
-        if folds and estimator.refit:
+        if folds and estimator.is_cross_validated:
             figures |= _left_out(data, estimator, min(folds, len(data)))
         if T_true is not None:
             errors = errors_against(outcome, T_true @ data.T_sensor_plane, data.field())

@@ -99,7 +99,7 @@ class Parameter:
         if self.choices:
             accepted &= plain in self.choices
             expected = f'one of {", ".join(map(str, self.choices))}'
-        elif low is not None and high is not None:
+        elif low is not None:
             accepted = accepted and low <= plain <= high
             whole = 'whole ' if kind is int else ''
             expected = f'a {whole}number from {low:g} to {high:g} {self.unit}'.rstrip()
@@ -114,7 +114,11 @@ class Parameter:
 
 
 def _converted(value: Any, kind: type[Any]) -> Any:
-    """Return a value in a type that it stands for, such as the text 3e-5 (no number in YAML)."""
+    """
+    Return the value as the given type where it stands for one; otherwise return it unchanged.
+
+    The text 3e-5 stands for a float (to YAML it is no number), None for an empty text.
+    """
     if kind is str and value is None:
         return ''
     convertible: tuple[type, ...] = {int: (Integral,), float: (Real, str)}.get(kind, ())
@@ -208,7 +212,7 @@ class TargetConfig(Section):
 
 @dataclass(frozen=True)
 class SamplingConfig(Section):
-    """When the robot counts as standing still, and which part of a stop is used."""
+    """When a sample is taken, when the robot stands still, and which profiles and stops count."""
 
     mode: str = setting(
         'still', 'When a sample is taken: automatically at every stop (still), when asked by '
@@ -247,7 +251,7 @@ class SamplingConfig(Section):
 
 @dataclass(frozen=True)
 class SamplesConfig(Section):
-    """The samples used for the answer."""
+    """Which samples are left out of the answer."""
 
     exclude: tuple[int, ...] = setting(
         (), 'Numbers of the samples left out; taking a number away brings it back.', 1, 10**6)
@@ -319,7 +323,11 @@ class SaveConfig(Section):
 
 @dataclass(frozen=True)
 class GuidanceConfig(Section):
-    """The accuracy wanted, and the limits of proposed poses against the first sample."""
+    """
+    The wanted accuracy of mapped points, and the limits of proposed poses.
+
+    The limits are how far a proposed pose may be from that of the first sample.
+    """
 
     accuracy: float = setting(
         3e-4, '1 sigma of mapped points in the field of view that is enough.', 1e-6, 0.1, 'm')
@@ -459,7 +467,7 @@ class Config(Section):
 
 @cache
 def parameters() -> tuple[Parameter, ...]:
-    """Return every key, in their order."""
+    """Return all keys, in the order of their declaration."""
     return tuple(chain.from_iterable(
         _parameters_of(type(p.default)).values() if isinstance(  # type: ignore[arg-type]
             p.default, Section) else [p]
@@ -467,7 +475,7 @@ def parameters() -> tuple[Parameter, ...]:
 
 
 def flatten(config: Config) -> dict[str, Any]:
-    """Return the values of a configuration by dotted key, but those not set; tuples as lists."""
+    """Return the values by dotted key, without those that are NOT_SET; tuples become lists."""
     values = {p.key: attrgetter(p.key)(config) for p in parameters()}
     values = {key: value for key, value in values.items() if value == value}  # not NOT_SET
     values |= record_texts(config)

@@ -9,7 +9,7 @@ cannot carry an answer.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import difflib
 import errno
 import math
@@ -18,8 +18,9 @@ from pathlib import Path
 import re
 import sys
 import traceback
-from typing import Any
+from typing import Any, TypeVar
 
+T = TypeVar('T')
 INSTALL_TF2 = ('install ros-jazzy-tf2-msgs and source the setup.bash of ROS or, where ROS comes '
                'from PyPI, run make tf2_msgs in the folder of this package')
 
@@ -173,6 +174,13 @@ class UnknownNameError(InputError):
     def __init__(self, kind: str, name: str, known: Sequence[str], listing: str = '') -> None:
         listed = f'"{listing}" lists them' if listing else f'the known ones: {", ".join(known)}'
         super().__init__(f'there is no {kind} "{name}"{did_you_mean(name, known)}; {listed}')
+
+
+def looked_up(kind: str, name: str, mapping: Mapping[str, T]) -> T:
+    """Return the value of a name; raises UnknownNameError. kind: what the name should name."""
+    if name not in mapping:
+        raise UnknownNameError(kind, name, list(mapping))
+    return mapping[name]
 
 
 class NoRosError(InputError):

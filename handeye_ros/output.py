@@ -1,6 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are written: names of folders, times, whole files, texts by templates."""
+"""
+Writes files whole or not at all, as text, YAML, CSV or from templates.
+
+Also names their folders and times.
+"""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -36,6 +40,16 @@ def iso_time(stamp: int) -> str:
     return datetime.fromtimestamp(stamp * 1e-9, UTC).isoformat(timespec='seconds')
 
 
+def now_text() -> str:
+    """Return the present time (UTC) as ISO 8601, to the second."""
+    return datetime.now(UTC).isoformat(timespec='seconds')
+
+
+def folder_time() -> str:
+    """Return the present time (UTC) as the name of a folder; names are in the order of time."""
+    return datetime.now(UTC).strftime('%Y-%m-%dT%H%M%S.%fZ')
+
+
 def require_html_name(path: Path) -> None:
     """Raise BadValueError for the name of a page that has the ending of another kind of file."""
     if path.suffix.lower() not in ('.html', '.htm'):
@@ -44,7 +58,7 @@ def require_html_name(path: Path) -> None:
 
 
 def csv_text(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """Return a table as CSV."""
+    """Return a table as CSV, its header first."""
     lines = io.StringIO()
     csv.writer(lines, lineterminator='\n').writerows([header, *rows])
     return lines.getvalue()
@@ -118,4 +132,4 @@ def rendered(template: str, **values: Any) -> str:
     texts.policies['json.dumps_kwargs'] = {'ensure_ascii': False}
     texts.globals['source'] = lambda name: Markup(texts.get_template(name).render())
     return texts.get_template(template).render(
-        version=__version__, now=datetime.now(UTC).isoformat(timespec='seconds'), **values)
+        version=__version__, now=now_text(), **values)

@@ -87,25 +87,38 @@ class Table:
         return other
 
     def texts(self, name: str) -> list[str]:
-        """Return the words of a column; raises TableError."""
+        """
+        Return the texts (n) of a column without surrounding blanks.
+
+        Raises TableError for a missing column.
+        """
         self._require([name])
         return [value.strip() for value in self.columns[name][1]]
 
     def values(self, names: Sequence[str], kind: str, unit: str = '') -> Array:
         """
-        Return columns (n, k) of a kind in SI units; raises TableError.
+        Return the columns `names` as numbers (n, k) in SI units.
 
-        unit: of columns whose header names none; '': such columns are refused, but of numbers.
+        kind: LENGTH, ANGLE or NUMBER. unit: assumed where the header states none; if it is empty
+        too, lengths and angles are refused. Raises TableError.
         """
         self._require(names)
         return np.column_stack([self._values(name, kind, unit) for name in names])
 
     def points(self, prefix: str) -> Array:
-        """Return points, (n, 3) in metres, of the columns PREFIX_x, PREFIX_y, PREFIX_z."""
+        """
+        Return the points (n, 3) in the columns PREFIX_x, PREFIX_y, PREFIX_z (m).
+
+        Raises TableError.
+        """
         return self.values(_axes(prefix), LENGTH)
 
     def notation(self, prefix: str, angles: str = '') -> Notation:
-        """Return how orientations are written: as stated, or by the names of the columns."""
+        """
+        Return how orientations are written: as stated, or by the names of the columns.
+
+        Raises UnknownNameError for a notation that does not exist.
+        """
         if angles:
             return notation_of(angles)
         return RPY if self.columns.keys() >= {*RPY.columns(prefix)} else QUATERNION
@@ -179,6 +192,7 @@ def _number(text: str) -> float:
 
 
 def _axes(prefix: str) -> list[str]:
+    """Return the names of the columns x, y and z with a prefix."""
     return [f'{prefix}_{axis}' for axis in 'xyz']
 
 
@@ -187,10 +201,10 @@ class Notation:
     """
     How a controller writes a pose.
 
-    title: in words
+    title: the notation in words
     labels: names of the k numbers of an orientation
-    angle_unit: of them, deg or rad, or '' for a quaternion
-    length_unit: of positions
+    angle_unit: unit of these numbers, deg or rad, or '' for a quaternion
+    length_unit: unit of positions, mm or m
     to_numbers: converts a Rotation to numbers (n, k)
     to_rotation: converts such numbers to a Rotation
     """

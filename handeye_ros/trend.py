@@ -28,10 +28,10 @@ class TrendEntry:
 
     recorded: time of its first sample, or of its solution where that is unknown
     difference: (6,) from the reference, as x y z rx ry rz (m, rad)
-    std: (6,) 1 sigma of it, by both covariances
-    p_first, p_before: p-values of the differences from the reference (the first, or that of
-        --against) and from the previous one, of the first from the reference
-    residual: RMS (m)
+    std: (6,) 1 sigma of the difference, by both covariances
+    p_first: p-value of the difference from the reference (the first, or that of --against)
+    p_before: p-value of the difference from the previous one; of the first from the reference
+    residual: RMS residual of its samples (m)
     """
 
     path: Path
@@ -48,7 +48,8 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[TrendEnt
     Return the calibrations below a folder by time, and a warning for each file left out.
 
     first: the reference, the oldest if not given; only those between its frames are compared.
-    Raises DataError for a single one of these, InputError for a folder without any.
+    Raises DataError where fewer than two (with first: one) are between its frames, and
+    InputError for a folder without any readable one.
     """
     if not folder.is_dir():
         raise InputError(f'there is no folder {folder}: name one that holds calibrations')
@@ -64,23 +65,23 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[TrendEnt
             continue
         stamp = min((report.stamp for report in calibration.samples), default=0)
         created = str(calibration.provenance.get('created', ''))
-        calibrations.append(((output.iso_time(stamp), created, str(path)), path, calibration))
+        recorded = output.iso_time(stamp) or created
+        calibrations.append(((recorded, created, str(path)), path, calibration))
     calibrations.sort(key=itemgetter(0))
     if not calibrations:
         raise InputError(f'{folder} holds 0 readable calibration.yaml: a trend needs two, or one '
                          'with --against')
     reference = before = first or calibrations[0][2]
     entries = []
-    for (first_sample, created, _), path, calibration in calibrations:
+    for (recorded, _, _), path, calibration in calibrations:
         if _frames(calibration) != _frames(reference):
             warnings.append(f'{path} is left out: it is of {_frames(calibration)}, not of '
                             f'{_frames(reference)}; name another reference with --against')
             continue
         difference, std, p_first = difference_of(calibration, reference)
         _, _, p_before = difference_of(calibration, before)
-        entries.append(TrendEntry(
-            path, first_sample or created, difference, std, p_first, p_before,
-            calibration.quality.residual_rms))
+        entries.append(TrendEntry(path, recorded, difference, std, p_first, p_before,
+                                  calibration.quality.residual_rms))
         before = calibration
     if len(entries) < 2 - (first is not None):
         raise DataError(f'{folder} holds {len(entries)} readable calibration.yaml of '
@@ -93,7 +94,7 @@ def _frames(calibration: Calibration) -> str:
 
 
 def difference_of(a: Calibration, b: Calibration) -> tuple[Array, Array, float]:
-    """Return the difference (6,) of a from b, its 1 sigma (6,) and its p-value."""
+    """Return the difference (6,) of a from b (m, rad), its 1 sigma (6,) and its p-value."""
     difference = se3.difference(a.T_flange_sensor, b.T_flange_sensor)
     covariance = a.covariance + b.covariance
     p_value = float(chi2_sf(difference @ np.linalg.solve(covariance, difference), 6))
@@ -132,7 +133,7 @@ def since_when(entries: Sequence[TrendEntry]) -> str:
 
 
 def csv_text(entries: Sequence[TrendEntry]) -> str:
-    """Return the trend as CSV: metres and radians."""
+    """Return the trend as CSV, in metres and radians."""
     return output.csv_text(
         ('recorded', 'path', *AXES, *(f'{axis}_std' for axis in AXES), 'p_first', 'p_before',
          'residual'),

@@ -5,35 +5,44 @@ from __future__ import annotations
 
 import csv
 from dataclasses import replace
+import inspect
 import os
 from pathlib import Path
 import signal
 import subprocess
 import sys
 import time
+from typing import get_args
 
 from calibrations import CALIBRATION
 from command import assert_refused, handeye, PATIENCE, ROOT
 from handeye_ros.batch import (
+    arguments_of,
     CRASH_EXIT_CODE,
     earlier_row,
     Job,
     job_rows,
     jobs_of,
+    OUTPUTS,
+    PATH_KEYS,
+    PATH_OPTIONS,
     run,
     write_table,
 )
+from handeye_ros.cli import command
+from handeye_ros.config import parameters
 from handeye_ros.errors import InputError
 from handeye_ros.results.calibration_file import write_calibration
 import numpy as np
 import pytest
+from typer.models import OptionInfo
 
 pytest.importorskip('distributed', reason='needs distributed')
 
 
-def pretended(words: list[str]) -> int:
+def pretended(arguments: list[str]) -> int:
     """Do as `handeye solve` does, by what the recording holds."""
-    bag, out = Path(words[1]), Path(words[words.index('--out') + 1])
+    bag, out = Path(arguments[1]), Path(arguments[arguments.index('--out') + 1])
     text = bag.read_text()
     if text == 'kill':
         os._exit(9)
@@ -109,11 +118,11 @@ def test_lists_name_their_recordings_relative_to_them(tmp_path):
     (tmp_path / 'arm.yaml').touch()
     jobs = jobs_of([str(tmp_path / 'jobs.csv')], 'solve', ('--config', 'c'))
     assert [job.label for job in jobs] == ['first', 'b', 'second']
-    assert jobs[0].words == ('--config', 'c', '--set', 'target.radius=0.02', '--set',
-                             f'kinematics={tmp_path}/arm.yaml')
+    assert jobs[0].arguments == ('--config', 'c', '--set', 'target.radius=0.02', '--set',
+                                 f'kinematics={tmp_path}/arm.yaml')
     assert jobs[0].bag == str(tmp_path / 'a')
-    assert jobs[1].words == ('--config', 'c', 'sphere', '--calibration', f'{tmp_path}/cal',
-                             '--kinematics', f'{tmp_path}/cal', '--set', 'a=sphere')
+    assert jobs[1].arguments == ('--config', 'c', 'sphere', '--calibration', f'{tmp_path}/cal',
+                                 '--kinematics', f'{tmp_path}/cal', '--set', 'a=sphere')
     for text, sentence in (
             ('bag,lable\na,first\n', 'it has the columns bag, lable; expected'),
             ('bag,settings\na,verify.lengths=[0.1,0.2] name=x\n', 'row 1 has 3 values'),
@@ -127,6 +136,27 @@ def test_lists_name_their_recordings_relative_to_them(tmp_path):
     for name, sentence in ('empty', 'no recording'), ('missing.csv', 'is not there'):
         with pytest.raises(InputError, match=sentence):
             jobs_of([str(tmp_path / name)], 'solve')
+
+
+def test_only_what_a_verb_takes_as_a_path_is_made_absolute(tmp_path):
+    for name in ('sphere', '10', 'arm.yaml', 'cal.yaml', 'second.mcap'):
+        (tmp_path / name).touch()
+    assert arguments_of(
+        'sphere second.mcap --folds 10 --calibration cal.yaml --kinematics=arm.yaml', None,
+        ('target.type=sphere', 'verify.calibration=cal.yaml', 'output_dir='), tmp_path) == (
+            'sphere', f'{tmp_path}/second.mcap', '--folds', '10', '--calibration',
+            f'{tmp_path}/cal.yaml', '--kinematics', f'{tmp_path}/arm.yaml', '--set',
+            'target.type=sphere', '--set', f'verify.calibration={tmp_path}/cal.yaml', '--set',
+            'output_dir=')
+    assert {*PATH_KEYS} < {parameter.key for parameter in parameters()}
+    options = set()
+    for verb in command().registered_commands:
+        if verb.callback.__name__ in OUTPUTS:
+            for name, parameter in inspect.signature(verb.callback).parameters.items():
+                kind, info = get_args(parameter.annotation)
+                if Path in (kind, *get_args(kind)) and isinstance(info, OptionInfo):
+                    options.add(info.default if isinstance(info.default, str) else f'--{name}')
+    assert options == {*PATH_OPTIONS, '--out'}
 
 
 def test_recordings_and_foreign_files_are_never_replaced_by_results(tmp_path, monkeypatch):
@@ -206,10 +236,10 @@ def test_only_an_unchanged_whole_result_is_not_computed_again(tmp_path):
                         cwd=tmp_path)  # that does not exist, and is not asked
     assert completed.returncode == 0 and '0 computed' in completed.stdout, completed
     assert earlier_row(job, out)['x'] == 1.0
-    assert earlier_row(replace(job, words=('--set=a=1',)), out) is None
-    arm = replace(job, words=(f'--set=kinematics={tmp_path / "arm.yaml"}',))
+    assert earlier_row(replace(job, arguments=('--set=a=1',)), out) is None
+    arm = replace(job, arguments=(f'--set=kinematics={tmp_path / "arm.yaml"}',))
     (tmp_path / 'arm.yaml').write_text('1')
-    run(arm, out, lambda words: 0)
+    run(arm, out, lambda arguments: 0)
     assert earlier_row(arm, out)
     (tmp_path / 'arm.yaml').write_text('another')
     assert earlier_row(arm, out) is None

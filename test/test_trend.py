@@ -50,6 +50,16 @@ def test_of_one_recording_the_answers_are_in_the_order_of_their_making(tmp_path)
     assert [entry.path.parent.name for entry in entries] == ['day_2', 'day_1', 'day_0']
 
 
+def test_a_calibration_without_times_of_its_samples_is_placed_by_its_own(tmp_path):
+    write(tmp_path, range(3))
+    calibration = read_calibration(tmp_path / 'day_0')
+    write_calibration(replace(calibration, samples=(SampleReport(7 * DAY, True),),  # of an uptime
+                              provenance={'created': '2023-11-15T23:00:00+00:00'}),
+                      tmp_path / 'uptime/calibration.yaml')
+    entries, _ = trend.trend(tmp_path)
+    assert [entry.path.parent.name for entry in entries] == ['day_0', 'day_1', 'uptime', 'day_2']
+
+
 def test_only_calibrations_of_one_sensor_are_compared(tmp_path):
     write(tmp_path, range(3))
     calibration = read_calibration(tmp_path / 'day_0/calibration.yaml')

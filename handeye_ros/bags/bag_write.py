@@ -19,7 +19,7 @@ from types import MappingProxyType
 from typing import Any, BinaryIO
 
 from handeye_ros import se3
-from handeye_ros.bags.messages import DATATYPES, METRES_PER_UNIT, typestore
+from handeye_ros.bags.messages import DATATYPES, typestore
 from handeye_ros.bags.reader import (
     by_log_time,
     CLOUD_TYPE,
@@ -29,7 +29,7 @@ from handeye_ros.bags.reader import (
     RecordedMessage,
     STRING_TYPE,
 )
-from handeye_ros.config import Config
+from handeye_ros.config import Config, UNITS
 from handeye_ros.data import AnyProfile, Array, NS, Profile, RawProfile, TimedPose
 from handeye_ros.errors import InputError
 from handeye_ros.output import write_atomically, write_errors_for
@@ -74,7 +74,7 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
 
 
 def recorded_message(item: AnyProfile | TimedPose, config: Config, dtype: str) -> RecordedMessage:
-    """Return a profile or pose as it is recorded; dtype: of its coordinates, f4 or f8."""
+    """Return a profile or pose as it is recorded; dtype: type of the coordinates, f4 or f8."""
     if isinstance(item, TimedPose):
         return RecordedMessage(full_name(config.pose_topic), POSE_TYPE, item.stamp, pose_cdr(item))
     data = (bytes(item.fetch()) if isinstance(item, RawProfile)
@@ -83,7 +83,7 @@ def recorded_message(item: AnyProfile | TimedPose, config: Config, dtype: str) -
 
 
 def _write_bag(path: Path, messages: Iterable[RecordedMessage]) -> None:
-    """Make a folder with one .mcap file of messages, and its metadata.yaml."""
+    """Make a folder with one .mcap file of the messages, and with metadata.yaml."""
     path.mkdir()
     file = path / f'{path.name}.mcap'
     with file.open('wb') as stream:
@@ -120,7 +120,7 @@ def summary_of(file: Path) -> Summary:
 
 @lru_cache(10_000)
 def _contents(file: Path, written: int) -> Summary | None:
-    """Return the summary of a file; written: its time of modification (ns), for the cache."""
+    """Return the summary of a file; written: when it was changed (ns), as a key of the cache."""
     with file.open('rb') as stream:
         return make_reader(stream).get_summary()
 
@@ -196,7 +196,7 @@ def cloud_cdr(profile: Profile, unit: str = 'm', dtype: str = 'f4') -> bytes:
     unit: of the coordinates; dtype: their type, f4 or f8.
     """
     points = np.zeros((len(profile.points), 3), f'<{dtype}')
-    for axis, column in zip(profile.axes, profile.points.T / METRES_PER_UNIT[unit], strict=True):
+    for axis, column in zip(profile.axes, profile.points.T / UNITS['m'][unit], strict=True):
         points[:, 'xyz'.index(axis[-1])] = -column if axis[0] == '-' else column
     size, (code,) = points.itemsize, [k for k, name in DATATYPES.items() if name == dtype]
     fields = [_new('sensor_msgs/msg/PointField', axis, k * size, code, 1)
@@ -208,7 +208,7 @@ def cloud_cdr(profile: Profile, unit: str = 'm', dtype: str = 'f4') -> bytes:
 
 
 def _new(message_type: str, *values: Any) -> Any:
-    """Return a message of a type; values: those of its fields, in their order."""
+    """Return a message of a type; values: of all its fields, in the order of the definition."""
     return typestore().types[message_type](*values)
 
 
@@ -218,7 +218,7 @@ def _header(stamp: int, frame_id: str) -> Any:
 
 
 def joints_cdr(stamp: int, values: Array) -> bytes:
-    """Return a serialised JointState of joint_1, joint_2, ..."""
+    """Return a serialised JointState of joint_1, joint_2, ...; values: (joints,) (rad or m)."""
     names, empty = [f'joint_{k}' for k in range(1, len(values) + 1)], np.zeros(0)
     return to_cdr(_new(JOINTS_TYPE, _header(stamp, ''), names, values, empty, empty))
 

@@ -17,7 +17,7 @@ import math
 from typing import Any
 
 from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE, TF_TYPE
-from handeye_ros.config import ProfileConfig
+from handeye_ros.config import ProfileConfig, UNITS
 from handeye_ros.data import Array, column_order, NS, Profile, RawProfile, rms, TimedPose
 from handeye_ros.errors import UnusableMessageError
 import numpy as np
@@ -29,7 +29,6 @@ from rosbags.typesys.store import Typestore
 # sensor_msgs/PointField: datatype -> numpy
 DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
 INTENSITY = 'intensity'  # its field, if the driver publishes it
-METRES_PER_UNIT = {'m': 1.0, 'mm': 1e-3}
 
 MAX_POSITION = 1e6  # m; poses in mm stay below, so that the solver can report the wrong unit
 MESSAGE_QUATERNION_TOLERANCE = 1e-2  # of a quaternion's length
@@ -57,7 +56,7 @@ MESSAGE_OVERHEAD = 600  # bytes of memory for a message, without its data
 
 @cache
 def typestore() -> Typestore:
-    """Return message types of ROS 2; what is read here has not changed since its first store."""
+    """Return the message types of ROS 2: those read here are the same in all its releases."""
     return get_typestore(Stores.ROS2_DASHING)  # 35 ms; Jazzy, with five more, takes 55
 
 
@@ -229,7 +228,7 @@ def _points(cloud: Any, config: ProfileConfig) -> tuple[Array, NDArray[np.bool_]
     out_of_plane = (field_values(cloud, normal_axis)
                     if normal_axis in [field.name for field in cloud.fields]
                     else np.full(len(ranges), np.nan))
-    points = (np.stack((along, ranges, out_of_plane)) * METRES_PER_UNIT[config.unit]).T
+    points = (np.stack((along, ranges, out_of_plane)) * UNITS['m'][config.unit]).T
     points[np.abs(points) > NO_RETURN] = np.nan
     x, z = points[:, 0], points[:, 1]
     with np.errstate(invalid='ignore'):
@@ -305,7 +304,7 @@ class ProfileReader:
     """
 
     def __init__(self, config: ProfileConfig) -> None:
-        """Start with none; config: describes the clouds."""
+        """Start without messages; config: how the driver writes its clouds."""
         self.config = config
         self._checked = -CHECK_PERIOD  # stamp of the last profile whose points were checked
         typestore()  # before the messages come: they do not wait while it is made

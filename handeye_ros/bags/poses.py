@@ -65,13 +65,13 @@ def pose_topics(config: Config, follower: FlangeFollower, arm: Arm | None = None
 
 @dataclass(frozen=True, eq=False)
 class ArmPose(TimedPose):
-    """A pose of the flange that follows from the values (joints,) of all joints of an arm."""
+    """A pose of the flange by the values (joints,) of all joints of an arm (rad or m)."""
 
     joints: Array = field(default_factory=lambda: np.empty(0))
 
 
 class OtherJointsError(UnusableMessageError):
-    """A JointState has none of the joints of the arm, as that of a gripper on the same topic."""
+    """A JointState without a joint of the arm, such as that of a gripper on the same topic."""
 
 
 def pose_from_joints(arm: Arm, data: bytes) -> ArmPose:

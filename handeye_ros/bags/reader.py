@@ -169,7 +169,7 @@ class Reader:
         self.warnings.append(f'{path.name} is cut off or damaged: {what}')
 
     def _register(self, topic: str, message_type: str, encoding: str) -> str:
-        """Take note of a topic and its type; return its name, '' if it is not requested."""
+        """Keep the type of a topic; return the topic's full name, '' if it is not requested."""
         topic = full_name(topic)
         self.types[topic] = message_type + (f' in {encoding}' if encoding != 'cdr' else '')
         return topic if self._topics is None or topic in self._topics else ''
@@ -220,7 +220,7 @@ def _up_to_damage(stream: BinaryIO, start: int) -> Iterator[McapRecord]:
 
 
 def _expanded(record: McapRecord) -> list[Any] | None:
-    """Return a record, or those in a chunk; None of a damaged one."""
+    """Return the records in a chunk, or the record itself; None if it is damaged."""
     if not isinstance(record, Chunk):
         return [record]
     with suppress(Exception):  # of all kinds, in decompressors and in the parser

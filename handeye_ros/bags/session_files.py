@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import datetime, UTC
 import fcntl
 from functools import partial
 import json
@@ -47,7 +46,7 @@ from handeye_ros.bags.reader import (
 from handeye_ros.config import Config, flatten, RECORD_PREFIX, with_values
 from handeye_ros.data import Reject
 from handeye_ros.errors import InputError, UnusableMessageError
-from handeye_ros.output import atomic_file, write_errors_for
+from handeye_ros.output import atomic_file, folder_time, write_errors_for
 from handeye_ros.results.file_values import require_format
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
@@ -59,7 +58,6 @@ OUTCOME_TOPIC = '/handeye_ros/session/outcome'
 STOP, REMOVED, CONFIGURED = 'stop', 'removed', 'configured'  # events
 
 SUFFIX, LOCK_FILE = '.mcap', '.lock'
-FOLDER_NAME_FORMAT = '%Y-%m-%dT%H%M%S.%fZ'  # names of folders, by the time
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +65,10 @@ class StoredSession:
     """
     A session on the disk.
 
+    path: its folder
     config: the last settings
     stops: by number, without removed ones; NOT_EVALUATED is the result of those that gave a sample
-    last_number: the largest so far
+    last_number: the largest number of a stop so far, also of a removed one
     """
 
     path: Path
@@ -83,7 +82,11 @@ class StoredSession:
         return sum(stop.result is NOT_EVALUATED for stop in self.stops.values())
 
     def session(self, config: Config) -> Session:
-        """Return the session, its stops evaluated with a configuration."""
+        """
+        Return the session with its stops evaluated by a configuration.
+
+        Raises InputError for a file of a stop that cannot be read.
+        """
         poses = (pose.parent_frame for stop in self.stops.values()
                  for pose in stop.load(config).poses)
         profiles = (profile.frame_id for stop in self.stops.values()
@@ -184,7 +187,7 @@ class SessionFiles:
 
     def _make_folder(self, config: Config) -> tuple[Path, int]:
         """Make the folder of a new session, named after the time; return it and its lock."""
-        folder = self._folder_of(config) / datetime.now(UTC).strftime(FOLDER_NAME_FORMAT)
+        folder = self._folder_of(config) / folder_time()
         missing = [above for above in folder.parents if not above.exists()]
         folder.mkdir(parents=True)
         for created in (folder, *missing):
@@ -233,7 +236,7 @@ def _messages(event: str, config: Config, stop: Stop, joints: Sequence[tuple[int
 
 
 def _number_of(file: Path) -> int:
-    """Return the number of a file in its session, -1 for another file."""
+    """Return the number of a file of a session, -1 for a file that is none."""
     match = re.search(rf'_(\d+){re.escape(SUFFIX)}$', file.name)
     return int(match[1]) if match and not file.name.startswith('.') else -1
 
@@ -254,12 +257,12 @@ def is_session(path: Path) -> bool:
 
 
 def sessions_in(folder: Path) -> Iterator[Path]:
-    """Yield the sessions in the folder of a name, the last used one first."""
+    """Yield the folders of the sessions in a folder, the last used one first."""
     return filter(is_session, sorted(folder.glob('*'), key=last_use, reverse=True))
 
 
 def last_use(session: Path) -> tuple[int, str]:
-    """Return when a session was begun, continued or written last; of equal times, its name."""
+    """Return when a session was last begun, continued or written (ns), and the folder's name."""
     with suppress(OSError):  # it is gone
         return session.stat().st_mtime_ns, session.name
     return 0, session.name
@@ -311,7 +314,7 @@ def _read_file(file: Path, topics: Collection[str] | None = None) -> list[Record
 
 
 def _event_of(file: Path) -> tuple[str, Config, Stop]:
-    """Return an event with its settings and its stop; raises InputError."""
+    """Return the event in a file, the settings and the stop; raises InputError."""
     texts = {raw.topic: message_of(STRING_TYPE, raw.data).data
              for raw in _read_file(file, (CONFIGURATION_TOPIC, OUTCOME_TOPIC))}
     try:

@@ -125,7 +125,7 @@ class FlangeFollower:
         self._sent_until = -1
 
     def missing_reason(self) -> str:
-        """Return why there are no poses, '' if there are."""
+        """Return why there are no poses of the flange, '' if there are some."""
         chains, links = self._chains(), self._links.copy()
         if chains is None:
             frames = sorted({*links, *(link.parent for link in links.values())})
@@ -148,7 +148,7 @@ class FlangeFollower:
 
 
 def _ancestors(frame: str, links: Mapping[str, _Link]) -> list[str]:
-    """Return a frame and its ancestors; stops at a loop."""
+    """Return a frame and its ancestors, from child to parent; a loop ends them."""
     frames = [frame]
     while frames[-1] in links and links[frames[-1]].parent not in frames:
         frames.append(links[frames[-1]].parent)

@@ -131,8 +131,8 @@ def open_calibration(file: Path, config: Path | None, assignments: list[str],
     calibration was made with. Raises InputError for a file that cannot be used.
     """
     from handeye_ros.config import load
-    from handeye_ros.results.calibration_file import config_to_measure, file_of, read_calibration
-    calibration = read_calibration(file_of(file))
+    from handeye_ros.results.calibration_file import config_to_measure, read_calibration
+    calibration = read_calibration(file)
     settings = config_to_measure(calibration, load(config) if config else None)
     return calibration, configuration(None, assignments, settings, kinematics)
 

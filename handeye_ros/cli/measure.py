@@ -29,6 +29,7 @@ from handeye_ros.cli.common import (
     warn_of_frame,
     write_yaml,
 )
+from handeye_ros.errors import BadValueError, InputError, looked_up
 import typer
 
 if TYPE_CHECKING:
@@ -73,12 +74,12 @@ def verify(
     from handeye_ros.output import require_html_name, write_atomically
     from handeye_ros.results.calibration_file import file_of
     from handeye_ros.verification import result_file
-    from handeye_ros.verification.routines import routine_of
+    from handeye_ros.verification.routines import ROUTINES
     from handeye_ros.verification.stations import stations_of_passes
     from handeye_ros.verification.verify import verify_stations, verify_stops
     if protocol:
         require_html_name(protocol)
-    routine = routine_of(name)
+    routine = looked_up('routine', name, ROUTINES)
     calibration, settings = open_calibration(calibration_file, config, assignments, kinematics)
     settings = routine.settings(settings, len(bags))
     if routine.in_passes:
@@ -175,9 +176,9 @@ def trend(
     """Show how the calibrations below a folder changed with time."""
     from handeye_ros import trend as trends
     from handeye_ros.output import write_atomically
-    from handeye_ros.results.calibration_file import file_of, read_calibration
+    from handeye_ros.results.calibration_file import read_calibration
     entries, warnings = trends.trend(
-        folder, read_calibration(file_of(against)) if against else None)
+        folder, read_calibration(against) if against else None)
     warn(*warnings)
     show(trends.table(entries))
     typer.echo(trends.since_when(entries))
@@ -247,7 +248,6 @@ def seam(
     if not (abs(travel) < 90.0 and abs(work) < 90.0):
         raise typer.BadParameter('--travel and --work: a tool leans by less than 90 degrees')
     from handeye_ros.config import parse_length
-    from handeye_ros.errors import BadValueError
     from handeye_ros.scanning.seam import find_seam, sentences, tool_frames, write
     limits = [parse_length(text, '--box', MAX_PLAIN) for text in box]
     if any(map(operator.gt, limits[::2], limits[1::2])):
@@ -276,7 +276,6 @@ def seam(
 def _cloud(path: Path, calibration_file: Path | None, config: Path | None,
            assignments: list[str], kinematics: Path | None) -> tuple['Array', str]:
     """Return the points (n, 3) of a cloud or a bag (m), and the id of their frame."""
-    from handeye_ros.errors import InputError
     from handeye_ros.scanning.cloud import CLOUD_SUFFIXES, frame_of, read_cloud
     from handeye_ros.scanning.scan import Scanner, ScanOptions
     import numpy as np

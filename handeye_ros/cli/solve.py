@@ -28,7 +28,7 @@ from handeye_ros.cli.common import (
     write_yaml,
 )
 from handeye_ros.config import assignment, RECORD_PREFIX, SAVE_FORMATS
-from handeye_ros.errors import InputError, NoRosError
+from handeye_ros.errors import InputError, looked_up, NoRosError
 import typer
 
 
@@ -172,7 +172,7 @@ def export(
     """Write a saved calibration for other programs."""
     from handeye_ros.results import exports
     from handeye_ros.results.calibration_file import file_of, read_calibration
-    form, file = exports.format_of(name), file_of(path)
+    form, file = looked_up('format', name, exports.FORMATS), file_of(path)
     calibration = read_calibration(file)
     if str(out) == '-':
         typer.echo(form.text(calibration), nl=False)

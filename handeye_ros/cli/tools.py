@@ -84,11 +84,11 @@ def kinematics(
     typer.echo(answer.save(text, out, settings.save.formats))
 
 
-def run_verb(words: list[str]) -> int:
-    """Run `handeye WORDS` in this process, and return its exit code."""
+def run_verb(arguments: list[str]) -> int:
+    """Run `handeye ARGUMENTS` in this process, and return its exit code."""
     command = import_module('handeye_ros.cli').command()  # a worker has not imported the verbs
     try:
-        command(words, prog_name='handeye')
+        command(arguments, prog_name='handeye')
     except SystemExit as end:
         return int(end.code or 0)
     return 0
@@ -111,10 +111,10 @@ def batch(
     """Run one command on many recordings, again on new ones."""
     from handeye_ros import batch as batches
     from handeye_ros.output import write_errors_for
-    words = batches.words_of(args, config, assignments)
-    jobs = batches.jobs_of(sources, verb.value, words)
+    arguments = batches.arguments_of(args, config, assignments)
+    jobs = batches.jobs_of(sources, verb.value, arguments)
     out = out.absolute()
-    if all(job.words == words for job in jobs):  # an error in them concerns all jobs
+    if all(job.arguments == arguments for job in jobs):  # an error in them concerns all jobs
         configuration(config, assignments)
         command: Any = ctx.find_root().command
         command.commands[verb].make_context(verb, jobs[0].command(out)[1:], parent=ctx.parent)

@@ -263,10 +263,10 @@ def session_markers(stops: Iterable[Stop], calibration: Calibration | None, conf
         for stop in stops if (sample := stop.sample)]
     parts: list[dict[str, Any]] = [
         {'name': 'numbers', 'color': FLANGE_COLOUR, 'width': 12.0, 'text': str(snapshot.number),
-         'points': [snapshot.T_mount[:3, 3]]} for snapshot in snapshots]
+         'points': [snapshot.T_fixed_mount[:3, 3]]} for snapshot in snapshots]
     if snapshots:
         parts.append({'name': 'flanges', 'color': FLANGE_COLOUR, 'width': 6.0,
-                      'points': [snapshot.T_mount[:3, 3] for snapshot in snapshots]})
+                      'points': [snapshot.T_fixed_mount[:3, 3] for snapshot in snapshots]})
     if calibration:
         parts += scene(calibration, snapshots, config)['parts']
     return _markers(parts, config)
@@ -277,7 +277,7 @@ def current_markers(current: StopSnapshot | None, calibration: Calibration | Non
     """Return the current profile and its features, placed by the answer."""
     if current is None or calibration is None:
         return _markers([], config)
-    T_fixed_sensor = current.T_mount @ calibration.T_flange_sensor
+    T_fixed_sensor = current.T_fixed_mount @ calibration.T_flange_sensor
     points = current.points[np.isfinite(current.points).all(axis=1)]
     return _markers([{'name': name, 'color': color, 'width': width,
                       'points': se3.apply(T_fixed_sensor, sensor_points(plane, config))}

@@ -14,7 +14,7 @@ from handeye_ros.errors import InputError, NoRosError
 from handeye_ros.node.main import non_ros_arguments, run_for_exit_code, spin
 from handeye_ros.node.outputs import LATCHED_QOS, transform_of
 from handeye_ros.node.streams import TFMessage
-from handeye_ros.results.calibration_file import file_of, read_calibration
+from handeye_ros.results.calibration_file import read_calibration
 from rclpy.node import Node
 
 
@@ -28,7 +28,7 @@ def publisher(paths: Sequence[Path]) -> Node:
         raise NoRosError('publish', 'tf2_msgs')
     calibrations: dict[str, Calibration] = {}  # by the frame of the sensor
     for path in paths:
-        calibration = read_calibration(file_of(path).absolute())
+        calibration = read_calibration(path.absolute())
         if calibration.child_frame in calibrations:
             raise InputError(f'{path} is the second file that gives the pose of '
                              f'{calibration.child_frame}: name each sensor once')

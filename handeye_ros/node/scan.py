@@ -29,7 +29,7 @@ from handeye_ros.node.main import non_ros_arguments, run_for_exit_code, spin
 from handeye_ros.node.outputs import cloud, log_new_warnings
 from handeye_ros.node.state import MessageCount
 from handeye_ros.node.streams import Streams, WARNING_PERIOD
-from handeye_ros.results.calibration_file import config_to_measure, file_of, read_calibration
+from handeye_ros.results.calibration_file import config_to_measure, read_calibration
 from handeye_ros.sampling.stream import REORDER_TIME
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.scanning.scan import Scanner, ScanOptions
@@ -50,7 +50,7 @@ class ScanNode(Node):
         """Subscribe; raises InputError for arguments, and poses on /tf without tf2_msgs."""
         options = ScanOptions.of_texts(arguments.range, arguments.incidence, arguments.voxel,
                                        arguments.std)
-        calibration = read_calibration(file_of(arguments.calibration))
+        calibration = read_calibration(arguments.calibration)
         config = with_assignments(config_to_measure(calibration), arguments.set)
         super().__init__('handeye_scan')
         self.config: Config = replace(config, time_offset=0.0)  # the scanner adds it

@@ -211,7 +211,7 @@ class LiveSolver:
         if is_newest:  # else the answer is the one that was requested later
             sources = [{'topic': live.config.profile_topic},
                        {'topic': live.config.pose_topic_and_keys[0]}, {'session': live.path}]
-            self.calibration = calibration_file.dated(replace(
+            self.calibration = calibration_file.with_origin(replace(
                 calibration, provenance={**calibration.provenance, 'inputs': sources}))
             self.solved_session, self.why_missing, self.saved = session, '', ''
         return f'{summary(calibration)}; save it with ~/save_calibration'

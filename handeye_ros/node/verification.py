@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from handeye_ros.data import Calibration, Reject, Sample
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.errors import DataError, InputError, looked_up
 from handeye_ros.node.state import Attempt
 from handeye_ros.output import yaml_text
 from handeye_ros.results import exports
@@ -20,7 +20,7 @@ from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.table import sample_summary
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.verification.result_file import plain_values, sentence
-from handeye_ros.verification.routines import Routine, routine_of
+from handeye_ros.verification.routines import Routine, ROUTINES
 from handeye_ros.verification.verify import Verification, verify_stops
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class LiveVerification:
             if not settings.routine:
                 raise InputError('verify.routine is not set, so there is nothing to measure: set '
                                  'it to the artefact under the sensor (docs/measure.md)')
-            routine = routine_of(settings.routine)
+            routine = looked_up('routine', settings.routine, ROUTINES)
             if routine.in_passes:
                 raise InputError(f'{routine.name} is scanned in passes: record a bag of each, and '
                                  f'call "handeye verify {routine.name}" with them')

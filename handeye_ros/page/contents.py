@@ -18,7 +18,7 @@ from handeye_ros.bags.session_files import read_session, sessions_in
 from handeye_ros.calibration import edges_used
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration
-from handeye_ros.errors import InputError
+from handeye_ros.errors import InputError, looked_up
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.guidance.view import AdvisedMove, extremes
@@ -118,7 +118,7 @@ def _set(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
 
 def _cell(node: HandeyeNode) -> dict[str, Any]:
     """
-    Return the settings with their choices, and the names of the sessions, the newest first.
+    Return the settings with their choices, and the names of the sessions by last use.
 
     previous: of a session that has just begun, the number of samples in the session before.
     """
@@ -148,7 +148,7 @@ def _file(live: LiveSession, name: str) -> tuple[str, str]:
     calibration = live.solver.require_calibration()
     if name == exports.REPORT_FILE:
         return name, live.pool.submit(_report, calibration, live.files.path).result()
-    file_format = exports.format_of(name)
+    file_format = looked_up('format', name, exports.FORMATS)
     return file_format.file_name(calibration), file_format.text(calibration)
 
 

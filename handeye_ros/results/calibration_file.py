@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from datetime import datetime, UTC
 import math
 from pathlib import Path
 import re
@@ -14,7 +13,7 @@ from handeye_ros import __version__, se3
 from handeye_ros.config import Config, from_provenance, read_yaml, SamplesConfig
 from handeye_ros.data import Array, Calibration, ClockEstimate, Quality, SampleReport
 from handeye_ros.errors import path_of, require_type, unusable_file
-from handeye_ros.output import write_atomically, yaml_text
+from handeye_ros.output import now_text, write_atomically, yaml_text
 from handeye_ros.results.file_values import (
     checked_numbers,
     checked_value,
@@ -42,13 +41,13 @@ def write_calibration(calibration: Calibration, path: Path | str) -> None:
     Raises UnwritableError; then nothing is left behind.
     """
     require_type('calibration', calibration, Calibration)
-    write_atomically(path_of('path', path), text(dated(calibration)))
+    write_atomically(path_of('path', path), text(with_origin(calibration)))
 
 
-def dated(calibration: Calibration) -> Calibration:
-    """Return a calibration with the version and the time in its provenance."""
-    first = {'version': __version__, 'created': datetime.now(UTC).isoformat(timespec='seconds')}
-    return replace(calibration, provenance={**first, **calibration.provenance})
+def with_origin(calibration: Calibration) -> Calibration:
+    """Return a calibration whose provenance has a version and a time, by default those of now."""
+    origin = {'version': __version__, 'created': now_text()}
+    return replace(calibration, provenance={**origin, **calibration.provenance})
 
 
 def one_line(text: str) -> str:
@@ -63,7 +62,7 @@ def text(calibration: Calibration) -> str:
 
 
 def preamble(calibration: Calibration, units: str = SI_TEXT) -> tuple[str, ...]:
-    """Return lines that explain the numbers: direction, frames, units, uncertainty."""
+    """Return lines on the direction of the transform, its frames, units and uncertainty."""
     parent, child = one_line(calibration.parent_frame), one_line(calibration.child_frame)
     std = np.sqrt(np.diag(calibration.covariance))
     (x, y, z), (rx, ry, rz) = 1e3 * std[:3], np.degrees(std[3:])
@@ -115,13 +114,13 @@ def config_to_measure(calibration: Calibration, config: Config | None = None) ->
 
 
 def file_of(path: Path) -> Path:
-    """Return the file of a calibration from its path or that of its folder."""
+    """Return the path of calibration.yaml, given that path or its folder."""
     return path / NAME if path.is_dir() else path
 
 
 def read_calibration(path: Path | str) -> Calibration:
-    """Return the calibration in a file; raises InputError."""
-    path = path_of('path', path)
+    """Return the calibration in a file, or in the folder that holds it; raises InputError."""
+    path = file_of(path_of('path', path))
     content = checked_value(path, 'its content', read_yaml(path), dict)
 
     def get(key: str, kind: type[Kind]) -> Kind:

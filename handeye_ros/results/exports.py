@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime, UTC
 from functools import partial
 import json
 from pathlib import Path
@@ -23,10 +22,9 @@ import re
 import shutil
 
 from handeye_ros import se3
-from handeye_ros.config import SAVE_FORMATS
 from handeye_ros.data import Calibration
-from handeye_ros.errors import InputError, UnknownNameError
-from handeye_ros.output import rendered, write_atomically, write_errors_for, yaml_text
+from handeye_ros.errors import InputError, looked_up
+from handeye_ros.output import folder_time, rendered, write_atomically, write_errors_for, yaml_text
 from handeye_ros.results import calibration_file
 from handeye_ros.results.calibration_file import config_of, one_line, preamble
 from handeye_ros.tables import notation_of
@@ -83,7 +81,7 @@ def tool_frame(calibration: Calibration, vendor: str, comment_start: str, line: 
 
 
 def filled_template(calibration: Calibration, template: str) -> str:
-    """Return the text that a template in results/assets makes of it; raises InputError."""
+    """Return a calibration by a template in results/assets; raises InputError without frames."""
     if not (calibration.parent_frame and calibration.child_frame):
         raise InputError('parent_frame and child_frame of a calibration must be names, not empty')
     T = calibration.T_flange_sensor
@@ -121,8 +119,8 @@ class Format:
     """
     A file format of a calibration.
 
-    name_pattern: of the file in the folder of the result, with {name} of the calibration
-    text: returns the content
+    name_pattern: name of the file in the folder of the result, with {name} of the calibration
+    text: returns the content of the file
     """
 
     name_pattern: str
@@ -145,13 +143,6 @@ FORMATS = {
 }
 
 
-def format_of(name: str) -> Format:
-    """Return the format of a name; raises UnknownNameError."""
-    if name not in FORMATS:
-        raise UnknownNameError('format', name, SAVE_FORMATS)
-    return FORMATS[name]
-
-
 def save_all(calibration: Calibration, folder: Path, formats: Sequence[str]) -> str:
     """
     Write a calibration in all given formats, always also calibration.yaml; say where, as `write`.
@@ -159,8 +150,8 @@ def save_all(calibration: Calibration, folder: Path, formats: Sequence[str]) -> 
     The files of a previous result are kept in its history: nothing is lost, and all files of these
     names are of one answer. Raises UnknownNameError and UnwritableError.
     """
-    calibration = calibration_file.dated(calibration)
-    chosen = [format_of(name) for name in dict.fromkeys((YAML, *formats))]
+    calibration = calibration_file.with_origin(calibration)
+    chosen = [looked_up('format', name, FORMATS) for name in dict.fromkeys((YAML, *formats))]
     names_of_result = {REPORT_FILE, *(form.file_name(calibration) for form in FORMATS.values())}
     return write({form.file_name(calibration): form.text(calibration) for form in chosen},
                  folder.expanduser().absolute(), names_of_result)
@@ -173,7 +164,7 @@ def export(calibration: Calibration, name: str, file: Path) -> str:
     An existing file with other content is kept in the history. Raises UnknownNameError and
     UnwritableError.
     """
-    file, text = file.expanduser().absolute(), format_of(name).text(calibration)
+    file, text = file.expanduser().absolute(), looked_up('format', name, FORMATS).text(calibration)
     return write({file.name: text}, file.parent, {file.name})
 
 
@@ -187,7 +178,7 @@ def write(texts: Mapping[str, str], folder: Path, names_of_result: set[str]) -> 
     """
     files = [folder / name for name in texts]
     listed = ', '.join(map(str, files))
-    history = folder / HISTORY_FOLDER / datetime.now(UTC).strftime('%Y-%m-%dT%H%M%S.%fZ')
+    history = folder / HISTORY_FOLDER / folder_time()
     with write_errors_for(folder):
         existing = {name: (folder / name).read_bytes() for name in names_of_result
                     if (folder / name).is_file()}

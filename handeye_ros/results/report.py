@@ -36,11 +36,11 @@ SAME_ANSWER = 0.1  # sigmas: two answers of the same recording agree so well
 @dataclass(frozen=True, eq=False)
 class SolvedRecording:
     """
-    The stops of a recording, and what it answers now.
+    The stops of a recording, and the answer from it now.
 
-    calibration: None where it is refused, and without a recording
-    refusal: why it is refused
-    missing: why there is no recording
+    calibration: the answer, None where it is refused, and without a recording
+    refusal: why the answer is refused, '' if it is not
+    missing: why there is no recording, '' if there is one
     """
 
     stops: tuple[StopSnapshot, ...] = ()
@@ -50,7 +50,7 @@ class SolvedRecording:
 
 
 def html(calibration: Calibration, recording: SolvedRecording) -> str:
-    """Return the report as HTML."""
+    """Return the report of a calibration and its recording as HTML."""
     config = config_of(calibration)
     seen = feature_points(f for stop in recording.stops if stop.used for f in stop.features)
     good, sentence = verdict(calibration, recording, sensor_points(seen, config))

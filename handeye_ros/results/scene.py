@@ -50,16 +50,17 @@ class StopSnapshot:
     A stop of the robot.
 
     number: counted from 1
-    T_mount: (4, 4) pose of the mount of the sensor in the frame where the target is fixed
-    points: (n, 2) of one of its profiles, in the sensor plane
-    features: of the profiles
+    stamp: time of the stop (ns)
+    T_fixed_mount: (4, 4) pose of the mount of the sensor in the frame where the target is fixed
+    points: (n, 2) of one of its profiles, in the sensor plane (m)
+    features: what its profiles show, in the sensor plane (m)
     reason: why it was not used, empty if it was
     agreement: with the answer, None where it was not used
     """
 
     number: int
     stamp: int
-    T_mount: Array
+    T_fixed_mount: Array
     points: Array
     features: tuple[Feature, ...] = ()
     reason: str = ''
@@ -67,13 +68,17 @@ class StopSnapshot:
 
     @property
     def used(self) -> bool:
-        """Return whether it is part of the answer."""
+        """Return whether the answer uses the stop."""
         return not self.reason
 
 
 def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Config
           ) -> dict[str, Any]:
-    """Return the parts with name, colour and points, and the name of their frame."""
+    """
+    Return the name of the frame of the scene, and its parts.
+
+    Each part has a name, a colour, a width (pixels), and a 'line' or 'points' (k, 3) in metres.
+    """
     X, used = calibration.T_flange_sensor, [stop for stop in stops if stop.used]
     parts = list[dict[str, Any]]()
 
@@ -81,7 +86,7 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
         if len(points):
             parts.append({'name': name, 'color': color, 'width': width, kind: rounded(points)})
 
-    for T in [stop.T_mount for stop in used] or [np.eye(4)]:
+    for T in [stop.T_fixed_mount for stop in used] or [np.eye(4)]:
         for axis in T[:3, :3].T:
             draw('line', f'{mount_frame(config)} at each stop', FLANGE_COLOUR, 1.2,
                  np.array([T[:3, 3], T[:3, 3] + AXIS_LENGTH * axis]))
@@ -92,9 +97,10 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
         plane = plane[::max(1, math.ceil(len(plane) / MAX_POINTS))]
         name, color = (('laser line', LASER_COLOUR) if stop.used else
                        ('laser line, not used', UNUSED_COLOUR))
-        draw('points', name, color, 2.0, se3.apply(stop.T_mount @ X, sensor_points(plane, config)))
+        draw('points', name, color, 2.0,
+             se3.apply(stop.T_fixed_mount @ X, sensor_points(plane, config)))
     seen = np.concatenate([np.empty((0, 3)), *(
-        se3.apply(stop.T_mount @ X, sensor_points(feature_points(stop.features), config))
+        se3.apply(stop.T_fixed_mount @ X, sensor_points(feature_points(stop.features), config))
         for stop in used)])
     target = outline_of(calibration.target, config.target.size, seen)
     for outline in target.outline:
@@ -106,7 +112,7 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
 
 
 def sensor_points(plane: Array, config: Config) -> Array:
-    """Return points (n, 2) of the sensor plane as (n, 3) of the sensor frame."""
+    """Return points (n, 2) of the sensor plane as points (n, 3) of the sensor frame (m)."""
     return np.asarray(plane @ T_sensor_plane(config)[:3, [0, 2]].T)
 
 
@@ -171,10 +177,12 @@ def outline_of(target: Mapping[str, Any], size: tuple[float, ...], seen: Array) 
 
 
 def _xyz(values: Mapping[str, float]) -> Array:
+    """Return the point or vector (3,) that calibration.yaml holds as x, y and z."""
     return np.array([values[axis] for axis in 'xyz'], dtype=float)
 
 
 def _plate(target: Mapping[str, Any], size: tuple[float, ...], seen: Array) -> TargetDrawing:
+    """Return both edges of a plate and the rest of its outline; arguments as in `outline_of`."""
     T = se3.transform_from_values(target['pose'])
     angle = target.get('edge_angle', np.pi / 2)
     flat = se3.apply(se3.inverse(T), seen)

@@ -62,7 +62,7 @@ def table(calibration: Calibration) -> RenderableType:
 
 def figures_table(*heads: str, rows: Iterable[Iterable[str]] = (), right: Container[int] = (),
                   title: str | None = None) -> Table:
-    """Return a table of texts; right: its columns of figures, which are never wrapped."""
+    """Return a table of texts; right: numbers of the columns of figures, which never wrap."""
     table = Table(title=title, title_justify='left', box=box.SIMPLE_HEAD, pad_edge=False)
     for k, head in enumerate(heads):
         table.add_column(Text(head), justify='right' if k in right else 'left',
@@ -110,7 +110,7 @@ def rpy_std(T: Array, covariance: Array) -> Array:
 
 
 def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
-    """Yield the other facts of a calibration, each with its name."""
+    """Yield name and text of each other fact, such as the method and the samples."""
     quality = calibration.quality
     quaternion = se3.quaternion(calibration.T_flange_sensor)
     yield 'quaternion', ' '.join(f'{q:.9f}' for q in quaternion) + '  (x y z w)'
@@ -143,7 +143,7 @@ def weakest(calibration: Calibration) -> str:
 
 
 def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the other estimates, of target, sensor and robot, in mm and degrees."""
+    """Yield name and text (mm, degrees) of each estimate of target, sensor and robot."""
     for key, value in target.items():
         shown = next((row for row in ESTIMATES if re.fullmatch(row[0], str(key))), None)
         name = f'target {str(key).replace("_", " ")}'

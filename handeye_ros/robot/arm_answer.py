@@ -23,7 +23,7 @@ from handeye_ros.arm import (
 from handeye_ros.data import Calibration
 from handeye_ros.output import write_atomically, yaml_text
 from handeye_ros.results import exports
-from handeye_ros.results.calibration_file import dated
+from handeye_ros.results.calibration_file import with_origin
 from handeye_ros.results.table import figures_table
 from handeye_ros.robot.selection import ArmSelection, UNCHANGED_ARM
 import numpy as np
@@ -54,7 +54,7 @@ class ArmAnswer:
         arm, entries = self.outcome.arm, []
         columns = {'value': arm.error_values, 'std': np.sqrt(np.diag(arm.covariance)),
                    'undetermined': self.outcome.undetermined}
-        joint_of, column_of = np.nonzero(arm.free)
+        joint_of, column_of = np.nonzero(arm.is_estimated)
         for j, joint in enumerate(arm.joints):
             rows_of = {kind: (joint_of == j) & (ERROR_KINDS[column_of] == kind)
                        for kind in arm.error_kinds}
@@ -100,7 +100,7 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
         'robot_smooth_error': outcome.smooth_error_rms,
         'covariance': arm.covariance.tolist(),
         'configurations': arm.configurations.round(6).tolist(),
-        'provenance': {**dated(calibration).provenance, 'warnings': list(answer.warnings)}}
+        'provenance': {**with_origin(calibration).provenance, 'warnings': list(answer.warnings)}}
 
 
 def table(answer: ArmAnswer) -> RenderableType:

@@ -189,13 +189,13 @@ class ArmFit:
     @property
     def kind_numbers(self) -> Indices:
         """Return the kind (p,) of each error as a number from 0; the smooth ones are the last."""
-        _, kind = np.unique(ERROR_KINDS[np.nonzero(self.arm.free)[1]], return_inverse=True)
+        _, kind = np.unique(ERROR_KINDS[self.arm.is_estimated.nonzero()[1]], return_inverse=True)
         return np.append(kind, np.full(len(self.smooth), kind.max(initial=-1) + 1))
 
     @property
     def prior_stds(self) -> Array:
         """Return the prior sigmas (p,) of the errors, scaled by their estimated variances."""
-        stated = np.append(self.arm.priors[self.arm.free],
+        stated = np.append(self.arm.priors[self.arm.is_estimated],
                            np.full(len(self.smooth), SMOOTH_ERROR_STD))
         return stated * np.sqrt(self.variances[self.kind_numbers])
 
@@ -220,7 +220,7 @@ class ArmFit:
         """Return the residuals (m,) of used stops in sigmas, and their derivatives (m, u)."""
         shifts = np.einsum('nr,tx->ntrx', self.smooth_error_basis, np.eye(6, 3)).reshape(
             len(self.q), 6, -1)
-        twists = np.append(self.arm.twists(self.q)[:, :, self.arm.free], shifts, axis=2)
+        twists = np.append(self.arm.error_jacobian(self.q)[..., self.arm.is_estimated], shifts, 2)
         values, wrt_X, wrt_pose = (np.concatenate(parts) for parts in zip(*(
             (residual.values, residual.wrt_X_and_target[:, :6], residual.wrt_pose)
             for residual in self.residuals), strict=True))
@@ -343,7 +343,7 @@ def arm_covariance(fit: ArmFit, chosen: ArmFit) -> tuple[Array, float]:
         wide = replace(wide, noise=noise).solved()
         noise, variances = noise_and_variances(wide, conservative=True)
     wide = replace(wide, variances=np.append(arm_variances, variances[-1]))
-    in_chosen = chosen.arm.free[wide.arm.free]
+    in_chosen = chosen.arm.is_estimated[wide.arm.is_estimated]
     rows = np.append(np.arange(6), 6 + np.flatnonzero(in_chosen))
     difference = np.append(se3.difference(wide.X, chosen.X),
                            wide.arm.error_values[in_chosen] - chosen.arm.error_values)

@@ -108,12 +108,12 @@ def corrected_arm(fit: ArmFit, stop_count: int, limit: float) -> ArmSelection:
     if fit.used.sum() < max(MIN_STOPS, MIN_AGREEING_SHARE * stop_count) or (
             fit.residual_rms > HOPELESS_FACTOR * limit):
         raise _contradiction(fit, stop_count, limit)
-    richest = without_bad_stops(solved_with_arm(fit, stated.freed(ALL_KINDS)))
+    richest = without_bad_stops(solved_with_arm(fit, stated.with_errors_of(ALL_KINDS)))
     if richest.residual_rms > limit or richest.used.mean() < MIN_AGREEING_SHARE:
         raise _contradiction(richest, stop_count, limit)
     agreed, fold = replace(fit, used=richest.used), _regions(fit.q)
     models = [_validated(
-        with_estimated_weights(solved_with_arm(agreed, stated.freed(kinds))), fold)
+        with_estimated_weights(solved_with_arm(agreed, stated.with_errors_of(kinds))), fold)
               for kinds in ((), (OFFSET,), ALL_KINDS)]
     chosen = models[0]
     for richer in models[1:]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 Points: TypeAlias = NDArray[np.void]
 
 CLOUD_SUFFIXES = ('.ply', '.pcd')
-"""The endings of the files."""
+"""The endings of the names of cloud files."""
 COUNT_DIGITS = 15  # reserved for the number of points
 # types of PLY that numpy calls otherwise
 PLY_TYPES = {'char': 'int8', 'uchar': 'uint8', 'int': 'int32', 'uint': 'uint32',

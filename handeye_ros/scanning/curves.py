@@ -45,11 +45,11 @@ class Curve:
 
     @property
     def kind(self) -> str:
-        """Return cubic or spline."""
+        """Return the kind of the curve in words: cubic or spline."""
         return 'cubic' if len(self.bspline.c) == 4 else 'spline'
 
     def position(self, t: float | Array) -> Array:
-        """Return the points (..., 3) at t."""
+        """Return the points (..., 3) at t (m)."""
         return np.asarray(self.bspline(t))
 
     def tangent(self, t: float | Array) -> Array:
@@ -63,7 +63,7 @@ class Curve:
         return self.position(inside) + (t - inside) * tangent, tangent
 
     def simplified(self) -> Curve:
-        """Return the cubic nearest to it, of unknown std, where that is close; else the curve."""
+        """Return the nearest cubic, of unknown std, if it is close; else the curve itself."""
         t = np.linspace(self.first, self.last, LENGTH_POINTS)
         points = self.position(t)
         cubic = make_lsq_spline(t, points, np.repeat([self.first, self.last], 4), k=3)

@@ -85,7 +85,7 @@ class Scanner:
 
     @property
     def kept(self) -> int:
-        """Return the number of points so far."""
+        """Return the number of points that were kept so far."""
         return self.returns - self.out_of_limits - self.thinned
 
     def scan(self, profiles: Iterable[Profile], trajectory: Trajectory) -> Iterator[Points]:
@@ -104,7 +104,7 @@ class Scanner:
                             'returns, check range and exposure of the sensor')
 
     def points(self, profiles: Sequence[Profile], trajectory: Trajectory) -> Points:
-        """Return the points of some profiles: x, y, z in the frame (m), intensity, std."""
+        """Return the points of profiles: x, y, z in `frame` (m), intensity, std (m)."""
         if self._fields is None:
             optional = {'intensity': profiles[0].intensity is not None, 'std': self.options.std}
             self._fields = np.dtype([(name, '<f4') for name in (
@@ -121,7 +121,7 @@ class Scanner:
         return self._one_in_each_cube(cloud) if self.options.voxel > 0 else cloud
 
     def _one_in_each_cube(self, cloud: Points) -> Points:
-        """Return the points that are the first in their cube, in their order."""
+        """Return the points that are the first in their cube, in the order of the cloud."""
         points = np.stack([cloud['x'], cloud['y'], cloud['z']], axis=1)
         cell = np.floor(points / self.options.voxel).astype(np.int64) & (1 << CELL_BITS) - 1
         cubes, first = np.unique(cell @ [1 << 2 * CELL_BITS, 1 << CELL_BITS, 1],
@@ -150,7 +150,7 @@ class Scanner:
         return cloud
 
     def _within_limits(self, points: Array) -> NDArray[np.bool_]:
-        """Return which points (n, 2) are returns within the limits; count them."""
+        """Return a mask (n,) of the points (n, 2) within the limits (m); count returns."""
         is_return, z = np.isfinite(points).all(axis=1), points[:, 1]
         keep = is_return & (z >= self.options.nearest) & (z <= self.options.farthest)
         if self.options.incidence < np.pi / 2:  # only then: they take half of the time

@@ -20,7 +20,7 @@ from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, mm
 from handeye_ros.output import csv_text, write_atomically, yaml_text
 from handeye_ros.scanning.curves import Curve, spline
-from handeye_ros.scanning.seam_course import course, FLAT_RATIO, sheets_of
+from handeye_ros.scanning.rough_seam import FLAT_RATIO, rough_seam_of, sheets_of
 from handeye_ros.scanning.seam_sections import edges_of_seam, SeamSections
 from handeye_ros.se3 import unit
 import numpy as np
@@ -50,7 +50,7 @@ class Seam:
     normals: through the directions out of the part, the mean of those of the sheets
     distances: (k,) of the measured roots of the sections from their curve (m)
     spacing: of the points of the cloud (m)
-    other_count: number of edges that face each other elsewhere, as another kind of seam
+    other_seam_count: number of edges that face each other elsewhere, as another kind of seam
     """
 
     kind: str
@@ -61,7 +61,7 @@ class Seam:
     normals: Curve
     distances: Array
     spacing: float
-    other_count: int
+    other_seam_count: int
 
     @property
     def scatter(self) -> float:
@@ -117,20 +117,21 @@ def find_seam(points: Array, widest: float = MAX_SEAM_WIDTH,
     if sheets.spacing > MAX_SEAM_WIDTH:
         raise DataError(f'no seam: the points are {sheets.spacing:.3g} m apart, if the cloud is '
                         'in metres: give one in metres, or scan more densely')
-    rough = course(sheets, widest, up)
+    rough_seam = rough_seam_of(sheets, widest, up)
     if start is not None and np.argmin(np.linalg.norm(
-            points[rough.pairs[[0, -1], 0]] - start, axis=1)) == 1:
-        rough = replace(rough, pairs=rough.pairs[::-1], t=rough.t[-1] - rough.t[::-1])
-    sections = edges_of_seam(sheets, rough)
+            points[rough_seam.pairs[[0, -1], 0]] - start, axis=1)) == 1:
+        rough_seam = replace(rough_seam, pairs=rough_seam.pairs[::-1],
+                             t=rough_seam.t[-1] - rough_seam.t[::-1])
+    sections = edges_of_seam(sheets, rough_seam)
     if line == 'auto':
-        line = 'root' if rough.kind in ('v', 'fillet') else 'centre'
+        line = 'root' if rough_seam.kind in ('v', 'fillet') else 'centre'
     first, last = sections.ends
     curves = {name: replace(spline(sections.lengths, values), first=first, last=last)
               for name, values in sections.lines.items()}
     off_root = curves['root'].position(sections.lengths) - sections.lines['root']
-    seam = Seam(rough.kind, line, sections, curves, curves[line].simplified(),
+    seam = Seam(rough_seam.kind, line, sections, curves, curves[line].simplified(),
                 spline(sections.lengths, sections.normals), np.linalg.norm(off_root, axis=1),
-                sheets.spacing, rough.other_count)
+                sheets.spacing, rough_seam.other_seam_count)
     if seam.scatter > max(MAX_SCATTER * sheets.noise, sheets.spacing):
         raise DataError(f'the sections of the seam scatter by {mm(seam.scatter)}, and the points '
                         f'by {mm(sheets.noise)}: this is not a uniform seam; cut it out with '
@@ -210,7 +211,7 @@ def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
 
 
 def sentences(seam: Seam, frames: ToolFrames) -> list[str]:
-    """Return what is told of a seam and its frames, one sentence each."""
+    """Return the sentences that tell the user about a seam and its tool frames."""
     gap, mismatch, _, std = 1e3 * frames.measures.T
     begins, ends = frames.lengths[0], seam.curve.length - frames.lengths[-1]
     lines = [f'{seam.kind} seam of {seam.curve.length * 1e3:.1f} mm, path along its {seam.line}: '
@@ -223,7 +224,7 @@ def sentences(seam: Seam, frames: ToolFrames) -> list[str]:
     if max(begins, ends) > 1e-6:
         lines.append(f'no frames on the first {begins * 1e3:.1f} mm and the last '
                      f'{ends * 1e3:.1f} mm: the line is too uncertain there')
-    if seam.other_count:
-        lines.append(f'{seam.other_count} other edges that face each other (steps, corners) are '
-                     'not taken for the seam; cut one out with --box to have it')
+    if seam.other_seam_count:
+        lines.append(f'{seam.other_seam_count} other edges that face each other (steps, corners) '
+                     'are not taken for the seam; cut one out with --box to have it')
     return lines

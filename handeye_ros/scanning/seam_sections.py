@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The two edges of a seam, by sections across its rough course.
+The two edges of a seam, by sections across the rough seam.
 
 On each side a polynomial is fitted to the section of the sheet; the edge is where its points end.
 The foot of a lap lies on the lower sheet under the rim, even where the wall hides it. The root of
@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 from handeye_ros.data import Array, Indices, robust_std
 from handeye_ros.errors import DataError, mm
 from handeye_ros.scanning.curves import Curve, spline, STIFF_ONLY
-from handeye_ros.scanning.seam_course import (
-    Course,
+from handeye_ros.scanning.rough_seam import (
     MIN_GAP_WIDTH,
     position_text,
+    RoughSeam,
     SAME_PLANE,
     Sheets,
 )
@@ -34,10 +34,10 @@ SECTION_WIDTH = 24.0  # spacings: width of a sheet's section, at least
 MIN_SECTION_WIDTH = 6e-3  # m: the same
 END_MARGIN = 2.5  # spacings: the sheet ends within this distance of the rough edge
 MAX_END_OFFSET = 2e-3  # m: largest distance of the end from the rough edge
-MAX_LINE_WIDTH = 12.0  # spacings: largest width of the rough course
+MAX_LINE_WIDTH = 12.0  # spacings: largest width of the rough seam
 MAX_MISSING_EDGE = 5e-3  # m: largest missing part of an edge
 ROUGH_EDGE_WINDOW = 5e-3  # m along the seam: pairs within it give the rough edges
-COURSE_OVERHANG = 8e-3  # m beyond the ends of the rough course where the seam may continue
+OVERHANG = 8e-3  # m beyond the ends of the rough seam where the seam may continue
 ROOT_GAP = 0.5  # spacings: a larger mean distance of the lower edges of a V is a root gap
 
 SHEET_END = np.dtype([  # one sheet in a section across the seam
@@ -55,7 +55,7 @@ class SeamSections:
     """
     The two edges of a seam, by k sections across it.
 
-    lengths: (k,) of the sections along the rough course (m)
+    lengths: (k,) of the sections along the rough seam (m)
     lines: points (k, 3) by name: first and second edge, root, centre (m)
     resolution: 1 sigma of each line that all its points have in common (m)
     normals: (k, 3) out of the part
@@ -71,27 +71,28 @@ class SeamSections:
     ends: tuple[float, float]
 
 
-def edges_of_seam(sheets: Sheets, rough: Course) -> SeamSections:
-    """Return the edges along a rough course; raises DataError where they are not one line."""
-    is_corner = rough.kind in ('v', 'fillet')
-    middle = sheets.points[rough.pairs].mean(axis=1)
-    curve = spline(rough.t, middle, STIFF_ONLY)
-    distance = np.linalg.norm(curve.position(rough.t) - middle, axis=1)
+def edges_of_seam(sheets: Sheets, rough_seam: RoughSeam) -> SeamSections:
+    """Return the edges along a rough seam; raises DataError where they are not one line."""
+    is_corner = rough_seam.kind in ('v', 'fillet')
+    middle = sheets.points[rough_seam.pairs].mean(axis=1)
+    curve = spline(rough_seam.t, middle, STIFF_ONLY)
+    distance = np.linalg.norm(curve.position(rough_seam.t) - middle, axis=1)
     widest = float(np.quantile(distance, 0.95))
     if widest > MAX_LINE_WIDTH * sheets.spacing:
         place = position_text(middle[int(np.argmax(distance))])
         raise DataError(f'what looks like a seam is not a single open line: it is '
                         f'{mm(2 * widest)} wide at {place} (closed, or branching?): cut a part '
                         'out with --box')
-    i, j = rough.pairs.T
+    i, j = rough_seam.pairs.T
     up = (-sheets.outward[i] - sheets.outward[j] if is_corner
           else sheets.normals[i] + sheets.normals[j])
-    side = _dot(sheets.outward[i] - sheets.outward[j], np.cross(up, curve.tangent(rough.t)))
-    rough = replace(rough, pairs=np.where(side < 0, rough.pairs[:, ::-1], rough.pairs))
-    edges = _edges_along(sheets, rough, curve)
-    if is_corner:  # out of it the rough course may bend at its ends
+    side = _dot(sheets.outward[i] - sheets.outward[j], np.cross(up, curve.tangent(rough_seam.t)))
+    pairs = np.where(side < 0, rough_seam.pairs[:, ::-1], rough_seam.pairs)
+    rough_seam = replace(rough_seam, pairs=pairs)
+    edges = _edges_along(sheets, rough_seam, curve)
+    if is_corner:  # out of it the rough seam may bend at its ends
         stiff = spline(edges.lengths, edges.lines['root'], STIFF_ONLY)
-        edges = _edges_along(sheets, rough, stiff)
+        edges = _edges_along(sheets, rough_seam, stiff)
     return edges
 
 
@@ -100,17 +101,17 @@ def _dot(a: Array, b: Array) -> Array:
     return np.asarray((a * b).sum(axis=-1, keepdims=True))
 
 
-def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> SeamSections:
+def _edges_along(sheets: Sheets, rough_seam: RoughSeam, curve: Curve) -> SeamSections:
     """
-    Return the edges by sections across a curve through the rough course; raises DataError.
+    Return the edges by sections across a curve through the rough seam; raises DataError.
 
-    The first of each pair of the course is on the first side.
+    The first of each pair of the rough seam is on the first side.
     """
     step = max(1e-3, 3 * sheets.spacing)
-    first, last = rough.t[0] - COURSE_OVERHANG, rough.t[-1] + COURSE_OVERHANG
+    first, last = rough_seam.t[0] - OVERHANG, rough_seam.t[-1] + OVERHANG
     count = int((last - first) / step)  # the same sections from the other end
     places = 0.5 * (first + last) + step * (np.arange(count) - 0.5 * (count - 1))
-    both_ends = {t: [_sheet_end(sheets, rough, curve, side, t, step) for side in (0, 1)]
+    both_ends = {t: [_sheet_end(sheets, rough_seam, curve, side, t, step) for side in (0, 1)]
                  for t in places.tolist()}
     sections = {t: ends for t, ends in both_ends.items() if None not in ends}
     lengths = np.array([*sections] or [first, last])
@@ -130,11 +131,11 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> SeamSections:
     end, outwards, normals = ends['end'], ends['outwards'], ends['normal']
     gap = np.median(_dot(np.diff(end, axis=1), unit(np.diff(-outwards, axis=1))))
     meeting_of_v = MIN_GAP_WIDTH * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)
-    meeting = {'lap': np.inf, 'fillet': np.inf, 'v': meeting_of_v, 'butt': 0.0}[rough.kind]
+    meeting = {'lap': np.inf, 'fillet': np.inf, 'v': meeting_of_v, 'butt': 0.0}[rough_seam.kind]
     # by how much the lines move with the ends of one side, and then of the other, 1 sigma further
     shift = outwards * ends['resolution'][..., None]
     lines, *moved_lines = (
-        _lines(rough.kind, meeting, end + shift * by_side, outwards, normals)
+        _lines(rough_seam.kind, meeting, end + shift * by_side, outwards, normals)
         for by_side in (0.0, [[1.0], [0.0]], [[0.0], [1.0]]))
     resolution = {name: float(np.median(np.linalg.norm(
         [moved[name] - line for moved in moved_lines], axis=(0, 2))))
@@ -143,20 +144,20 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> SeamSections:
                         float(np.median(ends['noise'])), seam_ends)
 
 
-def _sheet_end(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step: float
-               ) -> tuple[Array | float, ...] | None:
+def _sheet_end(sheets: Sheets, rough_seam: RoughSeam, curve: Curve, side: int, t: float,
+               step: float) -> tuple[Array | float, ...] | None:
     """
     Return a SHEET_END of the section at t along a curve, None where the sheet does not end there.
 
-    side: 0 or 1, of the pairs of the rough course; step: width of the section along the seam (m).
+    side: 0 or 1, of the pairs of the rough seam; step: width of the section along the seam (m).
     """
-    window = np.abs(rough.t - np.clip(t, rough.t[0], rough.t[-1])) <= ROUGH_EDGE_WINDOW
-    this_edge, other_edge = rough.pairs[window, side], rough.pairs[window, 1 - side]
+    window = np.abs(rough_seam.t - np.clip(t, *rough_seam.t[[0, -1]])) <= ROUGH_EDGE_WINDOW
+    this_edge, other_edge = rough_seam.pairs[window, side], rough_seam.pairs[window, 1 - side]
     if not len(this_edge):
         return None
     position, tangent = curve.extrapolated(t)
     into_sheet, upright = _axes(sheets, this_edge, other_edge, tangent)
-    on_curve = curve.position(np.clip(rough.t[window], curve.first, curve.last))
+    on_curve = curve.position(np.clip(rough_seam.t[window], curve.first, curve.last))
     offset = np.median(sheets.points[this_edge] - on_curve, axis=0)
     # the points of a pair may be displaced along the seam
     origin = position + offset - (offset @ tangent) * tangent
@@ -164,7 +165,7 @@ def _sheet_end(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float,
                               np.stack([tangent, into_sheet, upright]))
     along, inward, height = points[np.abs(points[:, 0]) <= step / 2].T
     margin = END_MARGIN * sheets.spacing
-    fit = _sheet_through(inward, height, margin, 1 if rough.kind in ('v', 'fillet') else 2)
+    fit = _sheet_through(inward, height, margin, 1 if rough_seam.kind in ('v', 'fillet') else 2)
     if fit is None:
         return None
     sheet, noise = fit

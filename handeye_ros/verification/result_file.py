@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
-from datetime import datetime, UTC
 import hashlib
 import json
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any
 from handeye_ros import __version__
 from handeye_ros.config import read_yaml
 from handeye_ros.errors import unusable_file
-from handeye_ros.output import rendered
+from handeye_ros.output import now_text, rendered
 from handeye_ros.results.file_values import input_provenance, require_format
 from handeye_ros.results.table import figures_table
 from handeye_ros.verification.fit import COVERAGE_FACTOR
@@ -57,7 +56,7 @@ def plain_values(verification: Verification, inputs: Iterable[object] = (),
             'freedom': fit.degrees_of_freedom, 'claim_p': fit.p_calibration,
             'inputs': list(map(str, inputs)),
             'calibration_file': input_provenance(calibration_file) if calibration_file else {},
-            'created': datetime.now(UTC).isoformat(timespec='seconds')}
+            'created': now_text()}
 
 
 def title_of(content: Mapping[str, Any]) -> str:

@@ -10,7 +10,7 @@ import math
 from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array
-from handeye_ros.errors import InputError, UnknownNameError
+from handeye_ros.errors import InputError
 from handeye_ros.verification.fit import Quantity, Shape, StationSet
 from handeye_ros.verification.tooth_gauge import teeth
 import numpy as np
@@ -217,13 +217,6 @@ ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (
             {2: range(2, 21)}, teeth),
 )}
 """The routines of `handeye verify`."""
-
-
-def routine_of(name: str) -> Routine:
-    """Return the routine of a name; raises UnknownNameError."""
-    if name not in ROUTINES:
-        raise UnknownNameError('routine', name, list(ROUTINES))
-    return ROUTINES[name]
 
 
 def _numbers_text(numbers: Sequence[int], what: str) -> str:

@@ -295,7 +295,7 @@ from handeye_ros.node import live, main, verification
 def broken(*_):
     raise ZeroDivisionError('in a service')
 
-live.sample_summary = verification.routine_of = live.LiveSession.configure = broken
+live.sample_summary = verification.looked_up = live.LiveSession.configure = broken
 if __name__ == '__main__':
     sys.exit(main.main())
 """

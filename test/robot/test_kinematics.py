@@ -56,8 +56,9 @@ ODD = """<?xml version="1.0"?>
 
 
 def with_errors(arm, rng):
-    arm = arm.freed(ALL_KINDS)
-    return replace(arm, error_values=rng.normal(size=len(arm.error_values)) * arm.priors[arm.free])
+    arm = arm.with_errors_of(ALL_KINDS)
+    sigmas = arm.priors[arm.is_estimated]
+    return replace(arm, error_values=rng.normal(size=len(sigmas)) * sigmas)
 
 
 def poses(urdf, joints, q, frame):
@@ -80,7 +81,8 @@ def test_an_odd_urdf_moves_as_in_pinocchio_and_so_does_the_corrected_one():
     arm = with_errors(arm_of(ODD, flange='tip'), rng)
     names = [joint.name for joint in arm.joints]
     q = arm.joint_values({name: rng.uniform(-1, 1, 5) for name in names}, 'test')
-    np.testing.assert_allclose(arm.freed(()).forward(q), poses(ODD, names, q, 'tip'), atol=1e-12)
+    np.testing.assert_allclose(
+        arm.with_errors_of(()).forward(q), poses(ODD, names, q, 'tip'), atol=1e-12)
     corrected = corrected_urdf(ODD, arm)
     np.testing.assert_allclose(arm.forward(q), poses(corrected, names, q, 'tip'), atol=1e-10)
     assert 'axes that are not along z' in corrected
@@ -89,9 +91,9 @@ def test_an_odd_urdf_moves_as_in_pinocchio_and_so_does_the_corrected_one():
 @pytest.mark.parametrize('urdf', [bench.urdf(bench.SIX), ODD])
 def test_twists_are_the_derivatives_of_the_pose(urdf):
     rng = np.random.default_rng(1)
-    arm = arm_of(urdf, flange='tip' if urdf == ODD else '').freed(ALL_KINDS)
+    arm = arm_of(urdf, flange='tip' if urdf == ODD else '').with_errors_of(ALL_KINDS)
     q = rng.uniform(-1, 1, (7, len(arm.joints)))
-    twists = arm.twists(q)[:, :, arm.free]
+    twists = arm.error_jacobian(q)[:, :, arm.is_estimated]
     for k, step in enumerate(1e-6 * np.eye(len(arm.error_values))):
         after, before = (replace(arm, error_values=s * step).forward(q) for s in (1, -1))
         np.testing.assert_allclose(twists[:, :, k], se3.difference(after, before) / 2e-6,
@@ -135,7 +137,7 @@ def test_a_wrong_row_is_left_out_and_several_points_are_distinguished():
     points[30:] = se3.apply(se3.inverse(T[30:]), second[None])[:, 0]
     is_first, data = np.arange(40) < 30, replace(cell.data, points=points)
     both = [bench.selected(data, is_first), bench.selected(data, ~is_first)]
-    fit = solve_points(both, cell.arm.freed(()), 1e-3).chosen.fit
+    fit = solve_points(both, cell.arm.with_errors_of(()), 1e-3).chosen.fit
     assert np.flatnonzero(~fit.used).tolist() == [7, 20]
     first, other = fit.targets
     np.testing.assert_allclose(other - first, [0.02, 0.01, 0.0], atol=2e-4)
@@ -157,8 +159,8 @@ def test_bad_tables_are_refused_in_a_sentence(from_table, tmp_path, change, word
 
 def test_few_poses_do_not_make_an_error_less_certain_than_before():
     cell = bench.draw(bench.CASES['six'], 17, 2)
-    arm = solve_points([cell.data], cell.arm.freed(()), 1e-3).arm
-    assert (np.sqrt(np.diag(arm.covariance)) < 1.2 * arm.priors[arm.free]).all()
+    arm = solve_points([cell.data], cell.arm.with_errors_of(()), 1e-3).arm
+    assert (np.sqrt(np.diag(arm.covariance)) < 1.2 * arm.priors[arm.is_estimated]).all()
 
 
 @pytest.mark.parametrize(('joints', 'in_hand'), [
@@ -167,7 +169,8 @@ def test_few_poses_do_not_make_an_error_less_certain_than_before():
 def test_joint_values_that_contradict_the_points_are_refused(from_table, joints, in_hand):
     cell, data = from_table[0], from_table[0].data
     with pytest.raises(HandeyeError, match='check that .* the sign of each .* calibration_type'):
-        solve_points([replace(data, q=data.q @ joints.T, in_hand=in_hand)], cell.arm.freed(()),
+        solve_points([replace(data, q=data.q @ joints.T, in_hand=in_hand)],
+                     cell.arm.with_errors_of(()),
                      1e-3)
 
 
@@ -297,7 +300,7 @@ def test_a_solve_with_a_corrected_arm_carries_its_uncertainty(tmp_path):
     samples, truth = simulate_samples(scenario, rng)
     real = np.array([station.T_base_flange for station in truth.stations])
     arm = replace(with_errors(stated, rng), configurations=simulated_arm.inverse(real))
-    q = arm.joints_near(real)
+    q = arm.inverse(real)
     np.testing.assert_allclose(arm.forward(q), real, atol=1e-9)
     config = Config(target=TargetConfig(type='sphere'), robot_effector_frame='flange')
     method = target_for(config)

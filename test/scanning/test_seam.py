@@ -178,7 +178,7 @@ START, PERIOD = 1_700_000_000_000_000_000, 10_000_000
 KINDS = {'butt': 'butt', 'lap': 'lap', 'vee': 'v', 'tee': 'fillet', 'corner': 'fillet'}
 QUICK = ('butt 2, lean 15, bent', 'vee 6, root 2', 'tee 30, lean 45',
          'vee whose plates noise joins to its bevels')
-# lean 45: its rough course bends at the ends
+# lean 45: the rough seam bends at its ends
 
 
 def preform():

@@ -11,13 +11,13 @@ import re
 from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Arc, FaceLine
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.errors import DataError, InputError, looked_up
 from handeye_ros.output import yaml_text
 from handeye_ros.simulate.robot import pose_error
 from handeye_ros.simulate.scenario import PlateTarget, SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.verification.result_file import plain_values, protocol, sentence
-from handeye_ros.verification.routines import routine_of, ROUTINES
+from handeye_ros.verification.routines import ROUTINES
 from handeye_ros.verification.stations import stations_of
 from handeye_ros.verification.verify import verify_stations
 import numpy as np
@@ -316,7 +316,7 @@ def test_what_cannot_be_verified_is_refused():
                                        ('cube', (), 1, 'no routine "cube"'),
                                        ('ball_bar', (), 2, r'1 length \(.*, and got 0')):
         with pytest.raises(InputError, match=words):
-            routine_of(name).settings(of_lengths(*lengths), bags)
+            looked_up('routine', name, ROUTINES).settings(of_lengths(*lengths), bags)
 
 
 def teeth(artefact, calibration, lengths=()):

@@ -113,7 +113,7 @@ $('choose').addEventListener('click', () => {
 });
 for (const name of ['open', 'continue']) {
   $(name).addEventListener('click', async () => {
-    // the newest is the first of the list
+    // the last used one is the first of the list
     const { value } = name === 'open' ? $('sessions') : $('sessions').options[0];
     await ask('open', { session: value }, $(name));
     readCell();

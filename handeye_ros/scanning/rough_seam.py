@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The sheets of a cloud, and the rough course of a seam and its kind: where their edges face.
+The sheets of a cloud, and roughly the seam between them: where their edges face, and its kind.
 
 Points whose neighbours lie in a plane are joined to neighbours in the same plane; points near a
 rim or a corner belong to the sheet in whose plane they lie. A point lies on the edge of its sheet
@@ -197,25 +197,25 @@ def _free_angle(angle: Array, valid: NDArray[np.bool_]) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class RoughSeam:
     """
-    The rough course of a seam.
+    A seam as the pairs of rim points that face each other, before its edges are found.
 
     kind: one of SEAM_KINDS
     pairs: (k, 2) indices of points on its two edges that face each other, in order along it
-    t: (k,) their lengths along it (m)
-    other_count: number of other seams, of other kinds
+    t: (k,) lengths of the pairs along the seam (m)
+    other_seam_count: number of other seams, of other kinds
     """
 
     kind: str
     pairs: Pairs
     t: Array
-    other_count: int
+    other_seam_count: int
 
 
-def course(sheets: Sheets, widest: float, up: Array) -> Course:
+def rough_seam_of(sheets: Sheets, widest: float, up: Array) -> RoughSeam:
     """
-    Return the rough course of the only seam between sheets.
+    Return the only seam between sheets, roughly.
 
     widest: the largest distance between its edges (m)
     up: a direction (3,) towards the tool
@@ -248,7 +248,7 @@ def course(sheets: Sheets, widest: float, up: Array) -> Course:
             f'{len(middles)} seams ({listed}), {mm(apart)} apart: cut one out with --box; if they '
             'are the edges of a single one, give a larger --widest; if they are its parts, scan '
             'again what is not seen of it')
-    return Course(kind, *seams[kind][0], sum(map(len, seams.values())) - 1)
+    return RoughSeam(kind, *seams[kind][0], sum(map(len, seams.values())) - 1)
 
 
 def position_text(point: Array) -> str:
