@@ -356,13 +356,13 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
 
 def unused_edges_in_words(solution: Solution) -> str:
     """Return in words the edges that an answer does not use, '' if it uses all."""
-    stations = solution.stations_with_unused_edges
+    stations, estimate = solution.stations_with_unused_edges, solution.estimate
     if not len(stations):
         return ''
     shown = int(solution.full_problem.subset(solution.used_stations).shows_edge.sum())
-    target = solution.problem.config.target
-    hint = ' (of a plate of unknown target.size only two edges count)' if not target.size and (
-        target.type == 'plate') else ''
+    unused = solution.full_problem.subset(stations)
+    where = unused.target.describe_strays(unused.observations, unused.points_in_base(estimate.X),
+                                          estimate.state, unused.config)
     return (f'the edges of {len(stations)} of the {shown} samples that show one lie on none of '
-            f'the target{hint}, or the laser crosses them at less than '
-            'sampling.min_crossing_angle')
+            'the target, or the laser crosses them at less than sampling.min_crossing_angle'
+            + (f': {where}' if where else ''))

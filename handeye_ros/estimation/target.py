@@ -174,6 +174,11 @@ class Target(ABC):
         distance, and a centre with a radius; results/table.py knows the units of names.
         """
 
+    def describe_strays(self, observations: Observations, p: Array, state: Array, config: Config
+                        ) -> str:
+        """Return in words where observations lie that are not on the target, '' if unknown."""
+        return ''
+
     @abstractmethod
     def blocks(self, linear: Linearisation) -> Iterable[ParameterBlock]:
         """Return the blocks of nuisance parameters of its own (see blocks.py)."""

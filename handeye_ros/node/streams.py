@@ -293,9 +293,11 @@ class Streams:
                     f'({", ".join(nodes[:MAX_LISTED])}): let only one publish')
         this_node = (node.get_name(), node.get_namespace())
         if node.get_node_names_and_namespaces().count(this_node) > 1:
-            sentences.append(f'there are two nodes {node.get_fully_qualified_name()}: end one, or '
-                             'rename it (-r __node:=other)')
-        return {**troubles, 'session': '; '.join(sentences)}
+            sentences.append(
+                f'there are two nodes {node.get_fully_qualified_name()}: both publish, and either '
+                'may answer; end one, or rename it (-r __node:=other)')
+        note = ['one that was killed is listed for 20 s more'] if sentences else []
+        return {**troubles, 'session': '; '.join(sentences + note)}
 
     def _trouble_of(self, topic: _Subscribed) -> str:
         """Return why no messages may arrive on a topic, '' if nothing is known against it."""

@@ -37,19 +37,22 @@ class Edge(NamedTuple):
 
     axis: of the target's frame, across the edge: x (0) or y (1)
     side: the sign of this axis out of the plate, -1 through the corner, or 1 at target.size[axis]
+    opposite: the kind of the edge that it is parallel to
     """
 
     name: str
     axis: int
     side: int
+    opposite: int
 
 
 P, Q, P_FAR, Q_FAR = range(1, 5)  # kinds of conditions, after FACE
-EDGES = {P: Edge('p', 1, -1), Q: Edge('q', 0, -1),
-         P_FAR: Edge('p_far', 1, 1), Q_FAR: Edge('q_far', 0, 1)}
+EDGES = {P: Edge('p', 1, -1, P_FAR), Q: Edge('q', 0, -1, Q_FAR),
+         P_FAR: Edge('p_far', 1, 1, P), Q_FAR: Edge('q_far', 0, 1, Q)}
 SIZE, ANGLE = slice(16, 18), 18  # of the target's state, after its pose
 GATE_RATIO = 10.0  # an edge point this many times further from its edge than most is not used
 MIN_GATE = 1e-3
+MIN_SIZE = 0.02  # of a plate: an end nearer to one of its edges is another object
 SURE_SHARE = 0.3  # of the edge points are surely on an edge of the plate
 
 TRIED_TURNS = 240  # of the two edges in their plane, over a whole turn
@@ -197,6 +200,32 @@ class Plate(ProfileTarget):
         """Return the target's pose and edge angle as plain values."""
         return {'pose': se3.transform_values(state[:16].reshape(4, 4)),
                 'edge_angle': float(state[ANGLE]), 'edge_angle_std': float(std[-1])}
+
+    def describe_strays(self, observations: Observations, p: Array, state: Array, config: Config
+                        ) -> str:
+        """
+        Return in words where edge points lie that are on no edge of the plate, '' if unknown.
+
+        observations, p: all of these stations; where several points agree, it is another edge.
+        """
+        rows, _, outward = _edge_points(observations, p, state)
+        size, texts = config.target.size, []
+        for edge in reversed(EDGES.values()):
+            if not size and edge.side < 0:
+                continue
+            steepness = edge.side * outward[:, edge.axis]
+            ends = p[rows[steepness > np.sin(config.sampling.min_crossing_angle)]]
+            opposite = np.full(len(ends), edge.opposite)
+            away = np.abs(self.conditions(ends, opposite, state, config).g)
+            middle = float(np.median(away)) if len(away) else 0.0
+            count = int((np.abs(away - middle) < MIN_GATE).sum())
+            if count > 1:
+                hint = (f', and not {size[edge.axis] * 1e3:.1f} mm as target.size has it' if size
+                        else ' (with target.size they could be used)' if middle > MIN_SIZE
+                        else '')
+                texts.append(f'{count} of them {middle * 1e3:.1f} mm from '
+                             f'{EDGES[edge.opposite].name}{hint}')
+        return '; '.join(texts)
 
 
 PLATE = Plate()
