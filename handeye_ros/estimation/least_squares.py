@@ -203,18 +203,17 @@ def means_by(item: NDArray[np.intp], values: Array, n: int) -> Array:
     return np.asarray(np.bincount(item, values, minlength=n) / np.maximum(count, 1))
 
 
-def leave_one_out_residuals(whitened: Array, jacobian: Array, covariance: Array,
+def leave_one_out_residuals(whitened: Array, jacobian: Array, cross_covariance: Array,
                             item: NDArray[np.intp]) -> Array:
     """
     Return leave-one-out residuals (m,), to first order: each from the fit without its item, (12).
 
-    whitened: (m,) residuals e of the fit to all items; jacobian: (m, u), covariance: (u, u) of
-    this fit; item: (m,) the number of each row's item, ascending.
+    whitened: (m,) residuals e of the fit to all items; jacobian: A (m, u) of this fit;
+    cross_covariance: A C (m, u); item: (m,) the number of each row's item, ascending.
     """
     left_out = np.empty_like(whitened)
     for rows in rows_by_count(item):
-        J = jacobian[rows]
-        predicted = J @ covariance @ np.swapaxes(J, 1, 2)
+        predicted = cross_covariance[rows] @ np.swapaxes(jacobian[rows], 1, 2)
         # avoids division by zero for what an item determines alone
         regular = (1 + ROUNDING_SHARE) * np.eye(rows.shape[1]) - predicted
         left_out[rows] = np.linalg.solve(regular, whitened[rows][..., None])[..., 0]
@@ -311,7 +310,7 @@ def robust_least_squares(system: LeastSquares[S], start: S, fewest: int) -> Robu
         whitened = whiten(rows.residuals)
         r, J = whitened[is_used_row], whiten(rows.jacobian())[is_used_row]
         covariance = covariance_from_jacobian(J)
-        left_out = leave_one_out_residuals(r, J, covariance, system.item[is_used_row])
+        left_out = leave_one_out_residuals(r, J, J @ covariance, system.item[is_used_row])
         variance_factor = float(r @ r / max(len(r) - J.shape[1], 1))
         return RobustFit(state, used, whitened.reshape(n, -1), left_out.reshape(len(used), -1),
                          covariance * max(1.0, variance_factor), variance_factor)

@@ -304,7 +304,8 @@ class Posterior:
         """
         station, n = self.problem.observations.station, len(self.problem.poses)
         residuals = self.postfit_residuals
-        left_out = leave_one_out_residuals(residuals, self.jacobian, self.covariance, station)
+        left_out = leave_one_out_residuals(
+            residuals, self.jacobian, self.cross_covariance, station)
         return (means_by(station, residuals * left_out, n),
                 np.clip(np.bincount(station, minlength=n), 1, 6))
 
@@ -323,7 +324,7 @@ class Posterior:
         fold_of_row, u = fold[self.problem.observations.station], self.unknown_count
         rows = np.argsort(fold_of_row, kind='stable')
         left_out = leave_one_out_residuals(self.postfit_residuals[rows], self.jacobian[rows],
-                                           self.covariance, fold_of_row[rows])
+                                           self.cross_covariance[rows], fold_of_row[rows])
         steps = np.zeros((fold.max() + 1, len(self.prior_information)))
         np.add.at(steps, fold_of_row[rows], left_out[:, None] * self.cross_covariance[rows])
         return ([self.problem.retracted(self.estimate, step) for step in steps[:, :u]],

@@ -168,8 +168,9 @@ class Problem:
     """
     A calibration problem: poses (n, 4, 4) of the mount, their observations, and settings.
 
-    pose_model: parameters that the poses depend on, or None; with_pose_parameters then sets them
+    pose_model: parameters that the poses depend on, or None
     pose_parameters: (k,) their values
+    pose_twists: (n, 6, k) derivatives of the robot's poses by these
     long_errors: whether the robot's smooth error has long wavelengths only
     """
 
@@ -179,14 +180,17 @@ class Problem:
     config: Config
     pose_model: PoseModel | None = None
     pose_parameters: Array = field(default_factory=lambda: np.zeros(0))
+    pose_twists: Array = field(default_factory=lambda: np.zeros((0, 6, 0)))
     long_errors: bool = False
 
-    @cached_property
-    def pose_twists(self) -> Array:
-        """Return derivatives (n, 6, k) of the robot's poses by the values they depend on."""
+    def __post_init__(self) -> None:
+        """Set the pose values to 0, and their twists, if it comes without."""
+        if not len(self.pose_parameters):
+            object.__setattr__(self, 'pose_parameters', np.zeros(len(self.pose_stds)))
         if self.pose_model is None:
-            return np.zeros((len(self.poses), 6, 0))
-        return self.pose_model.at(self.pose_parameters)[1]
+            object.__setattr__(self, 'pose_twists', np.zeros((len(self.poses), 6, 0)))
+        elif not len(self.pose_twists):
+            object.__setattr__(self, 'pose_twists', self.pose_model.at(self.pose_parameters)[1])
 
     @cached_property
     def free_columns(self) -> NDArray[np.intp]:
@@ -263,9 +267,9 @@ class Problem:
         """Return the problem with the poses of its pose model, if it has one, at values (k,)."""
         if self.pose_model is None:
             return self
-        poses, _ = self.pose_model.at(values)
+        poses, twists = self.pose_model.at(values)
         return replace(self, poses=poses if self.config.in_hand else se3.inverse(poses),
-                       pose_parameters=values)
+                       pose_parameters=values, pose_twists=twists)
 
     def subset(self, stations: NDArray[np.intp]) -> Problem:
         """Return the problem with only the given stations (ascending indices)."""
@@ -273,7 +277,7 @@ class Problem:
             return self
         fewer = self.observations.select(np.isin(self.observations.station, stations))
         renumbered = np.searchsorted(stations, fewer.station)
-        return replace(self, poses=self.poses[stations],
+        return replace(self, poses=self.poses[stations], pose_twists=self.pose_twists[stations],
                        pose_model=self.pose_model and self.pose_model.subset(stations),
                        observations=replace(fewer, station=renumbered))
 

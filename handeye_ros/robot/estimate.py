@@ -314,7 +314,7 @@ def without_bad_stops(fit: ArmFit) -> ArmFit:
     def left_out_squares(fit: ArmFit) -> tuple[Array, Indices]:
         _, item = np.unique(fit.station[fit.used_rows], return_inverse=True)
         (r, J), freedom = fit.whitened_rows, np.bincount(item)
-        left_out = leave_one_out_residuals(r, J, fit.covariance, item)
+        left_out = leave_one_out_residuals(r, J, J @ fit.covariance, item)
         return np.bincount(item, r * left_out) / freedom, freedom
     return drop_outliers(stops[fit.used], len(stops), MIN_STOPS, fitted_to, left_out_squares)
 

@@ -67,7 +67,7 @@ def test_what_items_say_without_each_other_is_what_refits_say(seed: int) -> None
     _, A, b, item = linear(seed)
     x, C = np.linalg.lstsq(A, b, rcond=None)[0], covariance_from_jacobian(A)
     r = A @ x - b
-    left_out = leave_one_out_residuals(r, A, C, item)
+    left_out = leave_one_out_residuals(r, A, A @ C, item)
     in_item = item == 3
     refit = np.linalg.lstsq(A[~in_item], b[~in_item], rcond=None)[0]
     assert np.abs(left_out[in_item] - (A @ refit - b)[in_item]).max() < 1e-6
