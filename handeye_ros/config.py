@@ -39,8 +39,8 @@ WITH_UNIT = re.compile(r'(?<![\w.])([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) *
 MICRO = re.compile('[\u00b5\u03bc]')  # of µm, in the two ways that it is written
 NOT_SET = math.nan  # default of a number that changes an answer by its full size: it has none
 # Accuracy classes of robots: 1 sigma of the smooth error of each axis (m), half of the largest
-# error in data sheets; '' is no class.
-ROBOT_CLASSES = {'': 1.5e-4, 'calibrated': 5e-5, 'standard': 1.5e-4, 'unknown': 3e-4}
+# error in data sheets.
+ROBOT_CLASSES = {'calibrated': 5e-5, 'standard': 1.5e-4, 'unknown': 3e-4}
 SIGNED_AXES = ('x', 'y', 'z', '-x', '-y', '-z')
 # FORMATS of results/exports.py says how each is written; test_exports.py compares the two.
 SAVE_FORMATS = ('yaml', 'urdf', 'launch', 'easy_handeye2', 'matrix', 'json', 'kuka',
@@ -89,7 +89,7 @@ class Parameter:
         if not isinstance(items, list | tuple) or self.length and len(items) not in self.length:
             lengths = ' or '.join(map(str, self.length)) or 'any number of'
             raise BadValueError(self.key, value, f'a list of {lengths} values')
-        kind = str if self.choices else type(self.minimum)
+        kind = str if self.choices else type(self.minimum)  # whole numbers if their range is
         return tuple(self._checked_item(item, kind) for item in items)
 
     def _checked_item(self, value: Any, kind: type[Any]) -> Any:
@@ -292,7 +292,7 @@ class NoiseConfig(Section):
         1.5e-4, 'Smooth error of the robot over its workspace, each axis.', 0.0, 0.01, 'm')
     robot_class: str = setting(
         '', 'Accuracy of the robot by its data sheet: calibrated (0.1 mm), standard (0.3 mm) or '
-        'unknown; sets robot_smooth where that is not given too.', choices=tuple(ROBOT_CLASSES))
+        'unknown; sets robot_smooth where that is not given too.', choices=('', *ROBOT_CLASSES))
     robot_scale: float = setting(7e-4, 'Relative error of the lengths of the robot.', 0.0, 0.1)
 
 
@@ -497,8 +497,10 @@ def with_values(config: Config, values: Mapping[str, Any], source: str = 'values
     require_type('values', values, Mapping)
     known = [p.key for p in parameters()]
     robot = values.get('noise.robot_class')
-    if isinstance(robot, str) and robot in ROBOT_CLASSES and (robot or config.noise.robot_class):
+    if isinstance(robot, str) and robot in ROBOT_CLASSES:
         values = {'noise.robot_smooth': ROBOT_CLASSES[robot], **values}
+    elif robot == '' and config.noise.robot_class:
+        values = {'noise.robot_smooth': NoiseConfig().robot_smooth, **values}
     for key, value in values.items():
         require_type('a key of the values', key, str)
         section, _, name = key.rpartition('.')

@@ -169,7 +169,7 @@ class Table:
         values = factors[unit] * np.array([_number(text) for text in texts])
         for row in np.flatnonzero(~(np.abs(values) <= MAX_VALUE))[:1]:
             raise TableError(self.path, f'row {row + 1}: {name} is "{texts[row]}", expected a '
-                             f'number with a decimal point, at most {MAX_VALUE:g} in SI units')
+                             f'number up to {MAX_VALUE:g} in SI units, with a decimal point')
         return values
 
 

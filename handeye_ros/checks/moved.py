@@ -47,8 +47,8 @@ POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
 CHANGE_POINTS_TRIED = 160  # of a small move, most of them, before it is examined
 FIRST_TRIED = 100  # change points to begin with, times the number of stations
 MOVE_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
-SIZE_FACTORS = (1.0, 0.25)  # factors on MOVE_STD, of equal prior probability
 TIME_STD = 0.01  # of the times that may be wrong instead, 1 sigma (s)
+SIZE_FACTORS = (1.0, 0.25)  # factors on MOVE_STD, of equal prior probability
 # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
 WARNING_EVIDENCE = 5.0
 MIN_MOVE_SIGMAS = 3.0  # smallest move over the robot's smooth error

@@ -270,9 +270,10 @@ def require_edges(solution: Solution) -> None:
                    for problem in (solution.problem, solution.full_problem))
     if used < max(target.min_samples, (1 - MAX_DROPPED_SHARE) * shown):
         dropped = len(solution.dropped_squares)
+        needed = (f'the target {target.name} needs {target.min_samples}'
+                  if used < target.min_samples else '')
         why = '; '.join(filter(None, (f'{dropped} contradict the others' if dropped else '',
-                                      unused_edges_in_words(solution),
-                                      f'the target {target.name} needs {target.min_samples}')))
+                                      unused_edges_in_words(solution), needed)))
         raise UnexplainedError(
             f'only {used} of the {shown} samples that show an edge agree on the target, and such '
             f'an answer cannot be trusted ({why}): check target.size, that the edges are straight '

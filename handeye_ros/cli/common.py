@@ -35,7 +35,8 @@ file_option, folder_option, length_option = (
 OptionalPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
 Bag = Annotated[Path, typer.Argument(help='A rosbag2 folder, or an .mcap or .db3 file.')]
 Input = Annotated[Path, typer.Argument(
-    metavar='INPUT', help='As BAG; a session; or, for points and hand_eye, a CSV file.')]
+    metavar='INPUT', help='A rosbag2 folder, or an .mcap or .db3 file; a session; for points and '
+    'hand_eye a CSV file.')]
 ConfigFile = Annotated[OptionalPath, typer.Option(
     help='A ROS parameter file, such as config/plate.yaml; without it, the defaults.')]
 Assignments = Annotated[list[str], typer.Option('--set', metavar='KEY=VALUE', help=(

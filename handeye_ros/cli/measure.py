@@ -197,7 +197,8 @@ def scan(
     kinematics: KinematicsFile = None,
     voxel: Annotated[str, length_option(help='Keep a point of each cube with this edge.')] = '0',
     limits: Annotated[tuple[str, str], typer.Option(
-        '--range', metavar='NEAR FAR', help='Keep points within this range.')] = NO_LIMITS,
+        '--range', metavar='NEAR FAR', help='Keep points in this range of the sensor.')
+    ] = NO_LIMITS,
     incidence: Annotated[float, typer.Option(
         help='Largest angle between laser and surface normal in a profile (degrees).')] = 90.0,
     std: Annotated[bool, typer.Option('--std', help='Add the 1 sigma of each point (m).')] = False,

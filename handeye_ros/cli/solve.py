@@ -108,7 +108,8 @@ def calibrate(
 
 @app.command()
 def samples(
-    path: Annotated[Path, typer.Argument(metavar='SESSION', help='Its folder, or a bag.')],
+    path: Annotated[Path, typer.Argument(
+        metavar='SESSION', help='The folder of a session, or a bag.')],
     config: ConfigFile = None,
     assignments: Assignments = [],
 ) -> None:

@@ -39,7 +39,8 @@ BatchVerb = StrEnum('BatchVerb', ['solve', 'verify', 'check', 'compare'])  # tha
 def kinematics(
     sources: Annotated[list[Path], typer.Argument(metavar='SOURCE...', help=(
         'Bags with profiles and joint values, or sessions, each with the target at another place; '
-        'or a table of joint values and measured points (CSV).'))],
+        'or a table of joint values and measured points (CSV). State the target, as in --set '
+        'target.type=sphere.'))],
     urdf: Annotated[Path, file_option(help='The URDF of the robot.')],
     base: Annotated[str, typer.Option(help='Link of its base; default: the root.')] = '',
     flange: Annotated[str, typer.Option(

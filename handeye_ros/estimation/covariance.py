@@ -82,8 +82,8 @@ def _each_station_wrong(configured: Posterior) -> tuple[Array, Array, Array]:
         A = np.eye(6) + np.swapaxes(K, 1, 2) @ K - np.swapaxes(JK, 1, 2) @ G
         Kr = np.einsum('sci,sc->si', K, configured.postfit_residuals[group.rows])
         minus_e = np.linalg.solve(A, Kr[..., None])
-        explained[group.stations] = fall = (Kr * minus_e[..., 0]).sum(axis=1)
-        log_ratio[group.stations] = (fall - np.linalg.slogdet(A)[1]) / 2
+        explained[group.stations] = (Kr * minus_e[..., 0]).sum(axis=1)
+        log_ratio[group.stations] = (explained[group.stations] - np.linalg.slogdet(A)[1]) / 2
         G_X = G[:, :6]  # of the transform
         h = G_X @ minus_e
         added[group.stations] = h @ np.swapaxes(h, 1, 2) + G_X @ np.linalg.solve(

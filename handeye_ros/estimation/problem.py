@@ -107,8 +107,9 @@ class Observations:
 
     def same(self, other: Observations) -> bool:
         """Return whether others are the same points with the same labels."""
-        return all(np.array_equal(getattr(self, name), getattr(other, name))
-                   for name in ('kind', 'station', 'points'))
+        return (np.array_equal(self.kind, other.kind)
+                and np.array_equal(self.station, other.station)
+                and np.array_equal(self.points, other.points))
 
     def select(self, keep: NDArray[np.bool_ | np.intp]) -> Self:
         """Return some observations, by a mask or by their numbers."""

@@ -36,7 +36,8 @@ class CorrectedPose(Node):
         super().__init__('handeye_corrected_pose')
         self._arm, self._frame = arm, options.frame
         self._poses = self.create_publisher(PoseStamped, options.pose_topic, QoSProfile(depth=100))
-        self._tree = TFMessage and self.create_publisher(TFMessage, '/tf', QoSProfile(depth=100))
+        self._tree = (self.create_publisher(TFMessage, '/tf', QoSProfile(depth=100))
+                      if TFMessage else None)
         if not TFMessage:
             self.get_logger().warning('tf2_msgs is not installed: the poses are published on '
                                       f'{options.pose_topic} only, not on /tf; {INSTALL_TF2}')

@@ -269,10 +269,11 @@ def _values_by_key(parameters: Iterable[RosParameter]) -> dict[str, Any]:
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     """Return the descriptor shown by `ros2 param describe`."""
+    constraints = [f'{text} {" or ".join(map(str, values))}' for text, values in (
+        ('number of values:', parameter.length), ('one of', parameter.choices)) if values]
     descriptor = ParameterDescriptor(
         description=parameter.description, dynamic_typing=True,
-        read_only=parameter.key in READ_ONLY_KEYS,
-        additional_constraints=f'one of {parameter.choices}' if parameter.choices else '')
+        read_only=parameter.key in READ_ONLY_KEYS, additional_constraints='; '.join(constraints))
     low, high = parameter.minimum, parameter.maximum
     if low is not None and high is not None:  # rqt_reconfigure makes sliders of them
         if isinstance(parameter.default, int):

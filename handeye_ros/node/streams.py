@@ -142,7 +142,8 @@ class Streams:
             topics.append(_Subscribed(poses, source.message_type, source.name,
                                       partial(self._on_poses, source.read), qos, source.key))
         if len({self._full_name(topic.name) for topic in topics}) < len(topics):
-            raise InputError('profile_topic, pose_topic and joint_topic: each needs its own topic')
+            raise InputError('two of profile_topic, pose_topic and joint_topic are the same: each '
+                             'needs its own')
         return topics
 
     def _subscribe(self, topic: _Subscribed) -> None:
@@ -304,7 +305,8 @@ class Streams:
         name, expected = self._full_name(topic.name), topic.message_type
         if topic.publishers:
             return topic.obstacle if topic.counts.count or topic.qos is RELIABLE_QOS else (
-                'its driver publishes with best effort, so large messages get lost: use reliable')
+                'its driver publishes with best effort: large messages may all get lost; publish '
+                'reliably')
         others = ', '.join([other for other in self.topics_of(expected)
                             if other != name][:MAX_LISTED])  # its own has just begun
         offered = {info.topic_type for info in self._node.get_publishers_info_by_topic(topic.name)}

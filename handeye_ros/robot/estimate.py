@@ -220,7 +220,8 @@ class ArmFit:
         """Return the residuals (m,) of used stops in sigmas, and their derivatives (m, u)."""
         shifts = np.einsum('nr,tx->ntrx', self.smooth_error_basis, np.eye(6, 3)).reshape(
             len(self.q), 6, -1)
-        twists = np.append(self.arm.error_jacobian(self.q)[..., self.arm.is_estimated], shifts, 2)
+        by_errors = self.arm.error_jacobian(self.q)[..., self.arm.is_estimated]
+        twists = np.append(by_errors, shifts, axis=2)
         values, wrt_X, wrt_pose = (np.concatenate(parts) for parts in zip(*(
             (residual.values, residual.wrt_X_and_target[:, :6], residual.wrt_pose)
             for residual in self.residuals), strict=True))

@@ -83,7 +83,8 @@ def strata(rng: Generator, n: int, low: Array, high: Array) -> Array:
 
 def tilts(scenario: Scenario, rng: Generator, counts: tuple[int, ...]) -> Array:
     """Return (n, 3, 3) rotations of the sensor about its own axes, for groups of these counts."""
-    motion, limit = MOTIONS[scenario.motion], np.full(3, scenario.tilt)
+    motion = MOTIONS[scenario.motion]
+    limit = np.full(3, scenario.tilt)
     constant = rng.uniform(-limit, limit, (len(counts), 3)) * (not motion.level)
     if not motion.per_edge:
         constant[:] = constant[0]
@@ -193,7 +194,8 @@ def edge_frames(target: PlateTarget) -> dict[str, Array]:
 
 def plate_stops(scenario: Scenario, rng: Generator) -> Placements:
     """Draw stops whose laser line crosses an edge inside the field of view."""
-    target, counts = scenario.target, scenario.stations
+    target: PlateTarget = scenario.target
+    counts = scenario.stations
     labels = ['p'] * counts[0] + ['q'] * counts[1]
     for k in rng.permutation(len(labels))[:scenario.wrong_edges]:
         labels[k] += '2'
@@ -237,7 +239,8 @@ def plate_solids(scenario: Scenario) -> tuple[Solid, ...]:
     if target.clutter is None:
         return solids
     bottom, (length, width) = -target.thickness, target.size
-    near, far = target.clutter_gap, target.clutter_gap + target.clutter_width
+    near = target.clutter_gap
+    far = near + target.clutter_width
     return (*solids, box((-0.02, -far, bottom), (length, -near, target.clutter)),
             box((-far, -0.005, bottom), (-near, width, target.clutter)))
 
@@ -247,9 +250,11 @@ def plate_solids(scenario: Scenario) -> tuple[Solid, ...]:
 
 def plane_stops(scenario: Scenario, rng: Generator) -> Placements:
     """Draw stops with the sensor aimed at the middle third of the plate."""
-    n, third = sum(scenario.stations), (1 / 3, 2 / 3)
+    target: PlateTarget = scenario.target
+    n = sum(scenario.stations)
+    third = (1 / 3, 2 / 3)
     in_face, points = np.split(_places(scenario, rng, n, 0.3, 0.3, third, third), [2], axis=1)
-    spots = np.column_stack([in_face * scenario.target.size, np.zeros(n)])
+    spots = np.column_stack([in_face * target.size, np.zeros(n)])
     return seeing(scenario, rng, SENSOR_FACING, spots, lift(points), [['plane'] * n])
 
 
@@ -279,7 +284,8 @@ def facing(target: WedgeTarget) -> Array:
 
 def wedge_stops(scenario: Scenario, rng: Generator) -> Placements:
     """Draw stops whose laser line crosses the edge in the middle half of the field of view."""
-    target, n = scenario.target, sum(scenario.stations)
+    target: WedgeTarget = scenario.target
+    n = sum(scenario.stations)
     along, points = np.split(_places(
         scenario, rng, n, 0.35, 0.3, (MARGIN, target.length - MARGIN)), [1], axis=1)
     spots = np.column_stack([along, np.zeros((n, 2))])
@@ -288,9 +294,11 @@ def wedge_stops(scenario: Scenario, rng: Generator) -> Placements:
 
 def wedge_features(scenario: Scenario, stops: Placements, rng: Generator) -> Features:
     """Return the two FaceLines of each stop, left one first, with the noise of its profiles."""
-    T, faces = stops.T_target_sensor, []
+    target: WedgeTarget = scenario.target
+    T = stops.T_target_sensor
     noise = rng.normal(size=(len(T), 2, 2))
-    upwards = np.array([0.0, 0.0, 1.0 if scenario.target.concave else -1.0])
+    faces = []
+    upwards = np.array([0.0, 0.0, 1.0 if target.concave else -1.0])
     for k, (normal, into) in enumerate(((2, np.array([0.0, 1.0, 0.0])), (1, upwards))):
         along, _ = _along(T, normal, into)
         length = _length_in_view(scenario, stops.points, along)
@@ -317,7 +325,9 @@ ARC_POINTS = 12  # mean points that represent an arc
 
 def sphere_stops(scenario: Scenario, rng: Generator) -> Placements:
     """Draw stops whose laser plane cuts the ball within 0.6 radii of its centre."""
-    n, radius, (near, far) = sum(scenario.stations), scenario.target.radius, scenario.sensor.range
+    target: SphereTarget = scenario.target
+    n = sum(scenario.stations)
+    radius, (near, far) = target.radius, scenario.sensor.range
     margin = 0.45 * scenario.sensor.half_width * near
     low = np.array([-margin, -0.6 * radius, near + 0.12 * (far - near)])
     high = np.array([margin, 0.6 * radius, near + 0.45 * (far - near)])
@@ -337,7 +347,8 @@ def sphere_features(scenario: Scenario, stops: Placements, rng: Generator) -> Fe
 
 def _arc(scenario: Scenario, centre: Array, radius: float, rng: Generator) -> Arc:
     """Return an arc; its mean points are on the circle except for their stated noise."""
-    sensor, rim = scenario.sensor, np.sin(scenario.sensor.max_incidence)
+    sensor = scenario.sensor
+    rim = np.sin(sensor.max_incidence)
     pitch = 2 * sensor.half_width * (centre[1] - radius) / sensor.columns
     sine = np.arange(-rim, rim, pitch / radius)
     points = _points_on_circle(centre, radius, sine, np.zeros(len(sine)))
