@@ -131,6 +131,7 @@ def test_a_square_plate_is_not_accused(seed: int) -> None:
     assert abs(target['edge_angle'] - np.pi / 2) < 4 * target['edge_angle_std']
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('radius', [0.0403, 0.05])
 def test_a_sphere_of_another_radius_is_measured_and_named(radius: float) -> None:
     calibration, error = solved(SCENARIOS['sphere'], 1, target__radius=radius)
@@ -166,3 +167,20 @@ def test_a_scale_is_no_move_of_a_few_samples() -> None:
     line_cell = cell('line', 2)
     with refused('scale'):
         line_cell.solve(scaled(line_cell.samples, 1.005))
+
+
+@pytest.mark.parametrize(('target', 'count', 'seed'), [('plate', 9, 1), ('line', 11, 9)])
+def test_one_wrong_pose_is_no_scale(target: str, count: int, seed: int) -> None:
+    """Though a scale would explain that pose by chance."""
+    scenario, rng = replace(SCENARIOS[target], stations=(count, 0)), np.random.default_rng(
+        [seed, count])
+    samples, truth = simulate_samples(scenario, rng)
+    wrong, step, turn = int(rng.integers(count)), rng.normal(size=3), rng.normal(size=3)
+    slip = se3.perturb(np.eye(4), np.append(5e-3 * step / np.linalg.norm(step),
+                                            np.radians(0.5) * turn / np.linalg.norm(turn)))
+    samples = [replace(s, T_base_flange=s.T_base_flange @ slip) if k == wrong else s
+               for k, s in enumerate(samples)]
+    calibration = pipeline.solve(samples, [], settings_of(scenario), 'laser')
+    assert calibration.quality.samples_used == count - 1
+    error = se3.difference(calibration.T_flange_sensor, truth.T_flange_sensor)[:3]
+    assert np.linalg.norm(error) < 5e-4
