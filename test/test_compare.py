@@ -56,6 +56,7 @@ def test_without_noise_all_estimators_find_the_truth(target: str) -> None:
         assert row.figures['residual_rms'] < 1e-6, row.name
 
 
+@pytest.mark.thorough
 def test_the_first_row_is_the_answer_of_solve_in_any_order(only) -> None:
     only('plate', 'plate', CHEN_RIGID)
     plate_cell = cell('plate', 2)

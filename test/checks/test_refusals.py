@@ -146,7 +146,8 @@ def test_samples_of_another_target_are_refused(name: str, kept: type) -> None:
 
 @pytest.mark.parametrize(('angle', 'words'), [
     (1.3, 'only 10 of .* crosses them at less than sampling.min_crossing_angle'),
-    (1.5, 'only [23] of .* plate needs 6.* crosses them steeply')])
+    pytest.param(1.5, 'only [23] of .* plate needs 6.* crosses them steeply',
+                 marks=pytest.mark.thorough)])
 def test_edges_that_are_crossed_at_too_small_an_angle_are_named(angle: float, words: str) -> None:
     with refused('edges', words):
         cell('plate', 1).solve(sampling__min_crossing_angle=angle)
@@ -176,7 +177,8 @@ def test_a_frame_of_the_robot_is_refused_by_its_key(frame: str, key: str) -> Non
     assert pipeline.solve(sphere_cell.samples, [], other_config, frame).child_frame == frame
 
 
-@pytest.mark.parametrize('seed', [2, 3, 6, 7])
+@pytest.mark.parametrize('seed', [
+    2, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (3, 6, 7))])
 def test_an_answer_that_is_uncertain_by_millimetres_is_refused(seed: int) -> None:
     """A base that gives way by 0.2 degrees per metre of reach; a plane takes up most of it."""
     plane_cell = cell(FAULTS['plane, wide off-centre'], seed)

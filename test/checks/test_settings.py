@@ -32,22 +32,22 @@ def test_a_stored_stop_is_thinned_as_one_of_a_bag_is() -> None:
 
 
 @pytest.mark.parametrize(('name', 'values', 'words'), [
-    ('sphere', {'target__type': 'plate'}, 'target.type to sphere$'),
-    ('sphere', {'target__radius': 0.012}, 'target.radius to 0.040'),
     ('baseline', {'target__type': 'wedge', 'profile__range_sign': -1},
      'target.type to plate and profile.range_sign to 1$'),
-    pytest.param('wedge', {'noise__sensor': 5e-7}, 'noise.sensor to 5e-06$',
-                 marks=pytest.mark.thorough),
-    *(pytest.param(name, {'target__type': wrong}, f'target.type to {right}$',
-                   marks=pytest.mark.thorough)
-      for name, wrong, right in (('baseline', 'sphere', 'plate'), ('baseline', 'line', 'plate'),
-                                 ('wedge', 'sphere', 'wedge')))])
+    *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
+        ('sphere', {'target__radius': 0.012}, 'target.radius to 0.040'),
+        ('wedge', {'noise__sensor': 5e-7}, 'noise.sensor to 5e-06$'),
+        *((name, {'target__type': wrong}, f'target.type to {right}$')
+          for name, wrong, right in (('sphere', 'plate', 'sphere'), ('baseline', 'sphere', 'plate'),
+                                     ('baseline', 'line', 'plate'),
+                                     ('wedge', 'sphere', 'wedge')))))])
 def test_wrong_settings_are_named(name: str, values: dict[str, object], words: str) -> None:
     with pytest.raises(DataError, match=f'set {words}'):
         fault_recording(name).calibrate(**values)
 
 
-@pytest.mark.parametrize('seed', [23, pytest.param(24, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize('seed', [23, 24])
 def test_one_edge_is_a_line_or_a_plane_and_no_plate(seed: int) -> None:
     """The other edge of a plate is seen by no stop, or by one stop by chance."""
     recording = recorded(FAULTS['line'], seed, rate=8.0)
@@ -104,9 +104,9 @@ def test_stops_read_again_are_of_the_whole_recording() -> None:
         recorded(scenario, rate=8.0).calibrate(target__type='sphere', target__size=())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('name, seed', [
-    ('plate_z_up', 1), *(pytest.param(name, 0, marks=pytest.mark.thorough)
-                         for name in ('plate', 'small_plate_sweep'))])
+    ('plate_z_up', 1), ('plate', 0), ('small_plate_sweep', 0)])
 def test_a_range_counted_the_wrong_way_is_named(name: str, seed: int) -> None:
     recording = recorded(name, seed, sampling__mode='moving' if SCENARIOS[name].sweep else 'still')
     with pytest.raises(DataError, match=f'range_sign {recording.config.profile.range_sign}, '):

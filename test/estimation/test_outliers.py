@@ -93,7 +93,8 @@ def test_too_many_wrong_stations_are_refused() -> None:
         plate_cell.solve(samples)
 
 
-@pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize('seed', [0, 1])
 def test_edges_of_the_plate_that_are_not_ours_do_no_harm(seed: int) -> None:
     plate_cell = cell('wrong_edges', seed)
     calibration = plate_cell.solve()
@@ -110,6 +111,7 @@ def test_edges_of_the_plate_that_are_not_ours_do_no_harm(seed: int) -> None:
     assert len(sides) == 2, 'one name for each edge'
 
 
+@pytest.mark.thorough
 def test_all_four_edges_are_used_when_the_size_is_known() -> None:
     with_size = cell('wrong_edges', 1, target__size=[0.2, 0.15])
     without_size = cell('wrong_edges', 1)
@@ -158,6 +160,7 @@ def test_few_with_wrong_ones_are_refused(name: str, stations: tuple[int, int], w
             few_samples.solve(samples)
 
 
+@pytest.mark.thorough
 def test_what_is_left_after_dropping_must_judge() -> None:
     plane_cell = cell(replace(SCENARIOS['plane'], stations=(7, 0)), 0)
     samples = [wrong(s, np.random.default_rng(1)) if i == 3 else s

@@ -204,6 +204,7 @@ def test_scanned_points_are_published_in_the_base(tmp_path: Path, client: Client
     np.testing.assert_allclose(heights(clouds), 0.1, atol=1e-6)
 
 
+@pytest.mark.thorough
 def test_profiles_before_a_clock_reset_are_not_scanned(tmp_path: Path, client: Client) -> None:
     def send(ms: int) -> None:
         pose, profile = pose_at(ms), plane_profile(ms)

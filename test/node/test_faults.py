@@ -256,8 +256,8 @@ if __name__ == '__main__':
 """
 
 
-@pytest.mark.parametrize('number', [
-    signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_other_services_answer_while_it_solves_and_it_ends_cleanly(tmp_path, client, number):
     log, script = tmp_path / 'node.log', tmp_path / 'slow.py'
     script.write_text(SLOW)

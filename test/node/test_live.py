@@ -124,6 +124,7 @@ def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
     assert not np.array_equal(live.solver.calibration.T_flange_sensor, without)
 
 
+@pytest.mark.thorough
 def test_the_review_follows_a_stop_that_goes_on() -> None:
     live, shared = new(SPHERE.config), []
     for item in SPHERE.messages:
@@ -137,6 +138,7 @@ def test_the_review_follows_a_stop_that_goes_on() -> None:
     assert all(shared) and len(shared) > 10
 
 
+@pytest.mark.thorough
 def test_settings_that_change_as_a_stop_ends_lose_no_profiles() -> None:
     other = set_to(SPHERE.config, sampling__min_points=21)
     live, waited = new(), False
@@ -154,7 +156,9 @@ def test_settings_that_change_as_a_stop_ends_lose_no_profiles() -> None:
         sample.profile_count for sample in whole.session.samples]
 
 
-@pytest.mark.parametrize(('before', 'lost'), [(4.8, 4), (-4.8, 4), (0.02, 0), (-0.02, 0)])
+@pytest.mark.parametrize(('before', 'lost'), [
+    (4.8, 4), (-0.02, 0), *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
+        (-4.8, 4), (0.02, 0)))])
 def test_a_time_offset_set_during_a_stop_holds_for_it_too(before: float, lost: int) -> None:
     live = new(set_to(SPHERE.config, time_offset=before))
     began = fed().session_copy().stops[3].stamp
@@ -204,7 +208,8 @@ def test_two_frames_before_the_first_sample_tell_of_no_sample() -> None:
     assert 'two frames' in trouble and 'samples' not in trouble
 
 
-@pytest.mark.parametrize('kind', ['pose', 'profile'])
+@pytest.mark.parametrize('kind', [
+    'profile', pytest.param('pose', marks=pytest.mark.thorough)])
 def test_another_frame_after_the_samples_is_told_and_they_are_computed(kind: str) -> None:
     live, items = fed(), SPHERE.messages
     count, before = sample_count(state_of(live)), computed(live)

@@ -48,6 +48,7 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_a_recording_of_another_target_is_told(solved: Path, tmp_path: Path) -> None:
     run = succeeds('report', solved, '--bag', ROOT / 'bags/sphere', '--out', 'r.html',
                    cwd=tmp_path)

@@ -222,6 +222,7 @@ def test_profiles_and_joint_states_of_a_bag_correct_the_arm(tmp_path):
     assert_refused(run, 2, 'has no topic /joint_states')
 
 
+@pytest.mark.thorough
 def test_the_truth_of_a_corrected_arm_is_of_its_own_flange(tmp_path):
     for words in ('simulate small_arm cell --seed 962',
                   'kinematics cell --urdf cell/robot.urdf --set target.type=sphere --out arm',
@@ -253,6 +254,7 @@ def every_other(source, first):
                    problem=source.problem.subset(np.arange(first, len(source.samples), 2)))
 
 
+@pytest.mark.thorough
 def test_two_recordings_give_one_answer(recorded):
     """Also with other axes of the profile: the features are those of its plane."""
     arm, session, recording, config = recorded

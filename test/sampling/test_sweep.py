@@ -176,8 +176,8 @@ def test_what_jumps_in_the_middle_of_a_sweep_is_named() -> None:
     assert caught.value.reason == 'moved'
 
 
-@pytest.mark.parametrize('name', [
-    'small_plate_sweep', pytest.param('sphere_sweep', marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize('name', ['small_plate_sweep', 'sphere_sweep'])
 def test_a_sensor_that_slips_is_no_scale_and_no_error_of_the_robot(name: str) -> None:
     scenario, rng = SCENARIOS[name], np.random.default_rng(1)
     recording, direction = simulate(scenario, rng), rng.normal(size=3)
@@ -193,7 +193,8 @@ def test_a_sensor_that_slips_is_no_scale_and_no_error_of_the_robot(name: str) ->
     assert 'the sensor seems to have moved' in sentence and 'length' not in sentence
 
 
-@pytest.mark.parametrize('seed', [0, pytest.param(4, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize('seed', [0, 4])
 def test_a_robot_that_drifts_makes_the_answer_less_certain(seed: int) -> None:
     scenario = SCENARIOS['sphere_sweep']
     assert scenario.sweep is not None
@@ -225,7 +226,8 @@ def test_what_is_wrong_with_times_is_no_move(name: str, fault: str) -> None:
     assert 'moved' not in ' '.join(calibration.provenance.get('warnings', ()))
 
 
-@pytest.mark.parametrize('seed', [2, pytest.param(1, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize('seed', [1, 2])
 def test_an_error_of_the_robot_that_is_smooth_in_time_is_no_move(seed: int) -> None:
     scenario, rng = SCENARIOS['small_plate_sweep'], np.random.default_rng(100 + seed)
     recording = simulate(scenario, np.random.default_rng(seed))

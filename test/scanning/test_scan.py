@@ -267,6 +267,7 @@ def test_sparse_poses_of_a_curved_way_are_interpolated_smoothly():
     assert np.sqrt(((cloud - true) ** 2).sum(axis=1).mean()) < 6e-6
 
 
+@pytest.mark.thorough
 def test_the_std_tells_how_well_the_poses_are_known():
     """Few poses of much noise; what was configured of the robot does not cover it."""
     rng, cal = np.random.default_rng(2), calibration()

@@ -35,9 +35,10 @@ def test_a_profile_without_an_edge_is_a_plane_and_no_face() -> None:
         plane_features(points[:15], Config())
 
 
-@pytest.mark.parametrize('values', [{'table': 0.003}, *(
-    pytest.param(values, marks=pytest.mark.thorough) for values in ({'table': 0.010}, {
-        'table': None, 'clutter': 0.002, 'clutter_gap': 0.003, 'clutter_width': 0.06}))])
+@pytest.mark.thorough
+@pytest.mark.parametrize('values', [
+    {'table': 0.003}, {'table': 0.010},
+    {'table': None, 'clutter': 0.002, 'clutter_gap': 0.003, 'clutter_width': 0.06}])
 def test_one_surface_is_chosen_where_others_lie_beside(values: dict[str, float]) -> None:
     plate = SCENARIOS['plate']
     recording = recorded(replace(plate, target=replace(plate.target, **values)), 1, columns=640,
@@ -48,8 +49,8 @@ def test_one_surface_is_chosen_where_others_lie_beside(values: dict[str, float])
     assert 'samples show other surfaces too than the plane that was used' in note
 
 
-@pytest.mark.parametrize('seed', [0, *(pytest.param(k, marks=pytest.mark.thorough)
-                                       for k in (1, 2, 3))])
+@pytest.mark.thorough
+@pytest.mark.parametrize('seed', range(4))
 def test_a_plane_through_two_near_surfaces_is_no_answer(seed: int) -> None:
     """Of 24 stations some see only a table 3 mm below, and half of the others see it too."""
     plane_cell = cell(replace(PLANE, stations=(24, 0)), seed, noise__robot_smooth=3e-4)

@@ -83,7 +83,8 @@ def table_at(face: FaceLine, end: int) -> FaceLine:
                     0.01, 1e-5)
 
 
-@pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize('seed', [0, 1])
 def test_a_block_on_a_table_is_distinguished_from_the_groove_at_its_foot(seed: int) -> None:
     wedge_cell = cell('wedge', seed)
     rng, samples = np.random.default_rng(seed), []

@@ -127,7 +127,8 @@ def swept(target, *given, **values):
     return verify_stations(ROUTINES[target], stations, calibration)
 
 
-@pytest.mark.parametrize('target', ['sphere', 'line'])
+@pytest.mark.parametrize('target', [
+    'sphere', pytest.param('line', marks=pytest.mark.thorough)])
 def test_a_sweep_is_measured_at_the_time_offset_of_the_calibration(target):
     result = swept(target, 0.020, 0.9, -0.020)
     assert result.verdict == 'pass' and result.fit.scatter.rms < 1e-4
