@@ -3,8 +3,8 @@
 """
 Smooth functions of few coefficients: of the sensor's plane, of a surface, of the robot's poses.
 
-They are orthogonal to motions of the sensor and tilts of the surface, which the unknowns of the
-problem absorb.
+Those of plane and surface are orthogonal to motions of the sensor and tilts of the surface, which
+the unknowns of the problem absorb.
 
 Also the best-fit transform, (9) of estimator.md. If the robot's error differs between stations, or
 the sensor's field is distorted, no single transform is exact. The best-fit one maps the points of

@@ -45,7 +45,7 @@ class Posterior:
     """
     The normal distribution (5) of unknowns and nuisance parameters, with one noise and its scales.
 
-    linear: the stations' observations with the labels that these have, linearised before the last
+    linear: the stations' observations with their kinds as assigned, linearised before the last
         step; estimate and postfit_residuals are after it
     blocks: their q nuisance parameters are in units of the configured sigmas; none where they
         count as noise
@@ -78,7 +78,7 @@ class Posterior:
 
     @property
     def problem(self) -> Problem:
-        """Return the problem of the used stations, with the labels of their observations."""
+        """Return the problem of the used stations, with kinds as assigned."""
         return self.linear.problem
 
     @property
@@ -290,8 +290,7 @@ class Posterior:
                 included = self.nuisance[columns] * (block.value is not None)
                 twists += block.std * np.einsum(
                     'nxk,nk->nx', block.twists, values[:, columns] - included)
-        corrected = se3.transform(se3.exp_rotation(twists[:, 3:]) @ T[:, :3, :3],
-                                  T[:, :3, 3] + twists[:, :3])
+        corrected = se3.perturb(T, twists)
         return corrected if problem.config.in_hand else se3.inverse(corrected)
 
     def left_out_squares(self) -> tuple[Array, NDArray[np.intp]]:
@@ -312,14 +311,15 @@ class Posterior:
     @property
     def is_determined(self) -> bool:
         """Return whether no direction of the unknowns is free: 1 sigma of 1 m or 1 rad."""
-        return bool(np.linalg.eigvalsh(self.covariance)[-1] <= 1.0)
+        u = self.unknown_count
+        return bool(np.linalg.eigvalsh(self.covariance[:u, :u])[-1] <= 1.0)
 
     def estimates_without(self, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
         """
         Return the estimate without each fold of stations, to first order.
 
-        fold: (n,) fold of each station, from 0. Also returns the poses (n, 4, 4), corrected by the
-        robot's smooth error as estimated from the other folds.
+        fold: (n,) fold of each station, from 0. Also returns the poses (n, 4, 4), corrected by all
+        errors of the robot as estimated from the other folds.
         """
         fold_of_row, u = fold[self.problem.observations.station], self.unknown_count
         rows = np.argsort(fold_of_row, kind='stable')

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 UNUSED = -1  # the kind of an observation that is not part of the target
 # So many tell noise and scales; of a sweep, fewer: neighbours on a path tell little new.
 ENOUGH_STATIONS, ENOUGH_PROFILES = 200, 100
+FEW_STATIONS = 12  # so few fit in several wrong ways
 DISTORTION_LENGTH = 0.01  # m: the distortion of points 12 mm apart has the correlation 0.5
 SAME_POINT = 1e-9  # m: conditions of one feature that are nearer are on one point
 
@@ -106,7 +107,7 @@ class Observations:
         return tuple(grouped)
 
     def same(self, other: Observations) -> bool:
-        """Return whether others are the same points with the same labels."""
+        """Return whether others are the same points with the same kinds."""
         return (np.array_equal(self.kind, other.kind)
                 and np.array_equal(self.station, other.station)
                 and np.array_equal(self.points, other.points))
@@ -224,7 +225,7 @@ class Problem:
     @property
     def needs_more_starts(self) -> bool:
         """Return whether the problem may have several solutions and needs more starts."""
-        return len(self.poses) <= 12
+        return len(self.poses) <= FEW_STATIONS
 
     @cached_property
     def robot_poses(self) -> Array:

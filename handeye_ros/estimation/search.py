@@ -12,7 +12,7 @@ first, (12): with the errors that stations share as noise of each (`without_outl
 with all nuisance parameters (`refined_solution`).
 
 A *robust* fit is that of `refined_robustly`: all stations, the outliers among them, linearised
-there with the labels that their observations then have.
+there with the kinds as then assigned.
 """
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def refined_solution(agreed: Solution, config: Config | None = None) -> Solution
     """
     Return the solution with all nuisance blocks, from one without; further outliers dropped.
 
-    agreed: whose stations are used, with the labels of their observations and from its estimate;
+    agreed: whose stations are used, with kinds as assigned there and from its estimate;
     config: other settings than those of its problem.
     With few stations, each may be wrong without being detected; the reported covariance includes
     this. With many, a part of them tells linearisation, noise and scales.

@@ -73,7 +73,7 @@ class Solution:
 
     @property
     def problem(self) -> Problem:
-        """Return the problem of the used stations, with the labels of their observations."""
+        """Return the problem of the used stations, with kinds as assigned."""
         return self.posterior.problem
 
     @property

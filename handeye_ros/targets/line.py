@@ -4,7 +4,7 @@
 One straight edge: every edge point lies on one line of the base frame.
 
 Frame of the target: x along the line, the origin its point nearest to the mean position of the
-mount in the guess. An edge point gives two conditions, its distances from the line along y and z,
+mount in the start. An edge point gives two conditions, its distances from the line along y and z,
 which share the point's error. With target.use_face, the face beside the edge takes part: then z is
 its normal, and the points of each face line replace the z condition of the edge point, which is
 measured on that line.
@@ -123,7 +123,7 @@ class Line(ProfileTarget):
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:
         """
-        Return the observations labelled, unused ones marked.
+        Return the observations with their kinds assigned, unused ones marked.
 
         Of several edge points of a station, only the nearest to the line is used. With its face,
         the points of the face replace the z condition of the edge point. A station that shows

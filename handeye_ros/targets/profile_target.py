@@ -92,7 +92,7 @@ class ProfileTarget(Target):
     edge_kinds: tuple[int, ...] = ()
 
     def observe(self, samples: Sequence[Sample]) -> Observations:
-        """Return the conditions of the features of samples; labels are assigned later."""
+        """Return the conditions of the features of samples; kinds are assigned later."""
         parts = [NO_OBSERVATIONS]
         for station, sample in enumerate(samples):
             for number, feature in enumerate(sample.features):

@@ -19,7 +19,7 @@ from handeye_ros.estimation.search import distinct
 import numpy as np
 from numpy.typing import NDArray
 
-GUESS_STATIONS = 40  # more only take longer
+START_STATIONS = 40  # more only take longer
 SAME_SURFACE = 3e-4  # m: largest distance between pieces of one surface
 FITTING_SHARE = 0.7  # of the stations that a start should fit
 SIMILAR_RATIO = 2.0  # to the best start's distance: up to it the given order decides
@@ -28,8 +28,8 @@ TINY = 1e-30  # m^2
 
 
 def with_few_stations(problem: Problem, rng: np.random.Generator) -> Problem:
-    """Return the problem with at most GUESS_STATIONS stations, to search for a start."""
-    return problem.subset(random_indices(len(problem.poses), GUESS_STATIONS, rng))
+    """Return the problem with at most START_STATIONS stations, to search for a start."""
+    return problem.subset(random_indices(len(problem.poses), START_STATIONS, rng))
 
 
 def random_indices(count: int, most: int, rng: np.random.Generator) -> NDArray[np.intp]:

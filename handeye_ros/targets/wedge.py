@@ -136,8 +136,8 @@ class Wedge(ProfileTarget):
         unswapped, swapped = (self.conditions(p, k, state, config).g ** 2
                               for k in (kind, 1 - kind))
         better = (np.bincount(group, swapped) < np.bincount(group, unswapped))[group]
-        labelled = replace(observations, kind=np.where(better, 1 - kind, kind))
-        return super().reassign(labelled, p, state, config)
+        assigned = replace(observations, kind=np.where(better, 1 - kind, kind))
+        return super().reassign(assigned, p, state, config)
 
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the edge's point and direction, the faces' normals and their angle (rad)."""
