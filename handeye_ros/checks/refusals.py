@@ -255,7 +255,7 @@ def require_edges(solution: Solution) -> None:
     larger than the noise (m): of worn edges only the first is true.
     """
     target = solution.full_problem.target
-    if not target.required_edges:
+    if not target.edge_kinds:
         return
     posterior, at_rest = solution.posterior, not solution.problem.is_sweep
     factor = posterior.noise.variance_factors[EDGE_INDEX]

@@ -4,7 +4,7 @@
 Blocks of nuisance parameters: systematic errors beside the noise (docs/estimator.md, section 2).
 
 With residuals r + J xi + sum of K_b n_b = e, a block gives the columns K_b of its parameters, each
-with a normal prior about 0. The scale of that prior is estimated (see noise).
+with a normal prior about 0. How wide that prior is, tau, is estimated (see noise).
 
 A new block is one more source: a function that yields blocks for a linearised problem.
 BLOCK_SOURCES holds the sources of all targets, Target.blocks those of one. Parameters that the
@@ -60,7 +60,7 @@ class ParameterBlock:
     twists: (n, 6, k) derivatives of the poses by the parameters (not in sigmas), as in
         Linearisation.wrt_pose; None: they do not change
     best_fit(linear): (6, k) derivatives of the transform that maps points best, (9); None: 0
-    parameter: index of the target's parameter that the block is; None: of none
+    target_parameter_index: index of the target's parameter that the block is; None: of none
     pose_parameter_index: index of the value of the pose model that it is; None: of none
     value: (1,) of that parameter or value in the estimate it is linearised at, less the stated
     least_variance, largest_variance: bounds of tau^2
@@ -73,7 +73,7 @@ class ParameterBlock:
     std: float
     twists: Array | None = None
     best_fit: Callable[[Linearisation], Array] | None = None
-    parameter: int | None = None
+    target_parameter_index: int | None = None
     pose_parameter_index: int | None = None
     value: Array | None = None
     least_variance: float = 0.0
@@ -108,8 +108,8 @@ def stated_measures(linear: Linearisation) -> Blocks:
     for name, (stated, std) in target.stated_values(linear.problem.config).items():
         i = names.index(name)
         measure = np.array([target.measures(state).get(name, stated)])
-        yield ParameterBlock(name, linear.jacobian[:, 6 + i:7 + i] * std, std, parameter=i,
-                             value=measure - stated,
+        yield ParameterBlock(name, linear.jacobian[:, 6 + i:7 + i] * std, std,
+                             target_parameter_index=i, value=measure - stated,
                              largest_variance=1e8)  # a stated measure may be plainly wrong
 
 

@@ -17,7 +17,7 @@ from handeye_ros.data import Array, BudgetTerm
 from handeye_ros.estimation.basis import grid_over
 from handeye_ros.estimation.blocks import blocks_with_columns
 from handeye_ros.estimation.least_squares import chi2_sf
-from handeye_ros.estimation.noise import covariance_parts, NoiseScales, POSE_INDEX
+from handeye_ros.estimation.noise import covariance_parts, NoiseModel, POSE_INDEX
 from handeye_ros.estimation.posterior import Posterior, posterior_at
 from handeye_ros.estimation.solution import Solution
 import numpy as np
@@ -39,7 +39,7 @@ def with_possibly_wrong_station(solution: Solution) -> Solution:
     problem = solution.problem
     n, dropped = len(solution.used_stations), len(solution.dropped_squares)
     faded = min(1.0, 2 - n / problem.enough_stations)
-    configured = posterior_at(problem, solution.estimate, NoiseScales())
+    configured = posterior_at(problem, solution.estimate, NoiseModel())
     explained, log_likelihood_ratio, added = _each_station_wrong(configured)
     # posterior probability that each is the only wrong one, against that none is (odds 1); all
     # odds are divided by the largest, as their exponentials may be no numbers
@@ -96,7 +96,7 @@ def budget(solution: Solution) -> list[BudgetTerm]:
     Return what each cause contributes to the reported covariance of the transform, and the total.
 
     White noise of sensor and poses, and each block by its name, are the exact parts of C in (5) at
-    the scales for the report: whitened noise of covariance V gives (C A')V(C A')', and the
+    the taus for the report: whitened noise of covariance V gives (C A')V(C A')', and the
     parameters of a block, with the prior information 1/tau^2, give C_xn C_nx / tau^2. Then what
     (8), (10) and a corrected arm add to it. `best-fit transform` is the remainder, what (9)
     changes. A part without a positive variance of mapped points is left out.

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from handeye_ros.estimation.blocks import ParameterBlock
 
 UNUSED = -1  # the kind of an observation that is not part of the target
-# So many tell noise and scales; of a sweep, fewer: neighbours on a path tell little new.
+# So many tell noise and taus; of a sweep, fewer: neighbours on a path tell little new.
 ENOUGH_STATIONS, ENOUGH_PROFILES = 200, 100
 FEW_STATIONS = 12  # so few fit in several wrong ways
 DISTORTION_LENGTH = 0.01  # m: the distortion of points 12 mm apart has the correlation 0.5
@@ -239,19 +239,19 @@ class Problem:
 
     @property
     def enough_stations(self) -> int:
-        """Return the number of stations that tell noise and scales."""
+        """Return the number of stations that tell noise and taus."""
         return ENOUGH_PROFILES if self.is_sweep else ENOUGH_STATIONS
 
     @property
     def is_large(self) -> bool:
-        """Return whether a part of the stations suffices to tell noise and scales."""
+        """Return whether a part of the stations suffices to tell noise and taus."""
         return len(self.poses) >= 2 * self.enough_stations
 
     @property
     def shows_edge(self) -> NDArray[np.bool_]:
         """Return which stations (n,) have an observation at an edge."""
         obs, shows = self.observations, np.zeros(len(self.poses), dtype=bool)
-        shows[obs.station[np.isin(obs.kind, self.target.required_edges)]] = True
+        shows[obs.station[np.isin(obs.kind, self.target.edge_kinds)]] = True
         return shows
 
     def points_in_base(self, X: Array) -> Array:

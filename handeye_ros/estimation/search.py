@@ -37,7 +37,7 @@ from handeye_ros.estimation.least_squares import (
     States,
     typical_square,
 )
-from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, NoiseScales, whitening
+from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, NoiseModel, whitening
 from handeye_ros.estimation.posterior import Posterior
 from handeye_ros.estimation.problem import (
     Estimate,
@@ -124,7 +124,7 @@ def refined_solution(agreed: Solution, config: Config | None = None) -> Solution
     agreed: whose stations are used, with kinds as assigned there and from its estimate;
     config: other settings than those of its problem.
     With few stations, each may be wrong without being detected; the reported covariance includes
-    this. With many, a part of them tells linearisation, noise and scales.
+    this. With many, a part of them tells linearisation, noise and taus.
     """
     full_problem, problem = (replace(each, config=config or each.config)
                              for each in (agreed.full_problem, agreed.problem))
@@ -255,7 +255,7 @@ def mean_squares(linear: Linearisation) -> Array:
     return means_by(station, whitened ** 2, n)
 
 
-def _least_squares_of(problem: Problem, noise: NoiseScales = BLOCKS_AS_NOISE
+def _least_squares_of(problem: Problem, noise: NoiseModel = BLOCKS_AS_NOISE
                       ) -> LeastSquares[Linearisation]:
     """
     Return the least-squares system of a problem, with the pose values among its unknowns.
@@ -289,7 +289,7 @@ def _least_squares_of(problem: Problem, noise: NoiseScales = BLOCKS_AS_NOISE
     return LeastSquares(rows, retract, item)
 
 
-def least_squares_fit(problem: Problem, start: Estimate, noise: NoiseScales = BLOCKS_AS_NOISE
+def least_squares_fit(problem: Problem, start: Estimate, noise: NoiseModel = BLOCKS_AS_NOISE
                       ) -> Linearisation:
     """Return the fit with the least squared whitened residuals."""
     return _least_squares_of(problem, noise).minimised(linearise(problem, start))

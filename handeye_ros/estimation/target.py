@@ -47,16 +47,16 @@ class Target(ABC):
     pose_axes: which of x y z rx ry rz, along and about its own axes, are parameters; the others
         leave it the same
     normals: (kinds, 3) by kind, of the surface through the origin on which its points lie
-    required_edges: the conditions at edges, by their index in kinds; a station that shows edges
+    edge_kinds: the conditions at edges, by their index in kinds; a station that shows edges
         must use one
     min_samples: fewest samples
     freed_measure: settings of the target with which its last measure is unknown, where it has one
     freed_lengths: settings of the target with which its stated lengths may be wrong, where it has
         some
     lost_with_one_axis: what rotations about one axis alone leave undetermined, in words
-    face_count: how many of its faces, each a piece of the profile, one view has
-    several_in_view: whether a profile may show several surfaces, or pairs of them, of which one is
-        the target: a wrong estimate may fit well
+    face_count: how many of its faces one view has
+    several_in_view: whether a profile may show several candidates, surfaces or pairs of them, of
+        which one is the target: a wrong estimate may fit well
     """
 
     name: str
@@ -66,7 +66,7 @@ class Target(ABC):
     parameter_names: tuple[str, ...]
     pose_axes: ClassVar[Sequence[int]]
     normals: ClassVar[Array]
-    required_edges: tuple[int, ...] = ()
+    edge_kinds: tuple[int, ...] = ()
     min_samples = 6
     freed_measure: ClassVar[Mapping[str, Any]] = {}
     freed_lengths: ClassVar[Mapping[str, Any]] = {}
@@ -157,13 +157,13 @@ class Target(ABC):
         p: (m, 3) in the base; state: (s,).
         """
 
-    def pieces(self, observations: Observations) -> NDArray[np.intp]:
-        """Return the number (m,) of the surface, or pair of surfaces, in its profile."""
+    def candidates(self, observations: Observations) -> NDArray[np.intp]:
+        """Return the number (m,) of the surface, pair of surfaces, or end in its profile."""
         return observations.feature // self.face_count
 
     def shows_several(self, observations: Observations) -> bool:
         """Return whether a station shows several surfaces or pairs of them."""
-        return self.several_in_view and bool(self.pieces(observations).any())
+        return self.several_in_view and bool(self.candidates(observations).any())
 
     @abstractmethod
     def describe(self, state: Array, std: Array) -> dict[str, Any]:

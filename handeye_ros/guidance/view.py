@@ -145,12 +145,12 @@ class AdvisedMove:
 
 def seen_feature_noun(target: Target) -> str:
     """Return the feature that the laser line must show, in words."""
-    return 'edge' if target.required_edges else target.name
+    return 'edge' if target.edge_kinds else target.name
 
 
 def next_move(taken: int, target: Target, config: Config, view: View) -> AdvisedMove:
     """Return the move after a number of samples (at least one)."""
-    is_round, two_edges = Arc in target.required_features, len(target.required_edges) > 1
+    is_round, two_edges = Arc in target.required_features, len(target.edge_kinds) > 1
     moves = SPHERE_MOVES if is_round else TWO_EDGES_MOVES if two_edges else OTHER_MOVES
     turn, *shares, beside = moves[taken % len(moves)]
     tilt = np.round(np.array(shares[:2]) * config.guidance.tilt, 3)
@@ -177,7 +177,7 @@ def _advice(target: Target, config: Config, turn: float, tilt: Array, place: Arr
         ('sensor', 'target', 'its viewing direction', 1) if config.in_hand else
         ('target', 'sensor', 'the viewing direction', -1))
     where = ('at the other edge, that meets the first one in the corner, ' if edge else
-             'at the same edge, ' if len(target.required_edges) > 1 else '')
+             'at the same edge, ' if len(target.edge_kinds) > 1 else '')
     turns = ', then '.join(
         f'{np.degrees(sign * angle):+.0f} degrees about {axis}' for angle, axis in (
             (turn, turn_axis), (tilt[0], 'the laser line'),

@@ -130,7 +130,7 @@ def _centroid(profile: Profile) -> Array:
 
 def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
     """Return the features of a target with edges, with the opposite profile.range_sign."""
-    if targets.target_for(config).required_edges:
+    if targets.target_for(config).edge_kinds:
         with suppress(FeatureError):
             return features_of(profile, with_flipped_range(config))
     return ()

@@ -138,10 +138,10 @@ class Plate(ProfileTarget):
     pose_axes = range(6)
     extract = staticmethod(face_features)
     required_features = (FaceLine, EdgePoint)
-    required_edges = tuple(EDGES)
+    edge_kinds = tuple(EDGES)
     freed_measure = {'edge_angle_free': True}
     freed_lengths = {'size_std': 3e-3}
-    edge_kinds = (P,)  # until an edge is found for it
+    unassigned_edge_kinds = (P,)  # until an edge is found for it
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts: first the plane, then the two edges in it."""

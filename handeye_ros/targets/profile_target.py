@@ -27,7 +27,7 @@ from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.problem import Linearisation, Observations, UNUSED
 from handeye_ros.estimation.target import Target
-from handeye_ros.targets.starts import is_of_nearest_piece
+from handeye_ros.targets.starts import is_of_nearest_candidate
 import numpy as np
 
 FACE = 0  # the kind of a condition on a face, in every target that has them
@@ -86,10 +86,11 @@ class ProfileTarget(Target):
     """
     A target that profiles show by faces, arcs and edge points.
 
-    edge_kinds: the kinds of the conditions that one edge point gives, before it is reassigned
+    unassigned_edge_kinds: the kinds of the conditions that one edge point gives, before it is
+        reassigned
     """
 
-    edge_kinds: tuple[int, ...] = ()
+    unassigned_edge_kinds: tuple[int, ...] = ()
 
     def observe(self, samples: Sequence[Sample]) -> Observations:
         """Return the conditions of the features of samples; kinds are assigned later."""
@@ -97,7 +98,7 @@ class ProfileTarget(Target):
         for station, sample in enumerate(samples):
             for number, feature in enumerate(sample.features):
                 if isinstance(feature, EdgePoint):
-                    for kind in self.edge_kinds:
+                    for kind in self.unassigned_edge_kinds:
                         parts.append(observations_at(
                             station, self.edge_place(feature)[None], kind,
                             edge_error_factor(feature)[None], number, feature))
@@ -114,11 +115,11 @@ class ProfileTarget(Target):
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:
-        """Return the observations with one piece per station: the first of the near ones."""
+        """Return the observations with one candidate per station: the first of the near ones."""
         if not self.shows_several(observations):
             return observations
         squares = self.conditions(p, observations.kind, state, config).g ** 2
-        nearest = is_of_nearest_piece(observations, self.pieces(observations), squares)
+        nearest = is_of_nearest_candidate(observations, self.candidates(observations), squares)
         return replace(observations, kind=np.where(nearest, observations.kind, UNUSED))
 
     def blocks(self, linear: Linearisation) -> Blocks:
