@@ -8,10 +8,11 @@ with a normal prior about 0. How wide that prior is, tau, is estimated (see nois
 
 A new block is one more source: a function that yields blocks for a linearised problem.
 BLOCK_SOURCES holds the sources of all targets, Target.blocks those of one. Parameters that the
-poses depend on (the clocks of a sweep) belong to the problem instead, as a PoseModel:
+poses depend on (pose parameters) belong to the problem instead, as a PoseModel:
 
-    def poses_and_twists(values):  # (k,), so far 0
-        return interpolated(stamps + values[0]), velocities(stamps + values[0])[:, :, None]
+    def poses_and_twists(pose_parameters):  # (k,), so far 0
+        times = stamps + pose_parameters[0]
+        return interpolated(times), velocities(times)[:, :, None]
 
     offset = PoseModel(poses_and_twists, names=('time_offset',), stds=(0.05,),
                        stations=np.arange(len(stamps)))
@@ -33,12 +34,10 @@ from handeye_ros.estimation.basis import (
     BEND_OF_S,
     bent_line,
     distortion_fields,
-    field_motions,
     grid_over,
     line_span,
-    motions_by_poses,
-    plane_motions,
 )
+from handeye_ros.estimation.best_fit import field_motions, motions_by_poses, plane_motions
 from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Linearisation, Problem
 import numpy as np
@@ -61,8 +60,8 @@ class ParameterBlock:
         Linearisation.wrt_pose; None: they do not change
     best_fit(linear): (6, k) derivatives of the transform that maps points best, (9); None: 0
     target_parameter_index: index of the target's parameter that the block is; None: of none
-    pose_parameter_index: index of the value of the pose model that it is; None: of none
-    value: (1,) of that parameter or value in the estimate it is linearised at, less the stated
+    pose_parameter_index: index of the pose parameter that it is; None: of none
+    value: (1,) of that parameter in the estimate it is linearised at, less the stated
     least_variance, largest_variance: bounds of tau^2
     reported_as: key in the answer, '' for none
     origin: added to the reported value of one parameter
@@ -254,13 +253,6 @@ def blocks_with_columns(blocks: Sequence[ParameterBlock], first: int = 0
     for block in blocks:
         yield block, slice(first, first + block.count)
         first += block.count
-
-
-def best_fit_motions(linear: Linearisation, blocks: Sequence[ParameterBlock]) -> Array:
-    """Return G (6, q), derivatives of the best-fit transform by the parameters of blocks, (9)."""
-    motions = [block.best_fit(linear) * block.std if block.best_fit else
-               np.zeros((6, block.count)) for block in blocks]
-    return np.concatenate([np.zeros((6, 0)), *motions], axis=1)
 
 
 BLOCK_SOURCES: tuple[BlockSource, ...] = (

@@ -44,7 +44,7 @@ LOG_SINGLE_REPORT_PRIOR = _log_half_t(2.0, 0.8)
 LOG_MAP_PRIOR = _log_half_t(1.0, 0.01)
 
 # Indices of the variance factors: of the own errors of faces and arcs, and of edges; of distortion
-# that differs between stations; of the poses; of the white errors of pose values, such as time.
+# that differs between stations; of the poses; of the white errors of pose parameters, as time.
 FACE_INDEX, EDGE_INDEX, LOCAL_DISTORTION_INDEX, POSE_INDEX, POSE_PARAMETER_INDEX = range(5)
 
 
@@ -90,8 +90,8 @@ def covariance_parts(linear: Linearisation, group: StationGroup) -> Array:
     """
     Return the parts of the covariance, (3), as (p, stations, c, c), for variance factors of 1.
 
-    The p parts are in the order of the variance factors; the last is there if the pose values have
-    white errors.
+    The p parts are in the order of the variance factors; the last is there if the pose
+    parameters have white errors.
     """
     noise = linear.problem.config.noise
     local_distortion = (LOCAL_SHARE * noise.distortion) ** 2

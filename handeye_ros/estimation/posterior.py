@@ -142,11 +142,11 @@ class Posterior:
 
     def relinearise(self) -> Linearisation:
         """Return the problem linearised after the step, with the poses at their values then."""
-        problem, values = self.problem, self.problem.pose_parameters.copy()
+        problem, pose_parameters = self.problem, self.problem.pose_parameters.copy()
         for block, columns in blocks_with_columns(self.blocks):
             if block.pose_parameter_index is not None:
-                values[block.pose_parameter_index] = self.nuisance[columns][0] * block.std
-        return linearise(problem.with_pose_parameters(values), self.estimate)
+                pose_parameters[block.pose_parameter_index] = self.nuisance[columns][0] * block.std
+        return linearise(problem.with_pose_parameters(pose_parameters), self.estimate)
 
     @cached_property
     def cross_covariance(self) -> Array:

@@ -24,7 +24,7 @@ from itertools import chain, islice
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, SEED
-from handeye_ros.estimation.covariance import with_possibly_wrong_station
+from handeye_ros.estimation.contamination import with_possibly_wrong_station
 from handeye_ros.estimation.least_squares import (
     drop_outliers,
     graduated_fit,
@@ -149,10 +149,10 @@ def refined_robustly(problem: Problem, start: Estimate) -> Linearisation:
     Return the fit that graduated non-convexity reaches from a start, (11).
 
     After each round the observations are assigned again to the parts of the target (`reassigned`),
-    and the next weights come from these. The values that the poses depend on are unknowns, too.
+    and the next weights come from these. The pose parameters are unknowns, too.
     """
     def refit(linear: Linearisation, weights: Array) -> Linearisation:
-        # the priors of the pose values, the last item, keep their weight
+        # the priors of the pose parameters, the last item, keep their weight
         moved = _least_squares_of(linear.problem).few_weighted_steps(
             linear, np.append(weights, 1.0))
         complete = replace(moved.problem, observations=problem.observations)
@@ -258,12 +258,12 @@ def mean_squares(linear: Linearisation) -> Array:
 def _least_squares_of(problem: Problem, noise: NoiseModel = BLOCKS_AS_NOISE
                       ) -> LeastSquares[Linearisation]:
     """
-    Return the least-squares system of a problem, with the pose values among its unknowns.
+    Return the least-squares system of a problem, with the pose parameters among its unknowns.
 
-    Each station is an item; the priors of the k pose values that are unknown are the last item.
+    Each station is an item; the priors of the k unknown pose parameters are the last item.
     """
-    unknown = np.flatnonzero(problem.pose_stds)
-    stds, k, u = problem.pose_stds[unknown], len(unknown), len(problem.free_columns)
+    unknown = np.flatnonzero(problem.pose_parameter_stds)
+    stds, k, u = problem.pose_parameter_stds[unknown], len(unknown), len(problem.free_columns)
 
     def rows(linear: Linearisation) -> Rows:
         m = len(linear.residuals)
@@ -281,9 +281,9 @@ def _least_squares_of(problem: Problem, noise: NoiseModel = BLOCKS_AS_NOISE
         return Rows(np.append(linear.residuals, prior_residuals), jacobian, lambda: whiten)
 
     def retract(linear: Linearisation, step: Array) -> Linearisation:
-        values = linear.problem.pose_parameters.copy()
-        values[unknown] += step[u:]
-        moved = linear.problem.with_pose_parameters(values)
+        pose_parameters = linear.problem.pose_parameters.copy()
+        pose_parameters[unknown] += step[u:]
+        moved = linear.problem.with_pose_parameters(pose_parameters)
         return linearise(moved, moved.retracted(linear.estimate, step[:u]))
     item = np.append(problem.observations.station, np.full(k, len(problem.poses)))
     return LeastSquares(rows, retract, item)

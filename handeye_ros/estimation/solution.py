@@ -14,12 +14,8 @@ from functools import cached_property
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.blocks import (
-    best_fit_motions,
-    blocks_at,
-    blocks_with_columns,
-    ParameterBlock,
-)
+from handeye_ros.estimation.best_fit import best_fit_motions
+from handeye_ros.estimation.blocks import blocks_at, blocks_with_columns, ParameterBlock
 from handeye_ros.estimation.least_squares import FREE_DIRECTION
 from handeye_ros.estimation.noise import LOCAL_DISTORTION_INDEX, NoiseModel
 from handeye_ros.estimation.posterior import Posterior, posterior_at

@@ -23,8 +23,8 @@ from handeye_ros.calibration import measured_points
 from handeye_ros.config import with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.covariance import (
-    budget,
+from handeye_ros.estimation.budget import budget
+from handeye_ros.estimation.contamination import (
     ONE_WRONG,
     POSE_ERROR,
     PRIOR_ODDS_WRONG,
