@@ -18,7 +18,6 @@ from handeye_ros.errors import count_of, DataError, degrees, mm, without_numbers
 from handeye_ros.estimation.budget import CORRECTED_ARM
 from handeye_ros.estimation.noise import EDGE_INDEX
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.estimation.target import Target
 from handeye_ros.frames import axes_across, direction_in_words, mount_frame
 from handeye_ros.se3 import (
     mapped_covariance,
@@ -26,6 +25,7 @@ from handeye_ros.se3 import (
     worst_direction,
     worst_rotation,
 )
+from handeye_ros.targets.profile_target import ProfileTarget
 import numpy as np
 
 MAX_DROPPED_SHARE = 0.34  # largest share of the stations that an answer may leave out
@@ -68,7 +68,7 @@ def require_distinct_frame(frame_id: str, config: Config) -> None:
             f'driver of the sensor, or set {key}', reason='frame')
 
 
-def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target: Target
+def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target: ProfileTarget
                     ) -> None:
     """
     Raise DataError when there are fewer samples than the target needs.
@@ -91,7 +91,7 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
             f'least {target.min_samples}: {advice}', reason='few')
 
 
-def require_features(samples: Sequence[Sample], target: Target) -> None:
+def require_features(samples: Sequence[Sample], target: ProfileTarget) -> None:
     """Raise DataError for a sample without the features that every one of the target has."""
     for sample in samples:
         for missing in Counter(target.required_features) - Counter(map(type, sample.features)):

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, TYPE_CHECKING
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, FaceLine, Feature, rms, Sample
+from handeye_ros.data import Array, rms, Sample
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,10 +38,8 @@ class Target(ABC):
     One target: what it shows, its conditions and its start; the solver is the same for all.
 
     There are m observations of points p (..., m, 3) in the base, and k parameters of the target.
-    Its state (..., 16 + j) is its pose (4, 4) in the base, followed by j measures. extract(points
-    (n, 2), config): the features of one profile; raises FeatureError without them.
+    Its state (..., 16 + j) is its pose (4, 4) in the base, followed by j measures.
 
-    required_features: types of the features that extract gives at least, one for each
     kinds: names of the conditions
     parameter_names: names of the parameters: of the pose, then of the measures
     pose_axes: which of x y z rx ry rz, along and about its own axes, are parameters; the others
@@ -53,15 +51,12 @@ class Target(ABC):
     freed_measure: settings of the target with which its last measure is unknown, where it has one
     freed_lengths: settings of the target with which its stated lengths may be wrong, where it has
         some
-    lost_with_one_axis: what rotations about one axis alone leave undetermined, in words
     face_count: how many of its faces one view has
     several_in_view: whether a profile may show several candidates, surfaces or pairs of them, of
         which one is the target: a wrong estimate may fit well
     """
 
     name: str
-    extract: ClassVar[staticmethod[[Array, Config], tuple[Feature, ...]]]
-    required_features: ClassVar[Sequence[type[Feature]]] = (FaceLine,)
     kinds: tuple[str, ...]
     parameter_names: tuple[str, ...]
     pose_axes: ClassVar[Sequence[int]]
@@ -70,7 +65,6 @@ class Target(ABC):
     min_samples = 6
     freed_measure: ClassVar[Mapping[str, Any]] = {}
     freed_lengths: ClassVar[Mapping[str, Any]] = {}
-    lost_with_one_axis = 'the position along it is free'
     face_count = 1
     several_in_view = False
 

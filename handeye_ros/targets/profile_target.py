@@ -12,6 +12,8 @@ is the smallest. It states
 - parameter_names, pose_axes, stated_values: what of its pose and measures is unknown, or known
 - starts: estimates to search from (starts.py), and reassign where a profile may show other things
 - describe: what was estimated, as plain values
+- where they differ from those of ProfileTarget and Target: edge_kinds, unassigned_edge_kinds,
+  min_samples, freed_measure, freed_lengths, face_count, several_in_view, lost_with_one_axis
 
 Here are its observations, and the systematic errors that targets of faces have in common: set-back
 of faces, shapes of edges, flatness, range at grazing incidence.
@@ -20,9 +22,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import ClassVar
 
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, EdgePoint, ENDINGS, FaceLine, Sample
+from handeye_ros.data import Arc, Array, EdgePoint, ENDINGS, FaceLine, Feature, Sample
 from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.problem import Linearisation, Observations, UNUSED
@@ -86,11 +89,18 @@ class ProfileTarget(Target):
     """
     A target that profiles show by faces, arcs and edge points.
 
+    extract(points (n, 2), config): the features of one profile; raises FeatureError without them.
+
+    required_features: types of the features that extract gives at least, one for each
     unassigned_edge_kinds: the kinds of the conditions that one edge point gives, before it is
         reassigned
+    lost_with_one_axis: what rotations about one axis alone leave undetermined, in words
     """
 
+    extract: ClassVar[staticmethod[[Array, Config], tuple[Feature, ...]]]
+    required_features: ClassVar[Sequence[type[Feature]]] = (FaceLine,)
     unassigned_edge_kinds: tuple[int, ...] = ()
+    lost_with_one_axis = 'the position along it is free'
 
     def observe(self, samples: Sequence[Sample]) -> Observations:
         """Return the conditions of the features of samples; kinds are assigned later."""
