@@ -20,6 +20,7 @@ from handeye_ros.data import (
     Calibration,
     CLOCK_DRIFT,
     ClockEstimate,
+    even_indices,
     Quality,
     Reject,
     rms,
@@ -203,7 +204,7 @@ def measured_points(used: Sequence[Sample], problem: Problem) -> MeasuredPoints:
     """
     Return all measured points of samples, in the order of the problem's stations.
 
-    Of more than MAX_POINTS every second, third, ... is taken: their RMS is the same.
+    Of more than MAX_POINTS so many are taken, evenly spaced: their RMS is the same.
     """
     obs = problem.observations
     bounds = np.searchsorted(obs.station, np.arange(len(used) + 1))
@@ -211,8 +212,8 @@ def measured_points(used: Sequence[Sample], problem: Problem) -> MeasuredPoints:
              for sample, first, last in zip(used, bounds[:-1], bounds[1:], strict=True)]
     station = np.repeat(np.arange(len(used)), [len(kind) for _, kind in parts])
     points, kind = map(np.concatenate, zip(*parts, strict=True))
-    step = max(-(-len(kind) // MAX_POINTS), 1)
-    return MeasuredPoints(points[::step], kind[::step], station[::step])
+    taken = even_indices(len(kind), MAX_POINTS)
+    return MeasuredPoints(points[taken], kind[taken], station[taken])
 
 
 @dataclass(frozen=True)

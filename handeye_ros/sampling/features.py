@@ -49,7 +49,7 @@ MIN_AGREEING_SHARE = 0.6  # of those that show it, smallest share that agree
 ALONG_WEIGHT = 0.1  # weight of a distance along a surface against one across, to match lines
 MAX_INDEPENDENT = 4  # profiles of one stop count as at most this many for an edge
 # How far from the median profiles agree, in robust scatters or in sigmas of one, if that is more:
-# across a face, and along it to an edge, where most of the error is rounding to a column, of less
+# across a face, and along it at an edge, where most of the error is rounding to a column, of less
 # than 2 sigmas.
 ACROSS_SCATTERS, ACROSS_SIGMAS = 6.0, 6.0
 EDGE_SCATTERS, EDGE_SIGMAS = 4.0, 2.0
