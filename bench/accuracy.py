@@ -21,7 +21,7 @@ from handeye_ros import config as configs
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
-from handeye_ros.estimation.noise import NoiseScales
+from handeye_ros.estimation.noise import NoiseModel
 from handeye_ros.estimation.posterior import posterior_at
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
@@ -98,7 +98,7 @@ def bound(case: Case, solution: Solution) -> np.ndarray:
     """Return the bounds (3,) of the mean squares of translation, rotation and mapped points."""
     factors = np.array([case.sensor_factor ** -2] * 2 + [1.0] * 3)  # on the features' own errors
     problem = replace(solution.problem, config=configured(replace(case, priors=False), 1.0))
-    C = posterior_at(problem, solution.estimate, NoiseScales(factors)).covariance[:6, :6]
+    C = posterior_at(problem, solution.estimate, NoiseModel(factors)).covariance[:6, :6]
     lever = field_of_view() @ solution.estimate.X[:3, :3].T
     J = np.concatenate([np.tile(np.eye(3), (len(lever), 1, 1)), -se3.skew(lever)], axis=2)
     mapped = np.einsum('nij,jk,nik->', J, C, J) / len(lever)

@@ -152,7 +152,7 @@ class World:
         if not edges or not isinstance(target, PlateTarget):
             return
         p = np.array(edges) @ T_target_sensor[:3, [0, 2]].T + T_target_sensor[:3, 3]
-        edges = len(targets.target_for(self.config).required_edges)
+        edges = len(targets.target_for(self.config).edge_kinds)
         frames = list(edge_frames(target).values())[:edges]
         away = [np.linalg.norm((p - frame[:3, 3]) @ frame[:3, 1:3], axis=1) for frame in frames]
         if np.min(away) > NEAR_THE_EDGE:

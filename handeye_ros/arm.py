@@ -22,7 +22,7 @@ from handeye_ros import se3
 from handeye_ros.config import read_yaml
 from handeye_ros.data import Array
 from handeye_ros.errors import did_you_mean, InputError, unusable_file
-from handeye_ros.estimation.covariance import CORRECTED_ARM
+from handeye_ros.estimation.budget import CORRECTED_ARM
 from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.results.file_values import require_format, transform_from

@@ -20,6 +20,7 @@ from handeye_ros.data import (
     Calibration,
     CLOCK_DRIFT,
     ClockEstimate,
+    even_indices,
     Quality,
     Reject,
     rms,
@@ -60,7 +61,7 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
     measured, residuals, left_out = residuals_and_left_out(used, solution)
     rms_of_samples = rms_by(measured.station, residuals, len(used)).tolist()
     reports = [SampleReport(sample.stamp, True, ', '.join(edges), rms_of_sample,
-                            ONLY_FACE if problem.target.required_edges and not edges else '')
+                            ONLY_FACE if problem.target.edge_kinds and not edges else '')
                for sample, edges, rms_of_sample in zip(
                    used, edges_used(problem), rms_of_samples, strict=True)]
     reports += [SampleReport(samples[i].stamp, False, reason='contradicts the other samples: its '
@@ -135,7 +136,7 @@ def edges_used(problem: Problem) -> list[tuple[str, ...]]:
     """Return for each station of a problem the names of the edges of the target that it shows."""
     obs, target = problem.observations, problem.target
     return [tuple(dict.fromkeys(  # each once, in the order of the points
-        target.kinds[k] for k in obs.kind[obs.station == station] if k in target.required_edges))
+        target.kinds[k] for k in obs.kind[obs.station == station] if k in target.edge_kinds))
         for station in range(len(problem.poses))]
 
 
@@ -203,7 +204,7 @@ def measured_points(used: Sequence[Sample], problem: Problem) -> MeasuredPoints:
     """
     Return all measured points of samples, in the order of the problem's stations.
 
-    Of more than MAX_POINTS every second, third, ... is taken: their RMS is the same.
+    Of more than MAX_POINTS so many are taken, evenly spaced: their RMS is the same.
     """
     obs = problem.observations
     bounds = np.searchsorted(obs.station, np.arange(len(used) + 1))
@@ -211,8 +212,8 @@ def measured_points(used: Sequence[Sample], problem: Problem) -> MeasuredPoints:
              for sample, first, last in zip(used, bounds[:-1], bounds[1:], strict=True)]
     station = np.repeat(np.arange(len(used)), [len(kind) for _, kind in parts])
     points, kind = map(np.concatenate, zip(*parts, strict=True))
-    step = max(-(-len(kind) // MAX_POINTS), 1)
-    return MeasuredPoints(points[::step], kind[::step], station[::step])
+    taken = even_indices(len(kind), MAX_POINTS)
+    return MeasuredPoints(points[taken], kind[taken], station[taken])
 
 
 @dataclass(frozen=True)
@@ -237,7 +238,7 @@ def block_estimates(posterior: Posterior) -> dict[str, BlockEstimate]:
     for block, columns in blocks_with_columns(posterior.blocks):
         value, variance = float(posterior.nuisance[columns][0]), float(variances[columns][0])
         # share of the information that is not the prior's
-        data_share = max(1 - variance / posterior.prior_scale(block) ** 2, 1e-9)
+        data_share = max(1 - variance / posterior.prior_tau(block) ** 2, 1e-9)
         data_value, data_variance = value / data_share, variance / data_share
         estimates[block.name] = BlockEstimate(value * block.std, variance ** 0.5 * block.std,
                                               data_value / math.sqrt(1 + data_variance),
@@ -261,7 +262,7 @@ def reported_parameters(solution: Solution) -> dict[str, Any]:
                        f'{block.reported_as}_std': estimate.std}
         elif block.reported_as:
             report[block.reported_as] = math.hypot(report.get(block.reported_as, 0.0),
-                                                   block.std * report_posterior.prior_scale(block))
+                                                   block.std * report_posterior.prior_tau(block))
     return report
 
 
@@ -293,13 +294,13 @@ def notes_of(solution: Solution, config: Config) -> Iterator[str]:
     problem, target = solution.problem, solution.problem.target
     # the far edge of a plate, as p_far, shows its direction as the near one does
     seen = {target.kinds[k].partition('_')[0] for k in set(problem.observations.kind)}
-    for edge in sorted({target.kinds[k].partition('_')[0] for k in target.required_edges} - seen):
+    for edge in sorted({target.kinds[k].partition('_')[0] for k in target.edge_kinds} - seen):
         yield (f'no sample shows edge {edge} of the target: cross it too, or set target.type to '
                'line if the target has one edge only')
     n = len(solution.used_stations)
     shown, used = (np.bincount(each.observations.station, minlength=n)
                    for each in (solution.full_problem.subset(solution.used_stations), problem))
-    if not target.required_edges and (shown > used).any():
+    if not target.edge_kinds and (shown > used).any():
         yield (f'{np.count_nonzero(shown > used)} of {n} samples show '
                f'other surfaces too than the {target.name} that was used in all of them')
 

@@ -22,7 +22,7 @@ from handeye_ros.checks.refusals import missing_motion, require_certain
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Indices, Reject, rms, Sample
 from handeye_ros.errors import DataError, InputError, SingularError
-from handeye_ros.estimation.noise import NoiseScales
+from handeye_ros.estimation.noise import NoiseModel
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import least_squares_fit
 from handeye_ros.frames import T_sensor_plane
@@ -65,7 +65,7 @@ class ComparedStations:
     samples: tuple[Sample, ...]
     problem: Problem
     estimate: Estimate
-    noise: NoiseScales
+    noise: NoiseModel
 
     field_text: ClassVar[str] = FIELD_TEXT
 

@@ -217,7 +217,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         baseline = Explanation.of_solutions([sample.stamp for sample in samples], solution)
         require_agreement(samples, solution, baseline)
         # 7. Refinement: least squares with all systematic errors as nuisance parameters, their
-        # scales and the noise estimated; outlier rejection again; lengths of the target where they
+        # taus and the noise estimated; outlier rejection again; lengths of the target where they
         # are stated wrongly. Refuse clocks that jumped, and lengths that differ in scale.
         solution = with_free_lengths_if_needed(refined_solution(solution))
         require_steady_clocks(solution)

@@ -7,7 +7,7 @@ If the samples fit no answer, each hypothesis is two parts of the recording, fit
 they do, a move before station i is two more blocks of nuisance parameters, linearised at the
 answer, (14); the steps are those of "A small move" in section 6 of docs/estimator.md. It must be
 larger than the smooth error of the robot, and two tests must agree. The Bayes factor: noise and
-scales are estimated again with and without the move, since they absorb part of it otherwise. A
+taus are estimated again with and without the move, since they absorb part of it otherwise. A
 permutation test: random orders of the stations must seldom show as clear a move, since robot
 errors that are not in the model look like moves in any order.
 """
@@ -29,7 +29,7 @@ from handeye_ros.data import Array, rms, SEED
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.least_squares import chi2_isf
-from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, NoiseScales
+from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, NoiseModel
 from handeye_ros.estimation.posterior import Posterior, posterior_at
 from handeye_ros.estimation.problem import Estimate, Linearisation, Problem
 from handeye_ros.estimation.search import quick_solution, reassigned
@@ -187,7 +187,7 @@ class _Move:
     solution: that is tested
     body: SENSOR, in the mount, or TARGET, in the base
     station: the first one after the move, of those used
-    moved: its posterior with the move as two more blocks, noise and scales estimated again
+    moved: its posterior with the move as two more blocks, noise and taus estimated again
     unmoved: the same without the move
     """
 
@@ -223,7 +223,7 @@ class _Move:
         translation, turn = np.split(self.displacement, 2)
         shifts = translation + np.cross(turn, _levers(self.moved.linear)[self.body])
         # the smaller estimate of that error, as a move can only explain it
-        smooth = min(max((block.std * each.prior_scale(block) for block in each.blocks
+        smooth = min(max((block.std * each.prior_tau(block) for block in each.blocks
                           if block.name == 'robot_smooth'), default=0.0)
                      for each in (self.moved, self.unmoved))
         smallest = MIN_MOVE_SIGMAS * smooth
@@ -266,7 +266,7 @@ def _likeliest_move(solution: Solution) -> _Move | None:
     posteriors = [reported]
     if not problem.is_sweep:
         # of a few stations, estimated noise absorbs a move; configured may be too large
-        posteriors.append(posterior_at(problem, solution.estimate, NoiseScales()))
+        posteriors.append(posterior_at(problem, solution.estimate, NoiseModel()))
     change_points = _change_points(solution, CHANGE_POINTS_TRIED)
     factors = np.max([_log_bayes_factors(each, change_points)[0] for each in posteriors], axis=0)
     if factors.max() < -WARNING_EVIDENCE:
@@ -280,7 +280,7 @@ def _likeliest_move(solution: Solution) -> _Move | None:
         while (body, station) not in tried:
             moved = with_noise_reestimated(reported, _blocks_of_move(reported, body, station))
             tried[body, station] = moved
-            # noise and scales estimated with the move do not absorb it: its time is clearer
+            # noise and taus estimated with the move do not absorb it: its time is clearer
             again = posterior_at(problem, solution.estimate, moved.noise)
             factors = _log_bayes_factors(again, all_change_points)[0, :, body]
             station = int(all_change_points[np.argmax(factors)])

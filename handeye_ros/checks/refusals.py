@@ -15,10 +15,9 @@ from handeye_ros.calibration import unused_edges_in_words
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import count_of, DataError, degrees, mm, without_numbers
-from handeye_ros.estimation.covariance import CORRECTED_ARM
+from handeye_ros.estimation.budget import CORRECTED_ARM
 from handeye_ros.estimation.noise import EDGE_INDEX
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.estimation.target import Target
 from handeye_ros.frames import axes_across, direction_in_words, mount_frame
 from handeye_ros.se3 import (
     mapped_covariance,
@@ -26,6 +25,7 @@ from handeye_ros.se3 import (
     worst_direction,
     worst_rotation,
 )
+from handeye_ros.targets.profile_target import ProfileTarget
 import numpy as np
 
 MAX_DROPPED_SHARE = 0.34  # largest share of the stations that an answer may leave out
@@ -68,7 +68,7 @@ def require_distinct_frame(frame_id: str, config: Config) -> None:
             f'driver of the sensor, or set {key}', reason='frame')
 
 
-def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target: Target
+def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target: ProfileTarget
                     ) -> None:
     """
     Raise DataError when there are fewer samples than the target needs.
@@ -91,7 +91,7 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
             f'least {target.min_samples}: {advice}', reason='few')
 
 
-def require_features(samples: Sequence[Sample], target: Target) -> None:
+def require_features(samples: Sequence[Sample], target: ProfileTarget) -> None:
     """Raise DataError for a sample without the features that every one of the target has."""
     for sample in samples:
         for missing in Counter(target.required_features) - Counter(map(type, sample.features)):
@@ -255,7 +255,7 @@ def require_edges(solution: Solution) -> None:
     larger than the noise (m): of worn edges only the first is true.
     """
     target = solution.full_problem.target
-    if not target.required_edges:
+    if not target.edge_kinds:
         return
     posterior, at_rest = solution.posterior, not solution.problem.is_sweep
     factor = posterior.noise.variance_factors[EDGE_INDEX]

@@ -59,7 +59,7 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
     refusal: of the answer; where it says that samples contradict each other, some show something
     else even if no part of them agrees on the target.
     """
-    if not target_for(config).required_edges:
+    if not target_for(config).edge_kinds:
         return
     stops = np.array([stop for stop in stops_to_explain(session) if stop.sample])
     at_edge, shown, agreeing = _heights_over_plane(stops, config)

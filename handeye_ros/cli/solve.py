@@ -64,7 +64,7 @@ def solve(
     else:
         assert opened.session
         from handeye_ros import pipeline
-        from handeye_ros.estimation.covariance import budget as budget_of
+        from handeye_ros.estimation.budget import budget as budget_of
         from handeye_ros.frames import T_sensor_plane
         with progress_bar('solving'):
             answer = pipeline.answer_session(opened.session, settings)

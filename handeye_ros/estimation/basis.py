@@ -3,13 +3,8 @@
 """
 Smooth functions of few coefficients: of the sensor's plane, of a surface, of the robot's poses.
 
-They are orthogonal to motions of the sensor and tilts of the surface, which the unknowns of the
-problem absorb.
-
-Also the best-fit transform, (9) of estimator.md. If the robot's error differs between stations, or
-the sensor's field is distorted, no single transform is exact. The best-fit one maps the points of
-the field of view best, over all stations and up to a motion of the target. It differs from the
-transform of the mount by a linear function of the parameters.
+Those of plane and surface are orthogonal to motions of the sensor and tilts of the surface, which
+the unknowns of the problem absorb.
 """
 from __future__ import annotations
 
@@ -40,12 +35,12 @@ def polynomials(uv: Array, degrees: Sequence[int]) -> Array:
                            for degree in degrees], axis=1)
 
 
-def _split_by_degree(columns: Array, degrees: Sequence[int]) -> list[Array]:
+def split_by_degree(columns: Array, degrees: Sequence[int]) -> list[Array]:
     """Return the columns (..., k) of polynomials, split by their degree."""
     return np.split(columns, np.cumsum([degree + 1 for degree in degrees])[:-1], axis=-1)
 
 
-def _normalised(w: Array) -> Array:
+def normalised(w: Array) -> Array:
     """Return values (m, ...) scaled along the first axis to -1 to 1."""
     low, high = w.min(axis=0), w.max(axis=0)
     return np.asarray((2 * w - low - high) / np.maximum(high - low, 1e-9))
@@ -64,27 +59,10 @@ def distortion_fields(points: Array, degrees: Sequence[int]) -> list[Array]:
     the plane.
     """
     m = len(points)
-    along_axes = np.kron(np.eye(2), polynomials(_normalised(points), degrees)).astype(float)
-    fields = projected_off(along_axes, _rigid(points - points.mean(axis=0)))
+    along_axes = np.kron(np.eye(2), polynomials(normalised(points), degrees)).astype(float)
+    fields = projected_off(along_axes, rigid_displacements(points - points.mean(axis=0)))
     fields = fields.reshape(2, m, 2, -1).swapaxes(0, 1)  # point, axis, terms along x and z
-    return [field.reshape(m, 2, -1) for field in _split_by_degree(fields, degrees)]
-
-
-def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
-    """
-    Return the rigid motion (3, k) of the plane that fits each field of bending best, for (9).
-
-    Rows: along x, along z, and the turn about the origin. It is the best fit over the field of
-    view minus the best fit over the points (m, 2). The field of view is 1.25 times the bounding
-    box of these points, which are means of bins and lie inside it.
-    """
-    ticks = np.linspace(-1.25, 1.25, 11)
-    over_view, over_points = (
-        np.linalg.lstsq(_rigid(places), np.kron(np.eye(2), polynomials(uv, degrees)),
-                        rcond=None)[0]
-        for places, uv in ((grid_over(points, ticks), grid(ticks)), (points, _normalised(points))))
-    motions = (over_view - over_points).reshape(3, 2, -1)
-    return [motion.reshape(3, -1) for motion in _split_by_degree(motions, degrees)]
+    return [field.reshape(m, 2, -1) for field in split_by_degree(fields, degrees)]
 
 
 def bent_line(points: Array) -> Array:
@@ -98,7 +76,7 @@ def bent_line(points: Array) -> Array:
     middle, half = line_span(points)
     u = (points[:, 0] - middle) / half
     bent = u ** 2 - 1 / 3
-    return np.column_stack([bent, BEND_PER_RANGE * bent * _normalised(points[:, 1]),
+    return np.column_stack([bent, BEND_PER_RANGE * bent * normalised(points[:, 1]),
                             BEND_OF_S * (u ** 3 - 3 / 5 * u)])
 
 
@@ -126,7 +104,7 @@ def grid(ticks: Sequence[float] | Array) -> Array:
     return np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
 
 
-def _rigid(points: Array) -> Array:
+def rigid_displacements(points: Array) -> Array:
     """Return the displacements (2 m, 3), all x first, of points (m, 2) under rigid motions."""
     x, z = points.T
     ones, zeros = np.ones(len(x)), np.zeros(len(x))
@@ -141,10 +119,10 @@ def bent_surface(p: Array, on_surface: NDArray[np.bool_], degrees: Sequence[int]
     centred = points - points.mean(axis=0)
     _, axes = np.linalg.eigh(centred.T @ centred)
     uv = centred @ axes[:, :0:-1]
-    waves = polynomials(_normalised(uv), degrees)
+    waves = polynomials(normalised(uv), degrees)
     terms = np.zeros((len(p), waves.shape[1]))
     terms[on_surface] = projected_off(waves, np.column_stack([np.ones(len(uv)), uv]))
-    return _split_by_degree(terms, degrees)
+    return split_by_degree(terms, degrees)
 
 
 def scaled_pose_vectors(poses: Array) -> Array:
@@ -199,41 +177,3 @@ def farthest_points(vectors: Array, most: int) -> list[int]:
         chosen.append(int(np.argmax(nearest)))
         nearest = np.minimum(nearest, ((vectors - vectors[chosen[-1]]) ** 2).sum(axis=1))
     return chosen
-
-
-def plane_motions(X: Array) -> Array:
-    """
-    Return the increments (6, 3) of X (4, 4), along the axes of the mount, by motions of the plane.
-
-    That of the sensor moves along its x, along its z, and turns about its y at the origin.
-    """
-    x, y, z = X[:3, :3].T
-    none = np.zeros(3)
-    return np.column_stack([np.append(x, none), np.append(z, none), np.append(none, y)])
-
-
-def motions_by_poses(poses: Array, X: Array, view_points: Array, in_hand: bool) -> Array:
-    """
-    Return the derivatives (6, n, 6) of the best-fit transform by the errors of the poses.
-
-    poses: (n, 4, 4), inverted unless in_hand; view_points: (k, 2) of the sensor plane, over which
-    the transform fits best. The error of a pose is as in Linearisation.wrt_pose: in the robot's
-    frame, its rotation about the flange.
-
-    Motions of the transform and of the target, common to all stations, shift each point as nearly
-    as possible as the error of its own pose does: mount x + target y = robot e_i, in least
-    squares; returned is x by each e_i.
-    """
-    n, R = len(poses), poses[:, None, :3, :3]
-    lever = view_points @ X[:3, [0, 2]].T  # from the sensor, then from the mount
-    in_mount = lever + X[:3, 3]
-    in_base = se3.apply(poses, in_mount)
-    mount = R @ se3.perturbation_jacobian(lever)
-    target = -se3.perturbation_jacobian(in_base)
-    if in_hand:
-        robot = se3.perturbation_jacobian(in_base - poses[:, None, :3, 3])
-    else:  # the mount is the robot's base
-        robot = -R @ se3.perturbation_jacobian(in_mount - se3.inverse(poses)[:, None, :3, 3])
-    motions = np.concatenate([mount, target], axis=3).reshape(-1, 12)
-    fit = np.linalg.pinv(motions, rcond=3e-5)[:6].reshape(6, n, -1)
-    return np.asarray(np.einsum('xnk,nke->xne', fit, robot.reshape(n, -1, 6)))

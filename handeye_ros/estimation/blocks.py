@@ -4,14 +4,15 @@
 Blocks of nuisance parameters: systematic errors beside the noise (docs/estimator.md, section 2).
 
 With residuals r + J xi + sum of K_b n_b = e, a block gives the columns K_b of its parameters, each
-with a normal prior about 0. The scale of that prior is estimated (see noise).
+with a normal prior about 0. How wide that prior is, tau, is estimated (see noise).
 
 A new block is one more source: a function that yields blocks for a linearised problem.
 BLOCK_SOURCES holds the sources of all targets, Target.blocks those of one. Parameters that the
-poses depend on (the clocks of a sweep) belong to the problem instead, as a PoseModel:
+poses depend on (pose parameters) belong to the problem instead, as a PoseModel:
 
-    def poses_and_twists(values):  # (k,), so far 0
-        return interpolated(stamps + values[0]), velocities(stamps + values[0])[:, :, None]
+    def poses_and_twists(pose_parameters):  # (k,), so far 0
+        times = stamps + pose_parameters[0]
+        return interpolated(times), velocities(times)[:, :, None]
 
     offset = PoseModel(poses_and_twists, names=('time_offset',), stds=(0.05,),
                        stations=np.arange(len(stamps)))
@@ -33,12 +34,10 @@ from handeye_ros.estimation.basis import (
     BEND_OF_S,
     bent_line,
     distortion_fields,
-    field_motions,
     grid_over,
     line_span,
-    motions_by_poses,
-    plane_motions,
 )
+from handeye_ros.estimation.best_fit import field_motions, motions_by_poses, plane_motions
 from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Linearisation, Problem
 import numpy as np
@@ -60,9 +59,9 @@ class ParameterBlock:
     twists: (n, 6, k) derivatives of the poses by the parameters (not in sigmas), as in
         Linearisation.wrt_pose; None: they do not change
     best_fit(linear): (6, k) derivatives of the transform that maps points best, (9); None: 0
-    parameter: index of the target's parameter that the block is; None: of none
-    pose_parameter_index: index of the value of the pose model that it is; None: of none
-    value: (1,) of that parameter or value in the estimate it is linearised at, less the stated
+    target_parameter_index: index of the target's parameter that the block is; None: of none
+    pose_parameter_index: index of the pose parameter that it is; None: of none
+    value: (1,) of that parameter in the estimate it is linearised at, less the stated
     least_variance, largest_variance: bounds of tau^2
     reported_as: key in the answer, '' for none
     origin: added to the reported value of one parameter
@@ -73,7 +72,7 @@ class ParameterBlock:
     std: float
     twists: Array | None = None
     best_fit: Callable[[Linearisation], Array] | None = None
-    parameter: int | None = None
+    target_parameter_index: int | None = None
     pose_parameter_index: int | None = None
     value: Array | None = None
     least_variance: float = 0.0
@@ -108,8 +107,8 @@ def stated_measures(linear: Linearisation) -> Blocks:
     for name, (stated, std) in target.stated_values(linear.problem.config).items():
         i = names.index(name)
         measure = np.array([target.measures(state).get(name, stated)])
-        yield ParameterBlock(name, linear.jacobian[:, 6 + i:7 + i] * std, std, parameter=i,
-                             value=measure - stated,
+        yield ParameterBlock(name, linear.jacobian[:, 6 + i:7 + i] * std, std,
+                             target_parameter_index=i, value=measure - stated,
                              largest_variance=1e8)  # a stated measure may be plainly wrong
 
 
@@ -254,13 +253,6 @@ def blocks_with_columns(blocks: Sequence[ParameterBlock], first: int = 0
     for block in blocks:
         yield block, slice(first, first + block.count)
         first += block.count
-
-
-def best_fit_motions(linear: Linearisation, blocks: Sequence[ParameterBlock]) -> Array:
-    """Return G (6, q), derivatives of the best-fit transform by the parameters of blocks, (9)."""
-    motions = [block.best_fit(linear) * block.std if block.best_fit else
-               np.zeros((6, block.count)) for block in blocks]
-    return np.concatenate([np.zeros((6, 0)), *motions], axis=1)
 
 
 BLOCK_SOURCES: tuple[BlockSource, ...] = (

@@ -1,13 +1,13 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Covariances of the residuals, (3), whitening, and the scales of priors, (6).
+Covariances of the residuals, (3), whitening, and the scales tau of priors, (6).
 
 Blocks are unknowns of the solution, common to all stations (see posterior.py). During the search
 distortion, smooth error and set-back count as independent errors of each station, and the others
-are left out. The scale of a block is the standard deviation of
-its parameters over the configured one; it has a half-t prior (Gelman 2006, Bayesian Analysis
-1:515). Its most likely value is 0 if few parameters happen to be small, so it is averaged over.
+are left out. tau of a block is the standard deviation of its
+parameters over the configured one; it has a half-t prior (Gelman 2006, Bayesian Analysis 1:515).
+Its most likely value is 0 if few parameters happen to be small, so it is averaged over.
 """
 from __future__ import annotations
 
@@ -25,33 +25,33 @@ TURN_LENGTH = 0.3  # m: a joint error that turns the flange by 1 rad shifts it b
 FACTOR_FREEDOM = 4.0  # degrees of freedom of the prior of variance factors, about 1
 LOCAL_SHARE = 0.6  # of the sensor's distortion that differs between stations, as speckle does
 
-TRIED_SCALES = np.geomspace(0.001, 1e4, 43)  # of blocks; quantities are summed over these
-TRIED_VARIANCES = np.square(TRIED_SCALES)
+TRIED_TAUS = np.geomspace(0.001, 1e4, 43)  # of blocks; quantities are summed over these
+TRIED_VARIANCES = np.square(TRIED_TAUS)
 
 
-def _log_half_t(freedom: float, scale: float) -> Array:
-    """Return the log of the half-t prior of TRIED_SCALES, equally spaced in their log."""
-    return np.asarray(np.log(TRIED_SCALES) - (freedom + 1) / 2 * np.log1p(
-        TRIED_VARIANCES / (freedom * scale ** 2)))
+def _log_half_t(freedom: float, width: float) -> Array:
+    """Return the log of the half-t prior of TRIED_TAUS, equally spaced in their log."""
+    return np.asarray(np.log(TRIED_TAUS) - (freedom + 1) / 2 * np.log1p(
+        TRIED_VARIANCES / (freedom * width ** 2)))
 
 
 # For the report, conservative: 1.3 times as configured (RMS), and with some chance several times.
 LOG_REPORT_PRIOR = _log_half_t(3.0, 0.8)
-# Of one parameter, which says little about a scale: 1.7 times. Not a Cauchy prior: a sigma would
+# Of one parameter, which says little about its tau: 1.7 times. Not a Cauchy prior: a sigma would
 # grow by half or more as samples are added that fit (see estimator.md).
 LOG_SINGLE_REPORT_PRIOR = _log_half_t(2.0, 0.8)
 # For the estimate: near 0, unless the data show something.
 LOG_MAP_PRIOR = _log_half_t(1.0, 0.01)
 
 # Indices of the variance factors: of the own errors of faces and arcs, and of edges; of distortion
-# that differs between stations; of the poses; of the white errors of pose values, such as time.
+# that differs between stations; of the poses; of the white errors of pose parameters, as time.
 FACE_INDEX, EDGE_INDEX, LOCAL_DISTORTION_INDEX, POSE_INDEX, POSE_PARAMETER_INDEX = range(5)
 
 
 @dataclass(frozen=True, eq=False)
-class NoiseScales:
+class NoiseModel:
     """
-    Factors on the configured variances in (3), and the scales of blocks.
+    Factors on the configured variances in (3), and tau of blocks.
 
     variance_factors: (5,), see FACE_INDEX
     block_variances: tau^2 of blocks by name; 1 of those not named
@@ -63,7 +63,7 @@ class NoiseScales:
     blocks_as_noise: bool = False
 
 
-BLOCKS_AS_NOISE = NoiseScales(blocks_as_noise=True)  # and all else as configured: of the search
+BLOCKS_AS_NOISE = NoiseModel(blocks_as_noise=True)  # and all else as configured: of the search
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +90,8 @@ def covariance_parts(linear: Linearisation, group: StationGroup) -> Array:
     """
     Return the parts of the covariance, (3), as (p, stations, c, c), for variance factors of 1.
 
-    The p parts are in the order of the variance factors; the last is there if the pose values have
-    white errors.
+    The p parts are in the order of the variance factors; the last is there if the pose
+    parameters have white errors.
     """
     noise = linear.problem.config.noise
     local_distortion = (LOCAL_SHARE * noise.distortion) ** 2
@@ -107,7 +107,7 @@ def covariance_parts(linear: Linearisation, group: StationGroup) -> Array:
     return np.array(parts)
 
 
-def total_covariance(linear: Linearisation, group: StationGroup, noise: NoiseScales) -> Array:
+def total_covariance(linear: Linearisation, group: StationGroup, noise: NoiseModel) -> Array:
     """Return the covariance (stations, c, c), (3), with the blocks if they count as noise."""
     problem, config = linear.problem, linear.problem.config.noise
     parts = covariance_parts(linear, group)
@@ -128,7 +128,7 @@ def _outer(factor: Array, variances: Array | float = 1.0) -> Array:
 
 
 @lru_cache(maxsize=4)  # the search asks twice: for the residuals, then for the step from there
-def whitening(linear: Linearisation, noise: NoiseScales) -> Whitening:
+def whitening(linear: Linearisation, noise: NoiseModel) -> Whitening:
     """Return the map that whitens residuals to unit covariance."""
     groups = linear.problem.observations.station_groups
     return Whitening(tuple(group.rows for group in groups), tuple(
@@ -161,7 +161,7 @@ def prior_variances(covariance: Array, value: Array, present: float, largest: fl
 
 
 def _matching_variance(log_posterior: Array, moment: Array) -> float:
-    """Return the tau^2 at which a moment (s,) equals its mean over TRIED_SCALES, (6)."""
+    """Return the tau^2 at which a moment (s,) equals its mean over TRIED_TAUS, (6)."""
     weights = np.exp(log_posterior - log_posterior.max())
     mean = (weights * moment).sum() / weights.sum()
     return float(np.exp(np.interp(mean, moment, np.log(TRIED_VARIANCES))))

@@ -7,7 +7,7 @@ With whitened residuals r + J xi + K n = e, parameters n of variance tau^2 and n
 variance, the least squares of [J K; 0 1/tau] give the best linear unbiased xi (Henderson 1975,
 Biometrics 31:423). The variances of the noise are estimated by restricted maximum likelihood in
 multiplicative fixed-point steps (Patterson and Thompson 1971, Biometrika 58:545), held to the
-configured ones by a weak prior; the scales of the parameters from prior and likelihood (see
+configured ones by a weak prior; tau of the parameters follows from prior and likelihood (see
 noise).
 """
 from __future__ import annotations
@@ -29,7 +29,7 @@ from handeye_ros.estimation.noise import (
     BLOCKS_AS_NOISE,
     covariance_parts,
     FACTOR_FREEDOM,
-    NoiseScales,
+    NoiseModel,
     prior_variances,
     total_covariance,
     Whitening,
@@ -43,9 +43,9 @@ from numpy.typing import NDArray
 @dataclass(frozen=True, eq=False)
 class Posterior:
     """
-    The normal distribution (5) of unknowns and nuisance parameters, with one noise and its scales.
+    The normal distribution (5) of unknowns and nuisance parameters, for one noise and its taus.
 
-    linear: the stations' observations with the labels that these have, linearised before the last
+    linear: the stations' observations with their kinds as assigned, linearised before the last
         step; estimate and postfit_residuals are after it
     blocks: their q nuisance parameters are in units of the configured sigmas; none where they
         count as noise
@@ -55,7 +55,7 @@ class Posterior:
     """
 
     linear: Linearisation
-    noise: NoiseScales
+    noise: NoiseModel
     blocks: tuple[ParameterBlock, ...]
     whitening: Whitening
     prefit_residuals: Array
@@ -63,7 +63,7 @@ class Posterior:
     normal_matrix: Array
 
     @classmethod
-    def of_linear(cls, linear: Linearisation, noise: NoiseScales,
+    def of_linear(cls, linear: Linearisation, noise: NoiseModel,
                   blocks: tuple[ParameterBlock, ...]) -> Posterior:
         """Return the posterior of a linearised problem with the parameters of blocks."""
         residuals = linear.residuals
@@ -78,7 +78,7 @@ class Posterior:
 
     @property
     def problem(self) -> Problem:
-        """Return the problem of the used stations, with the labels of their observations."""
+        """Return the problem of the used stations, with kinds as assigned."""
         return self.linear.problem
 
     @property
@@ -86,7 +86,7 @@ class Posterior:
         """Return the number of unknowns without the nuisance parameters."""
         return len(self.problem.free_columns)
 
-    def prior_scale(self, block: ParameterBlock) -> float:
+    def prior_tau(self, block: ParameterBlock) -> float:
         """Return tau of a block: its sigma over the configured one."""
         return float(self.noise.block_variances.get(block.name, 1.0) ** 0.5)
 
@@ -136,17 +136,17 @@ class Posterior:
         moved = self.problem.retracted(self.linear.estimate, self.step[:self.unknown_count])
         delta = np.zeros(len(self.problem.target.parameter_names))
         for block, columns in blocks_with_columns(self.blocks):
-            if block.parameter is not None and block.value is not None:
-                delta[block.parameter] = (self.nuisance[columns] * block.std - block.value)[0]
+            if (i := block.target_parameter_index) is not None and block.value is not None:
+                delta[i] = (self.nuisance[columns] * block.std - block.value)[0]
         return Estimate(moved.X, self.problem.target.retract(moved.state, delta))
 
     def relinearise(self) -> Linearisation:
         """Return the problem linearised after the step, with the poses at their values then."""
-        problem, values = self.problem, self.problem.pose_parameters.copy()
+        problem, pose_parameters = self.problem, self.problem.pose_parameters.copy()
         for block, columns in blocks_with_columns(self.blocks):
             if block.pose_parameter_index is not None:
-                values[block.pose_parameter_index] = self.nuisance[columns][0] * block.std
-        return linearise(problem.with_pose_parameters(values), self.estimate)
+                pose_parameters[block.pose_parameter_index] = self.nuisance[columns][0] * block.std
+        return linearise(problem.with_pose_parameters(pose_parameters), self.estimate)
 
     @cached_property
     def cross_covariance(self) -> Array:
@@ -195,9 +195,9 @@ class Posterior:
         noise = replace(self.noise, variance_factors=self.estimated_factors(prior))
         return Posterior.of_linear(self.linear, noise, self.blocks)
 
-    def with_scales_for_report(self, steps: int) -> Posterior:
+    def with_taus_for_report(self, steps: int) -> Posterior:
         """
-        Return the posterior at the estimated prior scales for the report, itself if it is there.
+        Return the posterior at the estimated taus for the report, itself if it is there.
 
         Ends early if a step hardly changes the variances.
         """
@@ -290,8 +290,7 @@ class Posterior:
                 included = self.nuisance[columns] * (block.value is not None)
                 twists += block.std * np.einsum(
                     'nxk,nk->nx', block.twists, values[:, columns] - included)
-        corrected = se3.transform(se3.exp_rotation(twists[:, 3:]) @ T[:, :3, :3],
-                                  T[:, :3, 3] + twists[:, :3])
+        corrected = se3.perturb(T, twists)
         return corrected if problem.config.in_hand else se3.inverse(corrected)
 
     def left_out_squares(self) -> tuple[Array, NDArray[np.intp]]:
@@ -312,14 +311,15 @@ class Posterior:
     @property
     def is_determined(self) -> bool:
         """Return whether no direction of the unknowns is free: 1 sigma of 1 m or 1 rad."""
-        return bool(np.linalg.eigvalsh(self.covariance)[-1] <= 1.0)
+        u = self.unknown_count
+        return bool(np.linalg.eigvalsh(self.covariance[:u, :u])[-1] <= 1.0)
 
     def estimates_without(self, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
         """
         Return the estimate without each fold of stations, to first order.
 
-        fold: (n,) fold of each station, from 0. Also returns the poses (n, 4, 4), corrected by the
-        robot's smooth error as estimated from the other folds.
+        fold: (n,) fold of each station, from 0. Also returns the poses (n, 4, 4), corrected by all
+        errors of the robot as estimated from the other folds.
         """
         fold_of_row, u = fold[self.problem.observations.station], self.unknown_count
         rows = np.argsort(fold_of_row, kind='stable')
@@ -331,7 +331,7 @@ class Posterior:
                 self.corrected_poses(self.nuisance + steps[fold, u:]))
 
 
-def posterior_at(problem: Problem, estimate: Estimate, noise: NoiseScales) -> Posterior:
+def posterior_at(problem: Problem, estimate: Estimate, noise: NoiseModel) -> Posterior:
     """Return the posterior at an estimate; all blocks are its parameters if they are no noise."""
     linear = linearise(problem, estimate)
     return Posterior.of_linear(linear, noise, () if noise.blocks_as_noise else blocks_at(linear))

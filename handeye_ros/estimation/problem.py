@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from handeye_ros.estimation.blocks import ParameterBlock
 
 UNUSED = -1  # the kind of an observation that is not part of the target
-# So many tell noise and scales; of a sweep, fewer: neighbours on a path tell little new.
+# So many tell noise and taus; of a sweep, fewer: neighbours on a path tell little new.
 ENOUGH_STATIONS, ENOUGH_PROFILES = 200, 100
+FEW_STATIONS = 12  # so few fit in several wrong ways
 DISTORTION_LENGTH = 0.01  # m: the distortion of points 12 mm apart has the correlation 0.5
 SAME_POINT = 1e-9  # m: conditions of one feature that are nearer are on one point
 
@@ -106,7 +107,7 @@ class Observations:
         return tuple(grouped)
 
     def same(self, other: Observations) -> bool:
-        """Return whether others are the same points with the same labels."""
+        """Return whether others are the same points with the same kinds."""
         return (np.array_equal(self.kind, other.kind)
                 and np.array_equal(self.station, other.station)
                 and np.array_equal(self.points, other.points))
@@ -126,13 +127,13 @@ class PoseModel:
     """
     Poses of a moving robot, which depend on parameters with a prior, such as a time offset.
 
-    evaluate(values (k,)): poses T_base_flange (N, 4, 4) of all samples, and twists (N, 6, k),
-    their derivatives by the values: translation, and rotation vector about the flange's origin,
-    both in the base frame.
+    evaluate(pose_parameters (k,)): poses T_base_flange (N, 4, 4) of all samples, and twists
+    (N, 6, k), their derivatives by the parameters: translation, and rotation vector about the
+    flange's origin, both in the base frame.
 
-    names (k,), stds (k,): 1 sigma of the prior about 0; a value with 0 is known
-    jitter: (k,) 1 sigma of independent errors of the values at each station, as of stamps; None:
-        none
+    names (k,), stds (k,): 1 sigma of the prior about 0; a parameter with 0 is known
+    jitter: (k,) 1 sigma of independent errors of the parameters at each station, as of stamps;
+        None: none
     stations: indices of the problem's stations among the N
     least_variance: see ParameterBlock
     blocks: source of further blocks for such poses, or None
@@ -146,9 +147,9 @@ class PoseModel:
     blocks: Callable[[Linearisation], Iterable[ParameterBlock]] | None = None
     jitter: Array | None = None
 
-    def at(self, values: Array) -> tuple[Array, Array]:
+    def at(self, pose_parameters: Array) -> tuple[Array, Array]:
         """Return the poses (n, 4, 4) and twists (n, 6, k) of the stations of a problem."""
-        poses, twists = self.evaluate(values)
+        poses, twists = self.evaluate(pose_parameters)
         return poses[self.stations], twists[self.stations]
 
     def subset(self, stations: NDArray[np.intp]) -> PoseModel:
@@ -170,7 +171,7 @@ class Problem:
     A calibration problem: poses (n, 4, 4) of the mount, their observations, and settings.
 
     pose_model: parameters that the poses depend on, or None
-    pose_parameters: (k,) their values
+    pose_parameters: (k,) these
     pose_twists: (n, 6, k) derivatives of the robot's poses by these
     long_errors: whether the robot's smooth error has long wavelengths only
     """
@@ -185,9 +186,9 @@ class Problem:
     long_errors: bool = False
 
     def __post_init__(self) -> None:
-        """Set the pose values to 0, and their twists, if it comes without."""
+        """Set the pose parameters to 0, and their twists, if it comes without."""
         if not len(self.pose_parameters):
-            object.__setattr__(self, 'pose_parameters', np.zeros(len(self.pose_stds)))
+            object.__setattr__(self, 'pose_parameters', np.zeros(len(self.pose_parameter_stds)))
         if self.pose_model is None:
             object.__setattr__(self, 'pose_twists', np.zeros((len(self.poses), 6, 0)))
         elif not len(self.pose_twists):
@@ -202,12 +203,12 @@ class Problem:
 
     @property
     def is_sweep(self) -> bool:
-        """Return whether the robot moved at some stations: their poses depend on the clocks."""
+        """Return whether the robot moved at some stations: their poses depend on parameters."""
         return self.pose_model is not None
 
     @property
-    def pose_stds(self) -> Array:
-        """Return 1 sigma (k,) of the prior of the pose values."""
+    def pose_parameter_stds(self) -> Array:
+        """Return 1 sigma (k,) of the prior of the pose parameters."""
         return np.array(self.pose_model.stds if self.pose_model else ())
 
     @cached_property
@@ -224,7 +225,7 @@ class Problem:
     @property
     def needs_more_starts(self) -> bool:
         """Return whether the problem may have several solutions and needs more starts."""
-        return len(self.poses) <= 12
+        return len(self.poses) <= FEW_STATIONS
 
     @cached_property
     def robot_poses(self) -> Array:
@@ -238,19 +239,19 @@ class Problem:
 
     @property
     def enough_stations(self) -> int:
-        """Return the number of stations that tell noise and scales."""
+        """Return the number of stations that tell noise and taus."""
         return ENOUGH_PROFILES if self.is_sweep else ENOUGH_STATIONS
 
     @property
     def is_large(self) -> bool:
-        """Return whether a part of the stations suffices to tell noise and scales."""
+        """Return whether a part of the stations suffices to tell noise and taus."""
         return len(self.poses) >= 2 * self.enough_stations
 
     @property
     def shows_edge(self) -> NDArray[np.bool_]:
         """Return which stations (n,) have an observation at an edge."""
         obs, shows = self.observations, np.zeros(len(self.poses), dtype=bool)
-        shows[obs.station[np.isin(obs.kind, self.target.required_edges)]] = True
+        shows[obs.station[np.isin(obs.kind, self.target.edge_kinds)]] = True
         return shows
 
     def points_in_base(self, X: Array) -> Array:
@@ -264,13 +265,13 @@ class Problem:
         return Estimate(se3.perturb(estimate.X, delta[..., :6]),
                         self.target.retract(estimate.state, delta[..., 6:]))
 
-    def with_pose_parameters(self, values: Array) -> Problem:
-        """Return the problem with the poses of its pose model, if it has one, at values (k,)."""
+    def with_pose_parameters(self, pose_parameters: Array) -> Problem:
+        """Return the problem with the poses of its pose model, if any, at parameters (k,)."""
         if self.pose_model is None:
             return self
-        poses, twists = self.pose_model.at(values)
+        poses, twists = self.pose_model.at(pose_parameters)
         return replace(self, poses=poses if self.config.in_hand else se3.inverse(poses),
-                       pose_parameters=values, pose_twists=twists)
+                       pose_parameters=pose_parameters, pose_twists=twists)
 
     def subset(self, stations: NDArray[np.intp]) -> Problem:
         """Return the problem with only the given stations (ascending indices)."""
@@ -313,7 +314,7 @@ class Linearisation:
 
     @cached_property
     def wrt_jitter(self) -> Array | None:
-        """Return derivatives (m, k) by 1 sigma of the white errors of pose values, or None."""
+        """Return derivatives (m, k) by 1 sigma of pose parameters' jitter, None without."""
         model = self.problem.pose_model
         if model is None or model.jitter is None:
             return None

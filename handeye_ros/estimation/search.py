@@ -12,7 +12,7 @@ first, (12): with the errors that stations share as noise of each (`without_outl
 with all nuisance parameters (`refined_solution`).
 
 A *robust* fit is that of `refined_robustly`: all stations, the outliers among them, linearised
-there with the labels that their observations then have.
+there with the kinds as then assigned.
 """
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from itertools import chain, islice
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, SEED
-from handeye_ros.estimation.covariance import with_possibly_wrong_station
+from handeye_ros.estimation.contamination import with_possibly_wrong_station
 from handeye_ros.estimation.least_squares import (
     drop_outliers,
     graduated_fit,
@@ -37,7 +37,7 @@ from handeye_ros.estimation.least_squares import (
     States,
     typical_square,
 )
-from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, NoiseScales, whitening
+from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, NoiseModel, whitening
 from handeye_ros.estimation.posterior import Posterior
 from handeye_ros.estimation.problem import (
     Estimate,
@@ -121,10 +121,10 @@ def refined_solution(agreed: Solution, config: Config | None = None) -> Solution
     """
     Return the solution with all nuisance blocks, from one without; further outliers dropped.
 
-    agreed: whose stations are used, with the labels of their observations and from its estimate;
+    agreed: whose stations are used, with kinds as assigned there and from its estimate;
     config: other settings than those of its problem.
     With few stations, each may be wrong without being detected; the reported covariance includes
-    this. With many, a part of them tells linearisation, noise and scales.
+    this. With many, a part of them tells linearisation, noise and taus.
     """
     full_problem, problem = (replace(each, config=config or each.config)
                              for each in (agreed.full_problem, agreed.problem))
@@ -149,10 +149,10 @@ def refined_robustly(problem: Problem, start: Estimate) -> Linearisation:
     Return the fit that graduated non-convexity reaches from a start, (11).
 
     After each round the observations are assigned again to the parts of the target (`reassigned`),
-    and the next weights come from these. The values that the poses depend on are unknowns, too.
+    and the next weights come from these. The pose parameters are unknowns, too.
     """
     def refit(linear: Linearisation, weights: Array) -> Linearisation:
-        # the priors of the pose values, the last item, keep their weight
+        # the priors of the pose parameters, the last item, keep their weight
         moved = _least_squares_of(linear.problem).few_weighted_steps(
             linear, np.append(weights, 1.0))
         complete = replace(moved.problem, observations=problem.observations)
@@ -255,15 +255,15 @@ def mean_squares(linear: Linearisation) -> Array:
     return means_by(station, whitened ** 2, n)
 
 
-def _least_squares_of(problem: Problem, noise: NoiseScales = BLOCKS_AS_NOISE
+def _least_squares_of(problem: Problem, noise: NoiseModel = BLOCKS_AS_NOISE
                       ) -> LeastSquares[Linearisation]:
     """
-    Return the least-squares system of a problem, with the pose values among its unknowns.
+    Return the least-squares system of a problem, with the pose parameters among its unknowns.
 
-    Each station is an item; the priors of the k pose values that are unknown are the last item.
+    Each station is an item; the priors of the k unknown pose parameters are the last item.
     """
-    unknown = np.flatnonzero(problem.pose_stds)
-    stds, k, u = problem.pose_stds[unknown], len(unknown), len(problem.free_columns)
+    unknown = np.flatnonzero(problem.pose_parameter_stds)
+    stds, k, u = problem.pose_parameter_stds[unknown], len(unknown), len(problem.free_columns)
 
     def rows(linear: Linearisation) -> Rows:
         m = len(linear.residuals)
@@ -281,15 +281,15 @@ def _least_squares_of(problem: Problem, noise: NoiseScales = BLOCKS_AS_NOISE
         return Rows(np.append(linear.residuals, prior_residuals), jacobian, lambda: whiten)
 
     def retract(linear: Linearisation, step: Array) -> Linearisation:
-        values = linear.problem.pose_parameters.copy()
-        values[unknown] += step[u:]
-        moved = linear.problem.with_pose_parameters(values)
+        pose_parameters = linear.problem.pose_parameters.copy()
+        pose_parameters[unknown] += step[u:]
+        moved = linear.problem.with_pose_parameters(pose_parameters)
         return linearise(moved, moved.retracted(linear.estimate, step[:u]))
     item = np.append(problem.observations.station, np.full(k, len(problem.poses)))
     return LeastSquares(rows, retract, item)
 
 
-def least_squares_fit(problem: Problem, start: Estimate, noise: NoiseScales = BLOCKS_AS_NOISE
+def least_squares_fit(problem: Problem, start: Estimate, noise: NoiseModel = BLOCKS_AS_NOISE
                       ) -> Linearisation:
     """Return the fit with the least squared whitened residuals."""
     return _least_squares_of(problem, noise).minimised(linearise(problem, start))

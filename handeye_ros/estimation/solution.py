@@ -3,8 +3,8 @@
 """
 The solution: the stations that agree, the estimate from them, and the reported covariance.
 
-The estimate and its reported covariance have different prior scales: an error without evidence in
-the data must not move the estimate, but it may exist.
+The estimate and its reported covariance have different prior scales tau: an error without evidence
+in the data must not move the estimate, but it may exist.
 """
 from __future__ import annotations
 
@@ -14,14 +14,10 @@ from functools import cached_property
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.blocks import (
-    best_fit_motions,
-    blocks_at,
-    blocks_with_columns,
-    ParameterBlock,
-)
+from handeye_ros.estimation.best_fit import best_fit_motions
+from handeye_ros.estimation.blocks import blocks_at, blocks_with_columns, ParameterBlock
 from handeye_ros.estimation.least_squares import FREE_DIRECTION
-from handeye_ros.estimation.noise import LOCAL_DISTORTION_INDEX, NoiseScales
+from handeye_ros.estimation.noise import LOCAL_DISTORTION_INDEX, NoiseModel
 from handeye_ros.estimation.posterior import Posterior, posterior_at
 from handeye_ros.estimation.problem import (
     Estimate,
@@ -34,10 +30,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 # The iteration of the unknowns ends at a step of CONVERGED_SIGMAS; one more follows with the final
-# scales. After MAX_STEPS, one of NEAR_SIGMAS is small enough.
+# taus. After MAX_STEPS, one of NEAR_SIGMAS is small enough.
 CONVERGED_SIGMAS, NEAR_SIGMAS, MAX_STEPS = 0.25, 1.0, 10
-FULL_STEPS = 5  # in which the scales change in full, later by half
-LAST_STEPS = 3  # of variance factors and scales, after the last of the unknowns
+FULL_STEPS = 5  # in which the taus change in full, later by half
+LAST_STEPS = 3  # of variance factors and taus, after the last of the unknowns
 LEFT_BY_OTHERS = 1e-6  # share of a variance; a station that leaves less to the others is needed
 # prior variance factors for the estimate: no distortion that differs, unless the data show some
 MAP_PRIOR_FACTORS = np.where(np.arange(5) == LOCAL_DISTORTION_INDEX, 1e-4, 1.0)
@@ -49,7 +45,7 @@ class Solution:
     The stations that agree and their posterior; first with blocks as noise, then with blocks.
 
     posterior: of the stations used, for the estimate
-    report_posterior: the one whose covariance is reported, (8), at the conservative scales; an
+    report_posterior: the one whose covariance is reported, (8), at the conservative taus; an
         estimate at these would follow causes without evidence. With blocks as noise, the same
     full_problem: the problem with all stations and observations
     used_stations: (n,) their indices
@@ -73,7 +69,7 @@ class Solution:
 
     @property
     def problem(self) -> Problem:
-        """Return the problem of the used stations, with the labels of their observations."""
+        """Return the problem of the used stations, with kinds as assigned."""
         return self.posterior.problem
 
     @property
@@ -104,7 +100,7 @@ class Solution:
 
     @property
     def shift_for_report(self) -> Array:
-        """Return d (6,): how far the scales for the report would move the estimate, (8)."""
+        """Return d (6,): how far the taus for the report would move the estimate, (8)."""
         return se3.difference(self.report_posterior.estimate.X, self.estimate.X)
 
     @property
@@ -123,8 +119,8 @@ class Solution:
         variances = np.diag(reported.covariance)
         std[self.problem.free_columns[6:] - 6] = np.sqrt(variances[6:reported.unknown_count])
         for block, columns in blocks_with_columns(reported.blocks, reported.unknown_count):
-            if block.parameter is not None:
-                std[block.parameter] = block.std * variances[columns][0] ** 0.5
+            if (i := block.target_parameter_index) is not None:
+                std[i] = block.std * variances[columns][0] ** 0.5
         return std
 
     @property
@@ -163,11 +159,11 @@ def cover(first: Array, second: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ConvergedFit:
-    """Where the least squares (4) converged, and noise and scales for the estimate and report."""
+    """Where the least squares (4) converged, and noise and taus for the estimate and report."""
 
     linear: Linearisation
-    noise_of_estimate: NoiseScales
-    noise_of_report: NoiseScales
+    noise_of_estimate: NoiseModel
+    noise_of_report: NoiseModel
 
 
 def posteriors_of_fit(problem: Problem, fit: ConvergedFit, previous: Posterior | None = None
@@ -175,39 +171,39 @@ def posteriors_of_fit(problem: Problem, fit: ConvergedFit, previous: Posterior |
     """
     Return the posteriors for the estimate and for the report, with all blocks.
 
-    The latter is at wider scales, with long errors of the robot only. fit: of the stations of the
+    The latter is at larger taus, with long errors of the robot only. fit: of the stations of the
     problem, or of a part of them; previous: the posterior for the report of a few stations more,
-    whose scales are hardly different.
+    whose taus are hardly different.
     """
     problem = problem.with_pose_parameters(fit.linear.problem.pose_parameters)
     posterior = posterior_at(problem, fit.linear.estimate, fit.noise_of_estimate)
-    if len(problem.poses) > len(fit.linear.problem.poses):  # one step from the scales of the part
-        at_report_scales = replace(posterior, noise=replace(
+    if len(problem.poses) > len(fit.linear.problem.poses):  # one step from the taus of the part
+        at_report_taus = replace(posterior, noise=replace(
             fit.noise_of_estimate, block_variances=fit.noise_of_report.block_variances))
-        for_estimate, _ = at_report_scales.estimated_block_variances()
+        for_estimate, _ = at_report_taus.estimated_block_variances()
         posterior = posterior.with_block_variances(for_estimate)
     noise, steps = (previous.noise, 1) if previous else (fit.noise_of_report, LAST_STEPS)
     for_report = posterior_at(replace(problem, long_errors=True), fit.linear.estimate, noise)
-    return posterior, for_report.with_scales_for_report(steps)
+    return posterior, for_report.with_taus_for_report(steps)
 
 
 def converged_fit(problem: Problem, start: Estimate) -> ConvergedFit:
     """
-    Return the fit near a start, with noise and scales estimated there.
+    Return the fit near a start, with noise and taus estimated there.
 
     Of a large problem it is that of evenly chosen stations.
     """
     n = len(problem.poses)
     if problem.is_large:
         problem = problem.subset(np.arange(0, n, round(n / problem.enough_stations)))
-    reached, converged = _iterated(posterior_at(problem, start, NoiseScales()))
+    reached, converged = _iterated(posterior_at(problem, start, NoiseModel()))
     if not converged:  # the nearest is the answer, as uncertain as any
         return ConvergedFit(reached.linear, reached.noise, reached.noise)
-    # both scales follow from the posterior at those for the report
-    at_report_scales = reached.with_scales_for_report(LAST_STEPS - 1)
+    # the taus of both follow from the posterior at those for the report
+    at_report_taus = reached.with_taus_for_report(LAST_STEPS - 1)
     for_estimate, for_report = map(reached.with_block_variances,
-                                   at_report_scales.estimated_block_variances())
-    # the noise of the estimate, at its own scales; that of the report stays as it converged
+                                   at_report_taus.estimated_block_variances())
+    # the noise of the estimate, at its own taus; that of the report stays as it converged
     for _ in range(LAST_STEPS):
         for_estimate = for_estimate.with_estimated_factors(MAP_PRIOR_FACTORS)
     return ConvergedFit(for_estimate.relinearise(), for_estimate.noise, for_report.noise)
@@ -218,7 +214,7 @@ def _iterated(start: Posterior) -> tuple[Posterior, bool]:
     Return the posterior that repeated steps (5) reach and True; if none, the nearest and False.
 
     The nearest has the shortest step in sigmas. After each step the variance factors are estimated
-    from the residuals before it, (7), and then the scales for the report from those after it, (6).
+    from the residuals before it, (7), and then the taus for the report from those after it, (6).
     (Both from the same residuals may swing from too much of one to too much of the other for ever.
     Where these do all the same, half of the later changes, in logarithms, ends it.)
     """
@@ -233,7 +229,7 @@ def _iterated(start: Posterior) -> tuple[Posterior, bool]:
         steady = np.abs(np.log(factors / current.noise.variance_factors)).max() < 0.1
         noise = replace(current.noise, variance_factors=factors)
         linear = current.relinearise()
-        following = Posterior.of_linear(linear, noise, blocks_at(linear)).with_scales_for_report(1)
+        following = Posterior.of_linear(linear, noise, blocks_at(linear)).with_taus_for_report(1)
         if number >= FULL_STEPS and len(current.blocks) == len(following.blocks):
             following = following.with_block_variances(
                 np.sqrt(following.block_variances * current.block_variances))
@@ -246,9 +242,9 @@ def _iterated(start: Posterior) -> tuple[Posterior, bool]:
 
 def with_noise_reestimated(posterior: Posterior, further: tuple[ParameterBlock, ...] = ()
                            ) -> Posterior:
-    """Return a posterior with noise and prior scales estimated again, and further blocks."""
+    """Return a posterior with noise and taus estimated again, and further blocks."""
     linear = linearise(posterior.problem, posterior.estimate)
     estimated = Posterior.of_linear(linear, posterior.noise, (*further, *blocks_at(linear)))
     for _ in range(LAST_STEPS):
-        estimated = estimated.with_estimated_factors().with_scales_for_report(2)
+        estimated = estimated.with_estimated_factors().with_taus_for_report(2)
     return estimated

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, TYPE_CHECKING
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, FaceLine, Feature, rms, Sample
+from handeye_ros.data import Array, rms, Sample
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,39 +38,33 @@ class Target(ABC):
     One target: what it shows, its conditions and its start; the solver is the same for all.
 
     There are m observations of points p (..., m, 3) in the base, and k parameters of the target.
-    Its state (..., 16 + j) is its pose (4, 4) in the base, followed by j measures. extract(points
-    (n, 2), config): the features of one profile; raises FeatureError without them.
+    Its state (..., 16 + j) is its pose (4, 4) in the base, followed by j measures.
 
-    required_features: types of the features that extract gives at least, one for each
     kinds: names of the conditions
     parameter_names: names of the parameters: of the pose, then of the measures
     pose_axes: which of x y z rx ry rz, along and about its own axes, are parameters; the others
         leave it the same
     normals: (kinds, 3) by kind, of the surface through the origin on which its points lie
-    required_edges: the conditions at edges, by their index in kinds; a station that shows edges
+    edge_kinds: the conditions at edges, by their index in kinds; a station that shows edges
         must use one
     min_samples: fewest samples
     freed_measure: settings of the target with which its last measure is unknown, where it has one
     freed_lengths: settings of the target with which its stated lengths may be wrong, where it has
         some
-    lost_with_one_axis: what rotations about one axis alone leave undetermined, in words
-    face_count: how many of its faces, each a piece of the profile, one view has
-    several_in_view: whether a profile may show several surfaces, or pairs of them, of which one is
-        the target: a wrong estimate may fit well
+    face_count: how many of its faces one view has
+    several_in_view: whether a profile may show several candidates, surfaces or pairs of them, of
+        which one is the target: a wrong estimate may fit well
     """
 
     name: str
-    extract: ClassVar[staticmethod[[Array, Config], tuple[Feature, ...]]]
-    required_features: ClassVar[Sequence[type[Feature]]] = (FaceLine,)
     kinds: tuple[str, ...]
     parameter_names: tuple[str, ...]
     pose_axes: ClassVar[Sequence[int]]
     normals: ClassVar[Array]
-    required_edges: tuple[int, ...] = ()
+    edge_kinds: tuple[int, ...] = ()
     min_samples = 6
     freed_measure: ClassVar[Mapping[str, Any]] = {}
     freed_lengths: ClassVar[Mapping[str, Any]] = {}
-    lost_with_one_axis = 'the position along it is free'
     face_count = 1
     several_in_view = False
 
@@ -157,13 +151,13 @@ class Target(ABC):
         p: (m, 3) in the base; state: (s,).
         """
 
-    def pieces(self, observations: Observations) -> NDArray[np.intp]:
-        """Return the number (m,) of the surface, or pair of surfaces, in its profile."""
+    def candidates(self, observations: Observations) -> NDArray[np.intp]:
+        """Return the number (m,) of the surface, pair of surfaces, or end in its profile."""
         return observations.feature // self.face_count
 
     def shows_several(self, observations: Observations) -> bool:
         """Return whether a station shows several surfaces or pairs of them."""
-        return self.several_in_view and bool(self.pieces(observations).any())
+        return self.several_in_view and bool(self.candidates(observations).any())
 
     @abstractmethod
     def describe(self, state: Array, std: Array) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from handeye_ros.checks.moved import outliers_at_one_end
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.blocks import LINE_BEND
-from handeye_ros.estimation.covariance import budget, CORRECTED_ARM
+from handeye_ros.estimation.budget import budget, CORRECTED_ARM
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import direction_in_words, mount_frame

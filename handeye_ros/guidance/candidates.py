@@ -25,7 +25,7 @@ from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.view import BORDER_NORMALS, View
 from handeye_ros.profiles.faces import MIN_CORNER_ANGLE
-from handeye_ros.targets.starts import lines_of_pieces
+from handeye_ros.targets.starts import lines_of_parts
 from handeye_ros.targets.wedge import corners
 import numpy as np
 from numpy.typing import NDArray
@@ -105,7 +105,7 @@ def anchor_of(problem: Problem, station: int) -> Array:
 
 def _anchored(problem: Problem, obs: Observations) -> NDArray[np.bool_]:
     """Return which observations (m,) of a station the anchor is the mean of."""
-    at_edge = np.isin(obs.kind, problem.target.required_edges)
+    at_edge = np.isin(obs.kind, problem.target.edge_kinds)
     return at_edge if at_edge.any() else ~at_edge
 
 
@@ -193,7 +193,7 @@ def _shows_the_same(linear: Linearisation, template: Linearisation, same_point: 
     on_target = np.abs(linear.residuals).reshape(shape).max(axis=1) < ON_TARGET
     # the crossing is steep: moves along the laser line show at edges, in the plane at faces
     A = linear.wrt_point.reshape(*shape, 2)
-    at_edge = np.isin(problem.observations.kind, problem.target.required_edges) @ same_point > 0
+    at_edge = np.isin(problem.observations.kind, problem.target.edge_kinds) @ same_point > 0
     sine_squared = np.where(at_edge, A[..., 0] ** 2, (A ** 2).sum(axis=2)) @ same_point
     crossing = problem.config.sampling.min_crossing_angle + STOP_POSE_ERROR[1]
     # surfaces are seen from the same side, where the template tells one
@@ -211,7 +211,7 @@ def _shows_the_same(linear: Linearisation, template: Linearisation, same_point: 
 def _corner_seen(observations: Observations, view: View) -> NDArray[np.bool_]:
     """Return which stations (n,) have the corner of two faces in view, and sharp enough."""
     places, _ = corners(observations, np.zeros_like(observations.kind))
-    _, _, slopes = lines_of_pieces(observations, observations.kind)
+    _, _, slopes = lines_of_parts(observations, observations.kind)
     sine = np.sin(np.ptp(np.arctan(slopes), axis=1))
     return np.asarray((view.room(places[:, 0]) > 0)
                       & (sine > np.sin(MIN_CORNER_ANGLE + CORNER_MARGIN)))

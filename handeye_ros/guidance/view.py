@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Sample
 from handeye_ros.estimation.basis import grid_over
-from handeye_ros.estimation.target import Target
+from handeye_ros.targets.profile_target import ProfileTarget
 import numpy as np
 
 LEVERS_ALONG = 13  # points along each side of the view whose error is told
@@ -143,14 +143,14 @@ class AdvisedMove:
     beside: float = 0.0
 
 
-def seen_feature_noun(target: Target) -> str:
+def seen_feature_noun(target: ProfileTarget) -> str:
     """Return the feature that the laser line must show, in words."""
-    return 'edge' if target.required_edges else target.name
+    return 'edge' if target.edge_kinds else target.name
 
 
-def next_move(taken: int, target: Target, config: Config, view: View) -> AdvisedMove:
+def next_move(taken: int, target: ProfileTarget, config: Config, view: View) -> AdvisedMove:
     """Return the move after a number of samples (at least one)."""
-    is_round, two_edges = Arc in target.required_features, len(target.required_edges) > 1
+    is_round, two_edges = Arc in target.required_features, len(target.edge_kinds) > 1
     moves = SPHERE_MOVES if is_round else TWO_EDGES_MOVES if two_edges else OTHER_MOVES
     turn, *shares, beside = moves[taken % len(moves)]
     tilt = np.round(np.array(shares[:2]) * config.guidance.tilt, 3)
@@ -170,14 +170,14 @@ def next_move(taken: int, target: Target, config: Config, view: View) -> Advised
     return AdvisedMove(text, turn, tilt, place, edge, float(beside))
 
 
-def _advice(target: Target, config: Config, turn: float, tilt: Array, place: Array, edge: int,
-            beside: float) -> str:
+def _advice(target: ProfileTarget, config: Config, turn: float, tilt: Array, place: Array,
+            edge: int, beside: float) -> str:
     # beside the robot the sensor stays, and the robot turns the target the other way
     mover, other, turn_axis, sign = (
         ('sensor', 'target', 'its viewing direction', 1) if config.in_hand else
         ('target', 'sensor', 'the viewing direction', -1))
     where = ('at the other edge, that meets the first one in the corner, ' if edge else
-             'at the same edge, ' if len(target.required_edges) > 1 else '')
+             'at the same edge, ' if len(target.edge_kinds) > 1 else '')
     turns = ', then '.join(
         f'{np.degrees(sign * angle):+.0f} degrees about {axis}' for angle, axis in (
             (turn, turn_axis), (tilt[0], 'the laser line'),

@@ -14,7 +14,7 @@ from dataclasses import replace
 import math
 
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, Indices, SIGMA_OF_MEDIAN
+from handeye_ros.data import Arc, Array, even_indices, Indices, SIGMA_OF_MEDIAN
 from handeye_ros.errors import FeatureError, mm
 from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
 from handeye_ros.profiles.ransac import circles_among
@@ -82,11 +82,24 @@ def arc_features(points: Array, config: Config) -> tuple[Arc]:
     raise FeatureError(reason or 'no arc of the sphere in the profile')
 
 
+def fit_round(points: Array) -> Array:
+    """
+    Return the centre and radius (d + 1,) of the circle or sphere nearest to points (n, d).
+
+    Least squares of the squared distances (Kasa 1976, IEEE Trans. Instrum. Meas. 25:8).
+    """
+    design = np.column_stack([2.0 * points, np.ones(len(points))])
+    fit = np.linalg.lstsq(design, np.sum(points ** 2, axis=1), rcond=None)[0]
+    fit[-1] = np.sqrt(max(fit[-1] + fit[:-1] @ fit[:-1], 1e-12))
+    return np.asarray(fit)
+
+
 def fit_circle(points: Array, steps: int = 4) -> Array:
     """
     Return the circle (x, z, r) with the least squared radial distances to (n, 2) points.
 
-    steps: of Gauss-Newton from the algebraic fit (Kasa 1976), which is biased for short arcs.
+    steps: of Gauss-Newton from the algebraic fit of fit_round, which is biased for short arcs. It
+    is written out here, about the mean of the points: profiles are read in less time.
     """
     middle = points.sum(axis=0) / len(points)
     x, z = (points - middle).T
@@ -204,7 +217,7 @@ def _is_corner(arc: Arc) -> bool:
     A circle in a corner, or through two surfaces, also has many points near it. But two lines do
     not fit a true arc, whose halves are curved.
     """
-    points = arc.measured[::-(-len(arc.measured) // JUDGED_POINTS)]
+    points = arc.measured[even_indices(len(arc.measured), JUDGED_POINTS)]
     residual, (x, z) = distances_from_circle(points, arc.circle), (points - arc.centre).T
     sums = np.array([np.ones(len(x)), x, z, x * x, x * z, z * z]).cumsum(axis=1)
     first_line = sums[:, MIN_LINE_POINTS - 1:-MIN_LINE_POINTS]  # that ends at each point

@@ -319,6 +319,9 @@ def smallest_step(end: FaceEnd, other: Segment) -> float:
 
 MIN_WALL = 1.2e-3  # smallest depth of a visible wall below the face (m)
 WALL_POINTS = 4  # fewest points of a wall
+# depths over the lowest one that are surely on the wall: above may be a bevel or a rounding, and
+# below the mixed points at its foot
+WALL_FROM, WALL_TO = 0.5, 0.97
 
 
 def _edge_at_wall(end: FaceEnd, tail: Indices) -> EdgePoint | None:
@@ -327,7 +330,7 @@ def _edge_at_wall(end: FaceEnd, tail: Indices) -> EdgePoint | None:
         return None
     tail_u, tail_v = end.coordinates(tail)
     lowest = float(tail_v.max())
-    on_wall = (tail_v > 0.5 * lowest) & (tail_v < 0.97 * lowest)
+    on_wall = (tail_v > WALL_FROM * lowest) & (tail_v < WALL_TO * lowest)
     if lowest < MIN_WALL or np.count_nonzero(on_wall) < WALL_POINTS:
         return None
     v = tail_v[on_wall]
@@ -395,6 +398,8 @@ def _edge_before_drop(end: FaceEnd, tail: Indices, ending: str,
 MAX_RAMP = 16  # points between two levels: a wider transition is a surface
 MIXED_POINTS = 2  # most points between two levels that are only mixed at the edge
 RAMP_STD = 0.2  # 1 sigma of the edge within a wide transition, over the way to its middle
+GROUND_SHARE = 0.8  # of the way down: points below may be of a noisy ground
+MIN_SHARE_STEP = 0.1  # between points at half the way: a smaller one is noise, to divide by
 
 
 def _distance_to_edge(end: FaceEnd, last: int, spacing: float, ground: Segment | None
@@ -417,10 +422,11 @@ def _distance_to_edge(end: FaceEnd, last: int, spacing: float, ground: Segment |
         # of the way down, the whole of a ground that is no deeper
         way = ground_depth - depth[0]
         share = np.divide(depth - depth[0], way, out=np.ones_like(way), where=way > 0)
-        between = int((share[1:-1] < 0.8).sum())
+        between = int((share[1:-1] < GROUND_SHARE).sum())
         if between > MIXED_POINTS:
             after = max(int(np.argmax(share > 0.5)), 1)
-            fraction = (0.5 - share[after - 1]) / max(float(share[after] - share[after - 1]), 0.1)
+            fraction = (0.5 - share[after - 1]) / max(
+                float(share[after] - share[after - 1]), MIN_SHARE_STEP)
             half_way = end.pitch * float(
                 columns[after - 1] + fraction * (columns[after] - columns[after - 1]))
             return half_way, math.hypot((1 + MIXED_POINTS) * uniform_std, RAMP_STD * half_way)

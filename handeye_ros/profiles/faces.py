@@ -3,9 +3,8 @@
 """
 Which straight pieces of a profile are the target, and their edges.
 
-The face of a plate is the surface nearer to the sensor. It ends at a step down, at a gap (nothing
-beyond it) or at a roof edge (it turns away). Points between the ends of two faces of a corner
-(bevel, rounding, weld) belong to neither.
+The face of a plate is the surface nearer to the sensor; how it may end is listed in edges.py.
+Points between the ends of two faces of a corner (bevel, rounding, weld) belong to neither.
 """
 from __future__ import annotations
 
@@ -47,7 +46,8 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
     Return the face line and the edge points (one or two) of a profile.
 
     points: (n, 2) in the sensor plane, NaN where there was no return. Of several pieces, the face
-    is the one with the most points, weighted by how sure its edges are.
+    is the one with the most points, weighted by how sure its edges are, and far less beside a
+    nearer surface.
     Raises FeatureError when there is no face with an edge in the profile.
     """
     segments = straight_segments(points, config.noise.sensor, config.sampling.min_points)

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-import math
 from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Calibration, Feature
+from handeye_ros.data import Array, Calibration, even_indices, Feature
 from handeye_ros.frames import mount_frame, T_sensor_plane, target_frame
 import numpy as np
 
@@ -94,7 +93,7 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
              np.array([T[:3, 3], (T @ X)[:3, 3]]))
     for stop in stops:
         plane = stop.points[np.isfinite(stop.points).all(axis=1)]
-        plane = plane[::max(1, math.ceil(len(plane) / MAX_POINTS))]
+        plane = plane[even_indices(len(plane), MAX_POINTS)]
         name, color = (('laser line', LASER_COLOUR) if stop.used else
                        ('laser line, not used', UNUSED_COLOUR))
         draw('points', name, color, 2.0,
@@ -134,7 +133,7 @@ def profile_picture(points: Array, features: Iterable[Feature]) -> dict[str, Any
     """
     points = points[np.isfinite(points).all(axis=1)]
     polylines = [feature.polyline for feature in features]
-    return {'points': rounded(points[::-(-len(points) // MAX_OF_PROFILE) or 1]),
+    return {'points': rounded(points[even_indices(len(points), MAX_OF_PROFILE)]),
             'lines': [rounded(line) for line in polylines if len(line) > 1],
             'spots': [rounded(line[0]) for line in polylines if len(line) == 1]}
 

@@ -48,6 +48,11 @@ MIN_SHOWING_SHARE = 0.5
 MIN_AGREEING_SHARE = 0.6  # of those that show it, smallest share that agree
 ALONG_WEIGHT = 0.1  # weight of a distance along a surface against one across, to match lines
 MAX_INDEPENDENT = 4  # profiles of one stop count as at most this many for an edge
+# How far from the median profiles agree, in robust scatters or in sigmas of one, if that is more:
+# across a face, and along it at an edge, where most of the error is rounding to a column, of less
+# than 2 sigmas.
+ACROSS_SCATTERS, ACROSS_SIGMAS = 6.0, 6.0
+EDGE_SCATTERS, EDGE_SIGMAS = 4.0, 2.0
 FLIPPED_EVERY = 8  # every such profile of a pass tells whether the range counts the other way
 MAX_TRAVEL = 10.0  # of the robot at a stop, times sampling.still_translation
 MAX_OF_PASS = 32  # profiles of a pass that are evaluated, twice as many if few show the target
@@ -125,7 +130,7 @@ def _centroid(profile: Profile) -> Array:
 
 def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
     """Return the features of a target with edges, with the opposite profile.range_sign."""
-    if targets.target_for(config).required_edges:
+    if targets.target_for(config).edge_kinds:
         with suppress(FeatureError):
             return features_of(profile, with_flipped_range(config))
     return ()
@@ -162,7 +167,7 @@ def features_of_stop(features_by_profile: Sequence[tuple[Feature, ...]], face_co
     """
     Return the features of a stop from those of its profiles (one tuple each).
 
-    Features are matched by kind, place and facing direction; face_count: number of
+    Lines are matched by distance, edges by the side that they face; face_count: number of
     consecutive lines that are used only together. Raises FeatureError when the profiles of the
     stop do not agree.
     """
@@ -224,8 +229,8 @@ def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
     slopes = np.array([line.direction[1] / line.direction[0] for line in lines])
     x = float(np.median(centres[:, 0]))
     heights = centres[:, 1] + slopes * (x - centres[:, 0])
-    agree = _near_median(heights, 6.0, 6 * float(np.mean([line.std for line in lines])),
-                         'how high the face is')
+    least = ACROSS_SIGMAS * float(np.mean([line.std for line in lines]))
+    agree = _near_median(heights, ACROSS_SCATTERS, least, 'how high the face is')
     lines = [line for line, agrees in zip(lines, agree, strict=True) if agrees]
     slope, centre = float(slopes[agree].mean()), np.array([x, heights[agree].mean()])
     spread = float(np.median([line.spread for line in lines]))
@@ -246,20 +251,20 @@ def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
 
 def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     """
-    Return one edge point from those of one side; ends of the most frequent kind alone.
+    Return one edge point from those of one side, of the most frequent ending alone.
 
     Raises FeatureError.
     """
     ending = Counter(edge.ending for edge in edges).most_common(1)[0][0]
-    edges = [edge for edge in edges if edge.ending == ending]  # each kind has a bias of its own
+    edges = [edge for edge in edges if edge.ending == ending]  # each has a bias of its own
     points = np.array([edge.point for edge in edges])
     direction = np.median([edge.direction for edge in edges], axis=0)
     direction /= np.linalg.norm(direction)
     along, across = points @ direction, points @ [-direction[1], direction[0]]
     single_std = float(np.median([edge.std for edge in edges]))
     std_across = float(np.median([edge.std_across for edge in edges]))
-    agree = _near_median(along, 4.0, 2 * single_std, 'where the edge is')
-    agree &= _near_median(across, 6.0, 6 * std_across, 'where the edge is')
+    agree = _near_median(along, EDGE_SCATTERS, EDGE_SIGMAS * single_std, 'where the edge is')
+    agree &= _near_median(across, ACROSS_SCATTERS, ACROSS_SIGMAS * std_across, 'where the edge is')
     edges = [edge for edge, agrees in zip(edges, agree, strict=True) if agrees]
     n = len(edges)
     scatter = float(along[agree].std(ddof=1)) if n > 1 else single_std

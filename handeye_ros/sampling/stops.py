@@ -103,7 +103,12 @@ class Stop:
         return se3.of_pose(self.poses[-1])
 
     def with_profiles(self, candidates: Sequence[AnyProfile], config: Config) -> Stop:
-        """Return the stop with the profiles surely taken during it, among candidates in order."""
+        """
+        Return the stop with the profiles surely taken during it, among candidates in order.
+
+        Of many, about KEPT_PER_SECOND are kept, and MAX_KEPT at most before, in and after the time
+        without vibration.
+        """
         begin = bisect_left(candidates, self.start, key=by_stamp)
         end = bisect_right(candidates, self.end, key=by_stamp)
         taken = [profile for profile in candidates[begin:end]
@@ -141,7 +146,11 @@ NO_STOP = Stop(0)
 
 
 def _thinned(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
-    """Return a part of the profiles of a stop, evenly spread."""
+    """
+    Return KEPT_PER_SECOND of successive profiles of a stop, evenly spread.
+
+    least: are kept of a short time, if it has as many.
+    """
     seconds = (profiles[-1].stamp - profiles[0].stamp) / NS if profiles else 0.0
     most = min(MAX_KEPT, max(least, 1 + round(KEPT_PER_SECOND * seconds)))
     return evenly_spaced(profiles, most)

@@ -4,7 +4,7 @@
 One straight edge: every edge point lies on one line of the base frame.
 
 Frame of the target: x along the line, the origin its point nearest to the mean position of the
-mount in the guess. An edge point gives two conditions, its distances from the line along y and z,
+mount in the start. An edge point gives two conditions, its distances from the line along y and z,
 which share the point's error. With target.use_face, the face beside the edge takes part: then z is
 its normal, and the points of each face line replace the z condition of the edge point, which is
 measured on that line.
@@ -31,12 +31,12 @@ from handeye_ros.targets.starts import (
     best_fitting_first,
     linear_solutions,
     with_few_stations,
-    with_one_piece,
+    with_one_candidate,
 )
 import numpy as np
 
 EDGE_Y, EDGE_Z = 1, 2
-LINE_CANDIDATES = 24  # solutions of the sweep that are tried
+LINE_SOLUTIONS = 24  # solutions of the sweep that are tried
 SAME_FACE = 0.25  # rad: largest angle between the faces of two stations about the edge
 # of ends, by Observations.ending: 0 no end, 1 corner, 2 step, 3 nothing beyond
 END_GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in ENDINGS)])
@@ -57,7 +57,7 @@ def line_starts(problem: Problem) -> list[Estimate]:
     obs = problem.observations
     each_point_once = replace(problem, observations=obs.select(obs.kind == EDGE_Y))
     return shortlisted(problem, linear_solutions(
-        each_point_once, [0, 1, 2], slice(1, 3), LINE_CANDIDATES))
+        each_point_once, [0, 1, 2], slice(1, 3), LINE_SOLUTIONS))
 
 
 def _with_face(problem: Problem, estimate: Estimate) -> Estimate:
@@ -83,14 +83,14 @@ def problems_with_one_end(problem: Problem) -> Iterator[list[Problem]]:
     """
     edges = replace(problem, observations=problem.observations.select(
         problem.observations.kind != FACE))
-    obs, end = edges.observations, LINE.pieces(edges.observations)
+    obs, end = edges.observations, LINE.candidates(edges.observations)
     group, side = np.zeros((2, len(edges.poses), int(end.max()) + 1))
     group[obs.station, end], side[obs.station, end] = END_GROUPS[obs.ending], obs.outward[:, 0]
     station_counts = {k: (group == k).any(axis=1).sum() for k in np.unique(group[group > 0])}
     present = sorted(station_counts, key=lambda k: (station_counts[k], k), reverse=True)
     for allowed in ([group == k for k in present] if len(present) > 1 else [], [group > 0]):
-        yield with_one_piece(edges, end, [np.where(is_allowed, rank, np.nan)
-                                          for is_allowed in allowed for rank in (side, -side)])
+        yield with_one_candidate(edges, end, [np.where(is_allowed, rank, np.nan)
+                                              for is_allowed in allowed for rank in (side, -side)])
 
 
 class Line(ProfileTarget):
@@ -102,9 +102,9 @@ class Line(ProfileTarget):
     normals = np.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, 1.0]])
     extract = staticmethod(face_features)
     required_features = (EdgePoint,)
-    required_edges = (EDGE_Y,)
+    edge_kinds = (EDGE_Y,)
     min_samples = 7
-    edge_kinds = (EDGE_Y, EDGE_Z)
+    unassigned_edge_kinds = (EDGE_Y, EDGE_Z)
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts, best first, from a sweep of the direction of the line."""
@@ -123,7 +123,7 @@ class Line(ProfileTarget):
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:
         """
-        Return the observations labelled, unused ones marked.
+        Return the observations with their kinds assigned, unused ones marked.
 
         Of several edge points of a station, only the nearest to the line is used. With its face,
         the points of the face replace the z condition of the edge point. A station that shows

@@ -23,25 +23,25 @@ from handeye_ros.targets.profile_target import ProfileTarget
 from handeye_ros.targets.starts import (
     best_fitting_first,
     linear_solutions,
-    lines_of_pieces,
+    lines_of_parts,
     SWEPT_DIRECTIONS,
     with_few_stations,
-    with_one_piece,
+    with_one_candidate,
 )
 import numpy as np
 
-PLANE_CANDIDATES = 10  # solutions of the sweep that are tried
+PLANE_SOLUTIONS = 10  # solutions of the sweep that are tried
 SAME_ANGLE = 0.05  # rad: angles to the plane that differ by less are the same
 
 
 def problems_with_one_surface(problem: Problem) -> list[Problem]:
     """Return problems with one surface per station: its nearest, its longest, or its farthest."""
-    surface = PLANE.pieces(problem.observations)
-    x, z, slope = lines_of_pieces(problem.observations, surface)
+    surface = PLANE.candidates(problem.observations)
+    x, z, slope = lines_of_parts(problem.observations, surface)
     # at the middle of the first surface, the longest: a nearer one lies above its extended line
     depth = problem.config.profile.range_sign * (z - slope[:, :1] * x)
     by_length = np.where(np.isnan(depth), np.nan, np.arange(depth.shape[1]))
-    return with_one_piece(problem, surface, (depth, by_length, -depth))
+    return with_one_candidate(problem, surface, (depth, by_length, -depth))
 
 
 class Plane(ProfileTarget):
@@ -60,11 +60,11 @@ class Plane(ProfileTarget):
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts, best first; of few stations, which fit in many wrong ways, then all."""
         few = with_few_stations(replace(problem, target=PLANE), rng)
-        factors = (1, SWEPT_DIRECTIONS // PLANE_CANDIDATES) if problem.needs_more_starts else (1,)
+        factors = (1, SWEPT_DIRECTIONS // PLANE_SOLUTIONS) if problem.needs_more_starts else (1,)
         return best_fitting_first(few, (
             [start for choice in problems_with_one_surface(few) for start in shortlisted(
                 choice, linear_solutions(
-                    choice, [1, 2, 0], slice(2, 3), factor * PLANE_CANDIDATES), factor)]
+                    choice, [1, 2, 0], slice(2, 3), factor * PLANE_SOLUTIONS), factor)]
             for factor in factors))
 
     def alike_views_in_words(self, problem: Problem, estimate: Estimate) -> str:

@@ -61,7 +61,11 @@ TURN_VOTERS = 24  # points that this search uses
 
 def _edge_points(observations: Observations, p: Array, state: Array
                  ) -> tuple[NDArray[np.intp], Array, Array]:
-    """Return the rows (k,) of edge points, their places, and directions outwards (k, 2)."""
+    """
+    Return the rows (k,) of edge points, their places (k, 2), m, and unit vectors outwards (k, 2).
+
+    Both along x and y of the target's frame.
+    """
     T, face = state[:16].reshape(4, 4), observations.kind == FACE
     flat = ((p - T[:3, 3]) @ T[:3, :3])[:, :2]
     rows, n = np.flatnonzero(~face), observations.station[-1] + 1
@@ -71,6 +75,12 @@ def _edge_points(observations: Observations, p: Array, state: Array
     outward = flat[rows] - centre[observations.station[rows]]
     outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
     return rows, flat[rows], outward
+
+
+def _is_steep(edge: Edge, outward: Array, config: Config) -> NDArray[np.bool_]:
+    """Return whether unit vectors outwards (k, 2) leave the plate across an edge, and steeply."""
+    steepness = edge.side * outward[:, edge.axis]
+    return np.asarray(steepness >= np.sin(config.sampling.min_crossing_angle))
 
 
 def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> Estimate:
@@ -128,10 +138,10 @@ class Plate(ProfileTarget):
     pose_axes = range(6)
     extract = staticmethod(face_features)
     required_features = (FaceLine, EdgePoint)
-    required_edges = tuple(EDGES)
+    edge_kinds = tuple(EDGES)
     freed_measure = {'edge_angle_free': True}
     freed_lengths = {'size_std': 3e-3}
-    edge_kinds = (P,)  # until an edge is found for it
+    unassigned_edge_kinds = (P,)  # until an edge is found for it
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts: first the plane, then the two edges in it."""
@@ -185,10 +195,9 @@ class Plate(ProfileTarget):
         rows, _, outward = _edge_points(observations, p, state)
         edges = {k: edge for k, edge in EDGES.items() if config.target.size or edge.side < 0}
         kinds = np.array(list(edges))
-        distance = np.array([np.abs(self.conditions(
-            p[rows], np.full(len(rows), k), state, config).g) for k in kinds])
-        steepness = np.array([edge.side * outward[:, edge.axis] for edge in edges.values()])
-        distance[steepness < np.sin(config.sampling.min_crossing_angle)] = np.inf
+        distance = np.array([np.where(_is_steep(edge, outward, config), np.abs(self.conditions(
+            p[rows], np.full(len(rows), k), state, config).g), np.inf)
+            for k, edge in edges.items()])
         nearest, smallest = kinds[np.argmin(distance, axis=0)], np.min(distance, axis=0)
         typical = np.quantile(smallest, SURE_SHARE, method='lower') if len(smallest) else 0.0
         is_near = np.isfinite(smallest) & (smallest <= max(MIN_GATE, GATE_RATIO * typical))
@@ -213,8 +222,7 @@ class Plate(ProfileTarget):
         for edge in reversed(EDGES.values()):
             if not size and edge.side < 0:
                 continue
-            steepness = edge.side * outward[:, edge.axis]
-            ends = p[rows[steepness > np.sin(config.sampling.min_crossing_angle)]]
+            ends = p[rows[_is_steep(edge, outward, config)]]
             opposite = np.full(len(ends), edge.opposite)
             away = np.abs(self.conditions(ends, opposite, state, config).g)
             middle = float(np.median(away)) if len(away) else 0.0

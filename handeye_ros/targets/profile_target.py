@@ -12,6 +12,8 @@ is the smallest. It states
 - parameter_names, pose_axes, stated_values: what of its pose and measures is unknown, or known
 - starts: estimates to search from (starts.py), and reassign where a profile may show other things
 - describe: what was estimated, as plain values
+- where they differ from those of ProfileTarget and Target: edge_kinds, unassigned_edge_kinds,
+  min_samples, freed_measure, freed_lengths, face_count, several_in_view, lost_with_one_axis
 
 Here are its observations, and the systematic errors that targets of faces have in common: set-back
 of faces, shapes of edges, flatness, range at grazing incidence.
@@ -20,14 +22,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import ClassVar
 
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, EdgePoint, ENDINGS, FaceLine, Sample
+from handeye_ros.data import Arc, Array, EdgePoint, ENDINGS, FaceLine, Feature, Sample
 from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.problem import Linearisation, Observations, UNUSED
 from handeye_ros.estimation.target import Target
-from handeye_ros.targets.starts import is_of_nearest_piece
+from handeye_ros.targets.starts import is_of_nearest_candidate
 import numpy as np
 
 FACE = 0  # the kind of a condition on a face, in every target that has them
@@ -86,18 +89,26 @@ class ProfileTarget(Target):
     """
     A target that profiles show by faces, arcs and edge points.
 
-    edge_kinds: the kinds of the conditions that one edge point gives, before it is reassigned
+    extract(points (n, 2), config): the features of one profile; raises FeatureError without them.
+
+    required_features: types of the features that extract gives at least, one for each
+    unassigned_edge_kinds: the kinds of the conditions that one edge point gives, before it is
+        reassigned
+    lost_with_one_axis: what rotations about one axis alone leave undetermined, in words
     """
 
-    edge_kinds: tuple[int, ...] = ()
+    extract: ClassVar[staticmethod[[Array, Config], tuple[Feature, ...]]]
+    required_features: ClassVar[Sequence[type[Feature]]] = (FaceLine,)
+    unassigned_edge_kinds: tuple[int, ...] = ()
+    lost_with_one_axis = 'the position along it is free'
 
     def observe(self, samples: Sequence[Sample]) -> Observations:
-        """Return the conditions of the features of samples; labels are assigned later."""
+        """Return the conditions of the features of samples; kinds are assigned later."""
         parts = [NO_OBSERVATIONS]
         for station, sample in enumerate(samples):
             for number, feature in enumerate(sample.features):
                 if isinstance(feature, EdgePoint):
-                    for kind in self.edge_kinds:
+                    for kind in self.unassigned_edge_kinds:
                         parts.append(observations_at(
                             station, self.edge_place(feature)[None], kind,
                             edge_error_factor(feature)[None], number, feature))
@@ -114,11 +125,11 @@ class ProfileTarget(Target):
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:
-        """Return the observations with one piece per station: the first of the near ones."""
+        """Return the observations with one candidate per station: the first of the near ones."""
         if not self.shows_several(observations):
             return observations
         squares = self.conditions(p, observations.kind, state, config).g ** 2
-        nearest = is_of_nearest_piece(observations, self.pieces(observations), squares)
+        nearest = is_of_nearest_candidate(observations, self.candidates(observations), squares)
         return replace(observations, kind=np.where(nearest, observations.kind, UNUSED))
 
     def blocks(self, linear: Linearisation) -> Blocks:

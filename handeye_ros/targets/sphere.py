@@ -28,12 +28,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 ROTATION_COUNT = 1200
-SPHERE_CANDIDATES = 16  # solutions of the sweep that are tried
+SPHERE_SOLUTIONS = 16  # solutions of the sweep that are tried
 START_RADIUS_RATIO = 1.05  # an unknown radius over that of the largest circle
 MIDDLE_WEIGHT = 1e-9  # weight of a centre at the middle of the poses (regularisation)
 
 
-def _candidates(problem: Problem, rng: np.random.Generator) -> list[Estimate]:
+def _linear_solutions(problem: Problem, rng: np.random.Generator) -> list[Estimate]:
     """
     Return the best linear solutions over a sweep of rotations of the sensor.
 
@@ -59,7 +59,7 @@ def _candidates(problem: Problem, rng: np.random.Generator) -> list[Estimate]:
     offsets = np.concatenate([y - height, y + height], axis=1)
     misfit = ((np.abs(y[:, None] - offsets[:, :, None]) - height) ** 2).mean(axis=2)
     total = misfit.min(axis=1) + ((A @ solved - b) ** 2).mean(axis=(1, 2))
-    best = np.argsort(total)[:SPHERE_CANDIDATES]
+    best = np.argsort(total)[:SPHERE_SOLUTIONS]
     t = np.insert(solved[best, 3:, 0], 1, offsets[best, misfit[best].argmin(axis=1)], axis=1)
     X = se3.transform(R_sensor[best], (R_sensor[best] @ t[:, :, None])[..., 0])
     T = se3.transform(np.eye(3), a.mean(axis=0) + solved[best, :3, 0]).reshape(-1, 16)
@@ -90,7 +90,7 @@ class Sphere(ProfileTarget):
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts, best first, from a sweep of rotations of the sensor."""
         few = with_few_stations(problem, rng)
-        yield from shortlisted(few, _candidates(few, rng))
+        yield from shortlisted(few, _linear_solutions(few, rng))
 
     def half_turn_misfit(self, linear: Linearisation) -> tuple[str, float]:
         """

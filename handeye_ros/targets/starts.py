@@ -1,10 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-What the targets' starts have in common: few stations, one piece of each profile, a linear sweep.
+What the targets' starts share: few stations, one candidate of each profile, a linear sweep.
 
-A piece is a part of a profile that may be the target: a surface, a pair of faces, an end of a
-face. At most one piece of a profile is.
+A candidate is a part of a profile that may be the target: a surface, a pair of faces, an end of a
+face. At most one candidate of a profile is.
 """
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from handeye_ros.estimation.search import distinct
 import numpy as np
 from numpy.typing import NDArray
 
-GUESS_STATIONS = 40  # more only take longer
-SAME_SURFACE = 3e-4  # m: largest distance between pieces of one surface
+START_STATIONS = 40  # more only take longer
+SAME_SURFACE = 3e-4  # m: largest distance between candidates of one surface
 FITTING_SHARE = 0.7  # of the stations that a start should fit
 SIMILAR_RATIO = 2.0  # to the best start's distance: up to it the given order decides
 SWEPT_DIRECTIONS = 400  # that a sweep tries
@@ -28,8 +28,8 @@ TINY = 1e-30  # m^2
 
 
 def with_few_stations(problem: Problem, rng: np.random.Generator) -> Problem:
-    """Return the problem with at most GUESS_STATIONS stations, to search for a start."""
-    return problem.subset(random_indices(len(problem.poses), GUESS_STATIONS, rng))
+    """Return the problem with at most START_STATIONS stations, to search for a start."""
+    return problem.subset(random_indices(len(problem.poses), START_STATIONS, rng))
 
 
 def random_indices(count: int, most: int, rng: np.random.Generator) -> NDArray[np.intp]:
@@ -52,7 +52,7 @@ def best_fitting_first(problem: Problem, rounds: Iterable[Sequence[Estimate]]
 
 
 def _typical_distance(problem: Problem, estimate: Estimate) -> float:
-    """Return the RMS distance (m) from the target within which most stations have a piece."""
+    """Return the RMS distance (m) from the target within which most stations have a candidate."""
     p, target = problem.points_in_base(estimate.X), problem.target
     kind = target.reassign(problem.observations, p, estimate.state, problem.config).kind
     used, n = kind != UNUSED, len(problem.poses)
@@ -61,56 +61,56 @@ def _typical_distance(problem: Problem, estimate: Estimate) -> float:
     return float(np.quantile(means_by(station, squares, n), FITTING_SHARE) ** 0.5)
 
 
-def with_one_piece(problem: Problem, piece: NDArray[np.intp], choices: Iterable[Array]
-                   ) -> list[Problem]:
+def with_one_candidate(problem: Problem, candidate: NDArray[np.intp], choices: Iterable[Array]
+                       ) -> list[Problem]:
     """
-    Return problems with one piece per station, one problem for each choice that differs.
+    Return problems with one candidate per station, one problem for each choice that differs.
 
-    piece: (m,) the piece of each observation; choices: ranks (n, k) of the pieces at each station,
-    of which the least is chosen, NaN where it may not be. Stations without one are dropped, and
-    problems with too few stations while others have more.
+    candidate: (m,) that each observation belongs to; choices: ranks (n, k) of the candidates at
+    each station, of which the least is chosen, NaN where it may not be. Stations without one are
+    dropped, and problems with too few stations while others have more.
     """
     obs = problem.observations
-    selections = dict[bytes, NDArray[np.intp]]()  # the piece of each station, -1: none
+    selections = dict[bytes, NDArray[np.intp]]()  # the candidate of each station, -1: none
     for ranks in choices:
         best = np.where(np.isnan(ranks), np.inf, ranks).argmin(axis=1)
         selection = np.where(np.isnan(ranks).all(axis=1), -1, best)
         selections[selection.tobytes()] = selection
     counts = [int((selection >= 0).sum()) for selection in selections.values()]
     enough = min(problem.target.min_samples, max(counts, default=0))
-    return [replace(problem, observations=obs.select(selection[obs.station] == piece)).subset(
-                np.flatnonzero(selection >= 0))
+    return [replace(problem, observations=obs.select(
+                selection[obs.station] == candidate)).subset(np.flatnonzero(selection >= 0))
             for selection, count in zip(selections.values(), counts, strict=True)
             if count >= enough]
 
 
-def is_of_nearest_piece(observations: Observations, piece: NDArray[np.intp], squares: Array
-                        ) -> NDArray[np.bool_]:
+def is_of_nearest_candidate(observations: Observations, candidate: NDArray[np.intp],
+                            squares: Array) -> NDArray[np.bool_]:
     """
-    Return which observations (m,) belong to the nearest piece of their station.
+    Return which observations (m,) belong to the nearest candidate of their station.
 
-    Of pieces about as near, it is the first. piece: (m,) the piece of each observation; squares:
-    (m,) its squared distance (m^2).
+    Of candidates about as near, it is the first. candidate: (m,) that each observation belongs to;
+    squares: (m,) its squared distance (m^2).
     """
-    count, total = (sums_by_piece(observations, piece, values)
-                    for values in (np.ones(len(piece)), squares))
+    count, total = (sums_by_part(observations, candidate, values)
+                    for values in (np.ones(len(candidate)), squares))
     distance = np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.inf))
     near = distance <= distance.min(axis=1, keepdims=True) + SAME_SURFACE
-    return np.asarray(near.argmax(axis=1)[observations.station] == piece)
+    return np.asarray(near.argmax(axis=1)[observations.station] == candidate)
 
 
-def sums_by_piece(observations: Observations, piece: NDArray[np.intp], values: Array) -> Array:
-    """Return the sums (stations, pieces) of values (m,) over the pieces of each station."""
-    shape = int(observations.station.max()) + 1, int(piece.max()) + 1
-    group = observations.station * shape[1] + piece
+def sums_by_part(observations: Observations, part: NDArray[np.intp], values: Array) -> Array:
+    """Return the sums (stations, parts) of values (m,) over the parts (m,) of each station."""
+    shape = int(observations.station.max()) + 1, int(part.max()) + 1
+    group = observations.station * shape[1] + part
     return np.asarray(np.bincount(group, values, shape[0] * shape[1]).reshape(shape), float)
 
 
-def lines_of_pieces(observations: Observations, piece: NDArray[np.intp]
-                    ) -> tuple[Array, Array, Array]:
-    """Return middle x, middle z and slope of the line of each piece (stations, pieces), or NaN."""
+def lines_of_parts(observations: Observations, part: NDArray[np.intp]
+                   ) -> tuple[Array, Array, Array]:
+    """Return middle x, middle z and slope of the line of each part (stations, parts), or NaN."""
     x, z = observations.points.T
-    n, x, z, xx, xz = (sums_by_piece(observations, piece, values)
+    n, x, z, xx, xz = (sums_by_part(observations, part, values)
                        for values in (np.ones(len(x)), x, z, x * x, x * z))
     n[n == 0] = np.nan
     return x / n, z / n, (xz - x * z / n) / np.maximum(xx - x * x / n, TINY)

@@ -23,9 +23,9 @@ from handeye_ros.targets.line import EDGE_Y, EDGE_Z, LINE, line_starts
 from handeye_ros.targets.profile_target import observations_at, ProfileTarget, xyz
 from handeye_ros.targets.starts import (
     best_fitting_first,
-    lines_of_pieces,
+    lines_of_parts,
     with_few_stations,
-    with_one_piece,
+    with_one_candidate,
 )
 import numpy as np
 from numpy.typing import NDArray
@@ -43,14 +43,14 @@ def problems_with_one_corner(problem: Problem) -> list[Problem]:
     step or stand beside another; a concave one, as a block and the table that it stands on make a
     groove, where the faces meet on the other side; or any, that of the longest faces.
     """
-    obs, pair = problem.observations, WEDGE.pieces(problem.observations)
+    obs, pair = problem.observations, WEDGE.candidates(problem.observations)
     if not WEDGE.shows_several(obs):
         return [problem]
     corner, mean_range = corners(obs, pair)
     sign = problem.config.profile.range_sign
     depth, is_convex = sign * corner[..., 1], sign * mean_range > sign * corner[..., 1]
     by_length = np.where(np.isnan(depth), np.nan, np.arange(depth.shape[1]))
-    return with_one_piece(problem, pair, [
+    return with_one_candidate(problem, pair, [
         *(np.where(is_convex, rank, np.nan) for rank in (by_length, depth, -depth)),
         np.where(is_convex, np.nan, by_length), by_length])
 
@@ -63,7 +63,7 @@ def corners(observations: Observations, pair: NDArray[np.intp]) -> tuple[Array, 
     """
     (x_1, x_2), (z_1, z_2), (slope_1, slope_2) = (
         (values[:, ::2], values[:, 1::2])
-        for values in lines_of_pieces(observations, 2 * pair + observations.kind))
+        for values in lines_of_parts(observations, 2 * pair + observations.kind))
     # two lines that are parallel cross nowhere: any point of one of them then
     difference = np.where(slope_1 == slope_2, np.inf, slope_1 - slope_2)
     along_x = (z_2 - z_1 - slope_2 * (x_2 - x_1)) / difference
@@ -131,13 +131,13 @@ class Wedge(ProfileTarget):
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:
         """Return the observations with the best pair of lines per station, each on its face."""
-        kind, pair = observations.kind, self.pieces(observations)
+        kind, pair = observations.kind, self.candidates(observations)
         group = observations.station * (int(pair.max()) + 1) + pair
         unswapped, swapped = (self.conditions(p, k, state, config).g ** 2
                               for k in (kind, 1 - kind))
         better = (np.bincount(group, swapped) < np.bincount(group, unswapped))[group]
-        labelled = replace(observations, kind=np.where(better, 1 - kind, kind))
-        return super().reassign(labelled, p, state, config)
+        assigned = replace(observations, kind=np.where(better, 1 - kind, kind))
+        return super().reassign(assigned, p, state, config)
 
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the edge's point and direction, the faces' normals and their angle (rad)."""

@@ -39,7 +39,7 @@ from handeye_ros.data import (
 )
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.blocks import LINE_BEND, line_bend, sensor_distortion, wrt_smooth
-from handeye_ros.estimation.noise import NoiseScales, Whitening, whitening
+from handeye_ros.estimation.noise import NoiseModel, Whitening, whitening
 from handeye_ros.estimation.problem import (
     Estimate,
     has_unused_edges,
@@ -247,7 +247,7 @@ class CalibratedCell(NamedTuple):
     Sensor and target as a calibration found them, and the settings of the check.
 
     root: R with R R' the joint covariance (6 + k, 6 + k) of transform and target
-    variance_factors: (5,) of the noise that the calibration found, see NoiseScales, at least 1
+    variance_factors: (5,) of the noise that the calibration found, see NoiseModel, at least 1
     noise: the settings, with the sizes of systematic errors that it found
     """
 
@@ -364,7 +364,7 @@ def _predicted(problem: Problem, cell: CalibratedCell) -> _Prediction:
         for block in source(at_found_sizes)]
 
     linear = linearise(problem, cell.estimate)
-    whiten = whitening(linear, NoiseScales(cell.variance_factors))
+    whiten = whitening(linear, NoiseModel(cell.variance_factors))
     # what all stops share was part of the calibration too
     basis = problem.smooth_error_basis
     differences = (basis - basis.mean(axis=0))[problem.observations.station]

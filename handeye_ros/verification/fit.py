@@ -38,7 +38,7 @@ from handeye_ros.estimation.least_squares import (
 )
 from handeye_ros.estimation.noise import (
     LOCAL_DISTORTION_INDEX,
-    NoiseScales,
+    NoiseModel,
     total_covariance,
     Whitening,
 )
@@ -68,7 +68,7 @@ FREE_STD = 1e6  # 1 sigma of an unknown that may have any value, beside that by 
 # share of the others in what a group nearly determines alone: extrapolated
 LEFT_BY_OTHERS_SHARE = 1e-3
 # without what differs of the distortion
-NOISE = NoiseScales(np.where(np.arange(5) == LOCAL_DISTORTION_INDEX, 0.0, 1.0))
+NOISE = NoiseModel(np.where(np.arange(5) == LOCAL_DISTORTION_INDEX, 0.0, 1.0))
 MAX_OUTLIER_SHARE = 0.2  # of the groups: more are no outliers, but a disagreement
 
 Result = TypeVar('Result')

@@ -23,14 +23,14 @@ from handeye_ros.calibration import measured_points
 from handeye_ros.config import with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.covariance import (
-    budget,
+from handeye_ros.estimation.budget import budget
+from handeye_ros.estimation.contamination import (
     ONE_WRONG,
     POSE_ERROR,
     PRIOR_ODDS_WRONG,
     with_possibly_wrong_station,
 )
-from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, covariance_parts, NoiseScales
+from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, covariance_parts, NoiseModel
 from handeye_ros.estimation.posterior import posterior_at
 from handeye_ros.estimation.search import least_squares_fit
 from handeye_ros.estimation.solution import cover
@@ -123,7 +123,7 @@ def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
 def test_a_station_that_may_be_wrong_adds_what_freeing_its_pose_changes(target: str) -> None:
     start = solved(cell(replace(SCENARIOS[target], stations=(10, 10)), 0).problem)
     solution = with_possibly_wrong_station(map_solution(start.problem, start.estimate))
-    as_set = posterior_at(solution.problem, solution.estimate, NoiseScales())
+    as_set = posterior_at(solution.problem, solution.estimate, NoiseModel())
     A, r, station = as_set.jacobian, as_set.prefit_residuals, as_set.problem.observations.station
     wrt_pose = as_set.whitening(as_set.linear.wrt_pose * POSE_ERROR)
 

@@ -10,7 +10,7 @@ from cells import Cell, cell, every_target, settings_of, simulated, solved, squa
 from handeye_ros import pipeline, se3
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.covariance import ONE_WRONG
+from handeye_ros.estimation.contamination import ONE_WRONG
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE
 from handeye_ros.estimation.posterior import posterior_at
 from handeye_ros.estimation.search import refined_solution

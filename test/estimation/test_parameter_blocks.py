@@ -127,7 +127,7 @@ def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
     assert following == pytest.approx(report.block_variances, rel=0.1), 'they have converged'
     error = se3.difference(solution.estimate.X, truth.T_flange_sensor)
     assert np.abs(error).max() < 1e-4
-    lengths = [b.std * solution.posterior.prior_scale(b) for b in solution.posterior.blocks
+    lengths = [b.std * solution.posterior.prior_tau(b) for b in solution.posterior.blocks
                if b.name in ('robot_scale', 'radius')]
     assert lengths and max(lengths) < 1e-4, 'nothing is wrong with them'
 

@@ -52,7 +52,7 @@ def test_an_edge_that_few_profiles_show_is_left_out() -> None:
 
 
 @pytest.mark.parametrize('apart', [0.0007, 0.004])
-def test_a_station_that_was_bumped_is_refused_with_a_reason(apart: float) -> None:
+def test_a_stop_that_was_bumped_is_refused_with_a_reason(apart: float) -> None:
     for count in (6, 7):
         halves = [*many(step_up_to(0.002), 7),
                   *many(lambda x: step_up_to(0.002)(x) + apart, count, 1)]
@@ -119,7 +119,7 @@ def test_simulated_edges_are_as_near_to_the_truth_as_they_say(name: str) -> None
             across.append(away @ normal / edge.std_across)
     z = np.abs([along, across])
     assert (np.median(z, axis=1) < 1.4).all()
-    # where half of the profiles of a station show a reflection, the station may be wrong
+    # where half of the profiles of a stop show a reflection, its sample may be wrong
     some = z[:, (z < 6).all(axis=0)]
     assert some.shape[1] >= len(along) - 2
     assert ((some ** 2).mean(axis=1) ** 0.5 < 1.7).all() and ((some ** 2).mean(axis=1) > 0.3).all()

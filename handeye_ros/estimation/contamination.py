@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-What the reported covariance consists of, and its part for a station that may be wrong, (10).
+The part of the reported covariance for a station that may be wrong, (10).
 
 With few stations, a wrong one may not show in the residuals. The hypotheses that one station has a
 small pose error and that all are right are compared by their odds (Box and Tiao 1968, Biometrika
@@ -12,18 +12,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from handeye_ros import se3
-from handeye_ros.data import Array, BudgetTerm
-from handeye_ros.estimation.basis import grid_over
-from handeye_ros.estimation.blocks import blocks_with_columns
+from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import chi2_sf
-from handeye_ros.estimation.noise import covariance_parts, NoiseScales, POSE_INDEX
+from handeye_ros.estimation.noise import NoiseModel
 from handeye_ros.estimation.posterior import Posterior, posterior_at
 from handeye_ros.estimation.solution import Solution
 import numpy as np
 
 POSE_ERROR = np.repeat([1e-3, 3e-3], 3)  # 1 sigma of a wrong station's pose error (m, rad)
-ONE_WRONG, CORRECTED_ARM = 'one station wrong', 'corrected arm'  # added parts in a budget
+ONE_WRONG = 'one station wrong'  # its part in a budget
 PRIOR_ODDS_WRONG = 0.05  # of one station being wrong against all being right
 SURE_ODDS = 100.0  # posterior odds of one station being wrong, above which it is dropped
 MIN_P = 0.2  # p-value of the other squares; below it more than one is wrong
@@ -39,7 +36,7 @@ def with_possibly_wrong_station(solution: Solution) -> Solution:
     problem = solution.problem
     n, dropped = len(solution.used_stations), len(solution.dropped_squares)
     faded = min(1.0, 2 - n / problem.enough_stations)
-    configured = posterior_at(problem, solution.estimate, NoiseScales())
+    configured = posterior_at(problem, solution.estimate, NoiseModel())
     explained, log_likelihood_ratio, added = _each_station_wrong(configured)
     # posterior probability that each is the only wrong one, against that none is (odds 1); all
     # odds are divided by the largest, as their exponentials may be no numbers
@@ -89,51 +86,3 @@ def _each_station_wrong(configured: Posterior) -> tuple[Array, Array, Array]:
         added[group.stations] = h @ np.swapaxes(h, 1, 2) + G_X @ np.linalg.solve(
             A, np.swapaxes(G_X, 1, 2))
     return explained, log_ratio, added
-
-
-def budget(solution: Solution) -> list[BudgetTerm]:
-    """
-    Return what each cause contributes to the reported covariance of the transform, and the total.
-
-    White noise of sensor and poses, and each block by its name, are the exact parts of C in (5) at
-    the scales for the report: whitened noise of covariance V gives (C A')V(C A')', and the
-    parameters of a block, with the prior information 1/tau^2, give C_xn C_nx / tau^2. Then what
-    (8), (10) and a corrected arm add to it. `best-fit transform` is the remainder, what (9)
-    changes. A part without a positive variance of mapped points is left out.
-    """
-    reported = solution.report_posterior
-    parts = _parts_of_noise(reported)
-    for block, columns in blocks_with_columns(reported.blocks, reported.unknown_count):
-        C_xn = reported.covariance[:6, columns]
-        parts[block.name] = C_xn * reported.prior_information[columns] @ C_xn.T
-    shift = np.outer(solution.shift_for_report, solution.shift_for_report)
-    parts |= {'prior scales': shift, **solution.added_covariances}
-    parts['best-fit transform'] = (
-        solution.transform_covariance - reported.covariance[:6, :6] - shift
-        - sum(solution.added_covariances.values()))
-    terms = [_term(solution, name, part) for name, part in parts.items()]
-    return [*sorted((term for term in terms if term.mapped > 0), key=lambda term: -term.mapped),
-            _term(solution, 'all', solution.transform_covariance)]
-
-
-def _parts_of_noise(reported: Posterior) -> dict[str, Array]:
-    """Return the parts (6, 6) of C that come from the white errors of sensor and poses, (3)."""
-    parts = {'sensor, white': np.zeros((6, 6)), 'poses, white': np.zeros((6, 6))}
-    groups = reported.problem.observations.station_groups
-    for group, root in zip(groups, reported.whitening.roots, strict=True):
-        V = covariance_parts(reported.linear, group)
-        V = V * reported.noise.variance_factors[:len(V), None, None, None]
-        A = reported.jacobian[group.rows]
-        gain = (A @ reported.covariance[:, :6]).swapaxes(1, 2) @ root  # of residuals in m
-        for name, V_parts in zip(parts, np.split(V, [POSE_INDEX]), strict=True):
-            parts[name] += (gain @ V_parts.sum(axis=0) @ gain.swapaxes(1, 2)).sum(axis=0)
-    return parts
-
-
-def _term(solution: Solution, name: str, part: Array) -> BudgetTerm:
-    """Return the sigmas of a part (6, 6) of the covariance."""
-    points = grid_over(solution.problem.observations.points, (-1, 0, 1))
-    levers = points @ solution.estimate.X[:3, [0, 2]].T
-    mapped = np.trace(se3.mapped_covariance(levers, part))
-    squares = (np.trace(part[:3, :3]) / 3, np.trace(part[3:, 3:]) / 3, mapped)
-    return BudgetTerm(name, *(float(max(square, 0.0) ** 0.5) for square in squares))
