@@ -91,8 +91,9 @@ class ComparedStations:
         """
         Return the distances (k,) of the points of some stations from the target (m).
 
-        X: (4, 4) from the mount to the sensor plane; fitted: the stations to which the target is
-        fitted, with X held; measured: the stations whose points are returned. Both are indices.
+        X: (4, 4) the pose of the sensor plane in the mount; fitted: the stations to which the
+        target is fitted, with X held; measured: the stations whose points are returned. Both are
+        indices.
         """
         part = self.problem.subset(fitted)
         target_alone = _FixedTransformProblem(

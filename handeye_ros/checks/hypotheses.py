@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The engine of all named causes: the same stops, fitted again under one changed assumption.
+The engine of most named causes: the same stops, fitted again under one changed assumption.
 
 An `Explanation` is how well one set of assumptions explains some stops. A `Hypothesis` is one with
 the refusal that names what was changed. `refuse_by_best` compares hypotheses with the explanation

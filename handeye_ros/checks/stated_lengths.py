@@ -31,13 +31,13 @@ FREED_FROM_SIGMAS = 2.5  # an estimated length is used; it costs little where th
 MIN_SCALE_ERROR, MAX_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
 
 
-def with_free_measure_if_needed(problem: Problem, solution: Solution, rng: np.random.Generator,
+def with_free_measure_if_needed(solution: Solution, problem: Problem, rng: np.random.Generator,
                                 start: Estimate | None = None) -> Solution:
     """
     Return the solution with a stated measure free, if only that makes the stations agree.
 
-    solution: with the measure as stated; it is returned where that is good enough. start: the only
-    one to use, if given.
+    solution: of the problem, with the measure as stated; it is returned where that is good enough.
+    start: the only one to use, if given.
     """
     target, config = problem.target, problem.config
     free_config = replace(config, target=replace(config.target, **target.freed_measure))
