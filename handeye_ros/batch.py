@@ -185,7 +185,11 @@ def _jobs_of_list(path: Path, verb: str, arguments: tuple[str, ...]) -> Iterator
 
 @contextmanager
 def client_of(scheduler: str) -> Iterator[Any]:
-    """Give a Dask client of a cluster on this machine (`local`), or of one; raises InputError."""
+    """
+    Give a Dask client of a cluster on this machine (`local`), or of the scheduler at an address.
+
+    Raises InputError.
+    """
     try:
         import dask
         from distributed import Client
@@ -261,7 +265,7 @@ def run(job: Job, out: Path, run_verb: RunVerb) -> JobRow:
     unfinished = folder.with_name(f'.{folder.name}.handeye-batch')
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.mkdir(parents=True)
-    start, state = time.perf_counter(), job.fingerprint()
+    start, fingerprint = time.perf_counter(), job.fingerprint()
     printed, errors = io.StringIO(), io.StringIO()
     try:
         with redirect_stdout(printed), redirect_stderr(errors):
@@ -276,7 +280,8 @@ def run(job: Job, out: Path, run_verb: RunVerb) -> JobRow:
     row = {'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': code,
            'cause': cause, 'warnings': sum(line.startswith('warning:') for line in lines),
            'seconds': round(time.perf_counter() - start, 3), **_figures_in(unfinished)}
-    write_atomically(unfinished / JOB_FILE, json.dumps({'state': state, 'row': row}, indent=1))
+    write_atomically(unfinished / JOB_FILE,
+                     json.dumps({'state': fingerprint, 'row': row}, indent=1))
     shutil.rmtree(folder, ignore_errors=True)
     unfinished.replace(folder)
     return {**row, 'computed': True}
@@ -332,5 +337,5 @@ def write_table(rows: Sequence[JobRow], out: Path) -> None:
                  if any(row.get(figure[0]) is not None for row in rows)],
         causes=sorted(causes.values(), key=len, reverse=True),
         counts=Counter(map(outcome_of, rows)).most_common(),
-        target=lambda row: next((f'{row["label"]}/{name}' for name in ('report.html', 'output.txt')
-                                 if (out / row['label'] / name).exists()), '')))
+        link_of=lambda row: next(filter(lambda link: (out / link).exists(), (
+            f'{row["label"]}/{name}' for name in ('report.html', 'output.txt'))), '')))

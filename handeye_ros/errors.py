@@ -29,14 +29,14 @@ class HandeyeError(Exception):
     """
     The parent of every error of this package that a user can act on.
 
-    reason: a short code where a program must tell refusals apart, '' elsewhere.
+    code: a short word where a program must tell refusals apart, '' elsewhere.
     """
 
     exit_code = 2
 
-    def __init__(self, sentence: str = '', *, reason: str = '') -> None:
+    def __init__(self, sentence: str = '', *, code: str = '') -> None:
         super().__init__(sentence)
-        self.reason = reason
+        self.code = code
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Support copy and pickle: the constructors of subclasses do not take the sentence."""

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from handeye_ros.calibration import block_estimates, BlockEstimate, NOTED_SIGMAS
 from handeye_ros.checks.hypotheses import explain_problem, Explanation, Hypothesis
-from handeye_ros.checks.moved import possible_move
+from handeye_ros.checks.moved import possible_move, require_no_sure_move
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import scale_twists
 from handeye_ros.estimation.least_squares import covariance_from_jacobian
@@ -119,7 +119,7 @@ def require_one_scale(solution: Solution) -> None:
     scale = block_estimates(solution.report_posterior).get('robot_scale')
     if scale and abs(scale.sigmas_off_stated) > NOTED_SIGMAS and abs(scale.value) > max(
             MIN_SCALE_ERROR, NOTED_SIGMAS * scale.std):
-        possible_move(solution)
+        require_no_sure_move(possible_move(solution))
         raise _scale_refusal(abs(scale.value), scale.std)
 
 
@@ -127,4 +127,4 @@ def _scale_refusal(scale: float, std: float) -> DataError:
     return DataError(
         f'the lengths of robot and sensor differ by {100 * scale:.2f} +- {100 * std:.2f} %: one '
         'of them has a wrong scale; measure a known length with each, and correct the unit or '
-        'the calibration of the wrong one', reason='scale')
+        'the calibration of the wrong one', code='scale')

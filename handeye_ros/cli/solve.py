@@ -122,7 +122,7 @@ def samples(
         raise InputError(f'{path} is a table of measured values, without samples')
     with progress_bar('comparing the samples'):
         answer = pipeline.answer_session(session, settings)
-        rows = samples_table(session, answer, settings)
+        rows = samples_table(session, answer)
     if answer.refusal:
         typer.echo(f'refused: {answer.refusal}', err=True)
     show(rows)

@@ -473,7 +473,7 @@ class LiveSession:
         """
         samples = [stop for stop in self.session.stops if stop.sample]
         if not samples:
-            raise DataError('there is no sample to remove', reason='nothing_to_remove')
+            raise DataError('there is no sample to remove', code='nothing_to_remove')
         last = samples[-1]
         self._store(self.files.add_event, REMOVED, self.config, Stop(0, number=last.number))
         with self.lock:

@@ -80,7 +80,7 @@ def review_of(session: Session, config: Config, view: Array, with_cause: bool) -
                                      session if with_cause else None)
     failed = [stop.T_base_flange for stop in session.stops if stop.poses and not stop.sample]
     return Review(advise(in_order, config, answer, view, failed), answer,
-                  agreements(session, answer, config),
+                  agreements(session, answer),
                   max((stop.number for stop in session.stops if stop.sample), default=0))
 
 

@@ -151,7 +151,7 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
     troubles = (
         graph_trouble, str(conflict or ''),
         'all samples are of the first: ~/clear_samples begins anew with the frame of now'
-        if conflict and conflict.reason == 'two_frames' and session.samples else '',
+        if conflict and conflict.code == 'two_frames' and session.samples else '',
         late and f'{late} are dropped, as their stamps are older than those before; if they stay '
         'so, sampling goes on with them', str(session.unusable_poses_error or ''),
         # of two publishers stamps that seem to be of two clocks follow

@@ -236,7 +236,7 @@ def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
                      for stop in live.session_copy().stops if stop.sample],
         'next': as_rows(next_pose),
         'aim': None if pose is None or next_pose is None else _motion_to(pose, next_pose),
-        'move': advice.first_move and _advised_move(advice.first_move),
+        'move': advice.move_from_first_pose and _advised_move(advice.move_from_first_pose),
         **(_target(answer, config) if solution else {'edges': [], 'outline': [], 'spots': []})}
 
 

@@ -34,7 +34,7 @@ from handeye_ros.robot.estimate import (
 )
 import numpy as np
 
-UNSOLVED = 'unsolved'  # reason of refusals that wrong clocks may explain
+UNSOLVED = 'unsolved'  # code of refusals that wrong clocks may explain
 UNCHANGED_ARM = 'the URDF as it is'
 REGION_COUNT, MIN_OF_REGION = 8, 3  # of the joint space, each left out once; stops of one
 FOLD_ROUNDS = 2
@@ -222,4 +222,4 @@ def _contradiction(fit: ArmFit, stop_count: int, limit: float) -> DataError:
         f'that is only inaccurate at most {mm(limit)}: check that the URDF is of this robot, '
         '--base and --flange, the sign of each joint, whether a joint is counted from the '
         'horizontal, all units (degrees or radians?), calibration_type, and that the target is '
-        'the stated one and fixed', reason=UNSOLVED)
+        'the stated one and fixed', code=UNSOLVED)

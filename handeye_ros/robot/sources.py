@@ -152,7 +152,7 @@ def solve_sources(sources: Sequence[ArmSamples], arm: Arm, inputs: Sequence[dict
             fit_of_sources(sources, arm), sum(len(source.q) for source in sources),
             sources[0].problem.config.limits.residual)
     except DataError as error:
-        for source in sources if error.reason == UNSOLVED else ():
+        for source in sources if error.code == UNSOLVED else ():
             require_same_clock(source.session, source.problem.config)
         raise
     calibrations = [_calibrated(source, outcome.arm) for source in sources]

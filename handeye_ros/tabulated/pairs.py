@@ -139,7 +139,7 @@ class PairedRows(TableProblem):
                 f'the positions of the {seen} are typically {near:.3g} m from the origin, those '
                 f'of the {robot} {far:.3g} m, as in no cell: correct the units in the header, of '
                 f'{seen}_x, {seen}_y, {seen}_z and {robot}_x, {robot}_y, {robot}_z',
-                reason='convention')
+                code='convention')
 
     def in_other_units(self) -> Iterator[Misreading]:
         """Yield the values with one list in another unit, as far as they then are of a cell."""

@@ -171,7 +171,7 @@ def answer_table(problem: TableProblem) -> TableAnswer:
         refusal = DataError(
             f'no transform brings all samples together: the {answer.used.sum()} of '
             f'{len(answer.used)} that agree best differ by {mm(answer.residual_rms)}{turned} RMS: '
-            f'{problem.to_check}', reason='misfit')
+            f'{problem.to_check}', code='misfit')
     except DataError as error:
         refusal = error
     explaining = list[tuple[Array, str]]()
@@ -184,5 +184,5 @@ def answer_table(problem: TableProblem) -> TableAnswer:
                     answer.X, f'the values contradict each other, but with {description} they '
                     f'agree to {mm(answer.residual_rms)}: {remedy}'))
     if explaining and all(np.allclose(X, explaining[0][0], atol=1e-9) for X, _ in explaining):
-        raise DataError(explaining[0][1], reason='convention')
+        raise DataError(explaining[0][1], code='convention')
     raise refusal

@@ -186,7 +186,7 @@ class TrackerProblem(TableProblem):
                 f'the points contradict each other, most of all {worst}, by {mm(distance)}: '
                 'measure again or leave that row out, and check which face is which, the unit of '
                 'the table, tracker.h0 and tracker.h1, and the noise of both instruments',
-                reason='misfit')
+                code='misfit')
 
     def covariance(self, X: Array, distances: Mapping[str, Array]) -> Array:
         """Return the covariance (6, 6) of X (4, 4) by draws of the noise that distances show."""

@@ -150,7 +150,7 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
     try:
         session = pipeline.gather(profiles, poses, config)
     except DataError as error:
-        if error.reason != 'no_stops' or not calibration.time_offset:
+        if error.code != 'no_stops' or not calibration.time_offset:
             raise
         config = replace(config, sampling=replace(config.sampling, mode='moving'))
         session = pipeline.gather(profiles, poses, config)
@@ -209,7 +209,7 @@ def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Rej
                 f'this recording is off by {mm(off)} RMS from what the calibration has, which '
                 'neither a small move nor an error of the robot explains: check that the '
                 'calibration is of this sensor, robot and target, and that the target still '
-                'stands there; if it does not, calibrate again', reason='other_cell')
+                'stands there; if it does not, calibrate again', code='other_cell')
 
     stamps = pass_stamps or sorted([*(sample.stamp for sample in samples),
                                     *(reject.stamp for reject in rejects)])

@@ -85,7 +85,7 @@ def test_what_no_setting_mends_is_not_blamed_on_one() -> None:
         for k, p in enumerate(fault_recording('baseline').poses)]
     with pytest.raises(DataError) as caught:
         fault_recording('baseline').calibrate(poses=poses)
-    assert caught.value.reason != 'settings'
+    assert caught.value.code != 'settings'
 
 
 @pytest.mark.thorough
