@@ -21,11 +21,12 @@ from typing import Any, TypeAlias
 from handeye_ros import __version__
 from handeye_ros.bags.reader import SUFFIXES
 from handeye_ros.config import read_yaml
-from handeye_ros.errors import count_of, InputError, without_numbers
+from handeye_ros.csv_tables import CsvTable
+from handeye_ros.errors import InputError
 from handeye_ros.output import csv_text, rendered, write_atomically
 from handeye_ros.se3 import AXES
-from handeye_ros.tables import Table
 from handeye_ros.verification.routines import ROUTINES
+from handeye_ros.words import count_of, without_numbers
 
 JobRow: TypeAlias = dict[str, Any]
 # runs `handeye` with arguments, the verb first, in its process; returns the exit code
@@ -171,7 +172,7 @@ def arguments_of(args: str, config: Path | str | None, settings: Iterable[str],
 
 def _jobs_of_list(path: Path, verb: str, arguments: tuple[str, ...]) -> Iterator[Job]:
     """Yield the jobs of a list, whose paths are relative to it."""
-    table, folder = Table(path), path.absolute().parent
+    table, folder = CsvTable(path), path.absolute().parent
     if not LIST_COLUMNS.issuperset(table.columns) or '' in table.texts('bag'):
         raise InputError(f'{path}: it has the columns {", ".join(table.columns)}; expected bag, '
                          'with a value in each row, and, if wanted, label, config, settings, args')

@@ -27,7 +27,7 @@ from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import least_squares_fit
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.published import chen2023, cn105021139a, jing2020, wu2017, zheng2018
-from handeye_ros.results.table import figures_table
+from handeye_ros.results.printed import figures_table
 from handeye_ros.results.truth import errors_against, field_points, FIELD_TEXT
 from handeye_ros.sampling.session import Session
 from handeye_ros.tabulated.pairs import PairedRows, PosePairs

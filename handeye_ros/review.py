@@ -25,9 +25,9 @@ from handeye_ros.frames import mount_poses
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.calibration_file import config_of
 from handeye_ros.results.file_values import input_provenance
+from handeye_ros.results.printed import figures_table, sample_summary
 from handeye_ros.results.report import SolvedRecording
 from handeye_ros.results.scene import Agreement, StopSnapshot
-from handeye_ros.results.table import figures_table, sample_summary
 from handeye_ros.sampling.edge_shapes import common_shape, EdgeShape, with_common_edge_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop

@@ -17,7 +17,7 @@ from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.least_squares import chi2_sf
 from handeye_ros.results.calibration_file import NAME, read_calibration
-from handeye_ros.results.table import figures_table
+from handeye_ros.results.printed import figures_table
 from handeye_ros.se3 import AXES
 import numpy as np
 from rich.table import Table

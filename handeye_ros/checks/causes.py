@@ -35,9 +35,10 @@ from handeye_ros.checks.stated_lengths import scale_hypotheses
 from handeye_ros.checks.surfaces import require_one_surface
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
-from handeye_ros.errors import DataError, mm
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.sampling.session import Session
+from handeye_ros.words import mm
 
 # reduced chi-squared, blocks as noise: above the first the other range sign is tried, above the
 # second (3 sigma) other conventions, though the samples do not contradict the solution

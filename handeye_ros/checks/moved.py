@@ -26,7 +26,7 @@ from handeye_ros.checks.hypotheses import (
     Hypothesis,
 )
 from handeye_ros.data import Array, rms, SEED
-from handeye_ros.errors import DataError, degrees, mm
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.least_squares import chi2_isf
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, NoiseScales
@@ -39,6 +39,7 @@ from handeye_ros.estimation.solution import (
     with_noise_reestimated,
 )
 from handeye_ros.frames import mount_frame, target_frame
+from handeye_ros.words import degrees, mm
 import numpy as np
 from numpy.typing import NDArray
 

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from handeye_ros.calibration import unused_edges_in_words
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
-from handeye_ros.errors import count_of, DataError, degrees, mm, without_numbers
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.noise import EDGE_INDEX
 from handeye_ros.estimation.solution import Solution
@@ -26,6 +26,7 @@ from handeye_ros.se3 import (
     worst_direction,
     worst_rotation,
 )
+from handeye_ros.words import count_of, degrees, mm, without_numbers
 import numpy as np
 
 MAX_DROPPED_SHARE = 0.34  # largest share of the stations that an answer may leave out

@@ -15,7 +15,7 @@ import math
 
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Indices, SIGMA_OF_MEDIAN
-from handeye_ros.errors import FeatureError, mm
+from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
 from handeye_ros.profiles.ransac import circles_among
 from handeye_ros.profiles.segment import (
@@ -23,6 +23,7 @@ from handeye_ros.profiles.segment import (
     noise_level,
     surface_columns,
 )
+from handeye_ros.words import mm
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgesv

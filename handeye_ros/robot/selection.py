@@ -22,7 +22,7 @@ from handeye_ros.arm import (
     REVOLUTE,
 )
 from handeye_ros.data import Array, Indices, rms
-from handeye_ros.errors import count_of, DataError, degrees, mm
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.robot.estimate import (
     arm_covariance,
@@ -32,6 +32,7 @@ from handeye_ros.robot.estimate import (
     with_estimated_weights,
     without_bad_stops,
 )
+from handeye_ros.words import count_of, degrees, mm
 import numpy as np
 
 UNSOLVED = 'unsolved'  # code of refusals that wrong clocks may explain

@@ -24,12 +24,13 @@ import math
 from handeye_ros import se3, targets
 from handeye_ros.config import Config, UNNAMED_FRAME
 from handeye_ros.data import AnyProfile, Array, NS, Reject, Sample, TimedPose
-from handeye_ros.errors import count_of, DataError, InputError
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import frame_notes
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.stops import Motion, ProfileBuffer, PROFILES_OF_SAMPLE, Stop, StopFinder
 from handeye_ros.sampling.stream import Copyable, LAST_STAMP, REORDER_TIME, Stream
 from handeye_ros.sampling.sweep import passes_expanded
+from handeye_ros.words import count_of
 import numpy as np
 
 POSES_MISSING_TIME = 0.25  # s without a pose, while profiles come: then the robot may be anywhere

@@ -37,7 +37,7 @@ from handeye_ros.data import (
     Sample,
     TimedPose,
 )
-from handeye_ros.errors import DataError, InputError, mm
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.blocks import LINE_BEND, line_bend, sensor_distortion, wrt_smooth
 from handeye_ros.estimation.noise import NoiseScales, Whitening, whitening
 from handeye_ros.estimation.problem import (
@@ -61,6 +61,7 @@ from handeye_ros.verification.fit import (
     regularised_least_squares,
     require_stations,
 )
+from handeye_ros.words import mm
 import numpy as np
 from scipy.special import softmax
 
