@@ -20,9 +20,9 @@ from pathlib import Path
 import re
 
 from handeye_ros import se3
-from handeye_ros.config import MICRO, UNITS
 from handeye_ros.data import Array, QUATERNION_TOLERANCE
 from handeye_ros.errors import DataError, did_you_mean, InputError, UnknownNameError
+from handeye_ros.units import MICRO, UNITS
 from handeye_ros.words import count_of
 import numpy as np
 from scipy.spatial.transform import Rotation

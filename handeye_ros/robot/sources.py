@@ -21,7 +21,7 @@ from handeye_ros.bags.bag import Recording
 from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.refusals import require_certain, require_samples
-from handeye_ros.config import Config, UNITS
+from handeye_ros.config import Config
 from handeye_ros.csv_tables import ANGLE, CsvTable, LENGTH, require_different
 from handeye_ros.data import Array, Calibration, Indices, NS, Sample, SEED
 from handeye_ros.errors import DataError, InputError
@@ -51,6 +51,7 @@ from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import with_estimated_clocks
 from handeye_ros.targets import problem_of_known_poses, target_for
 from handeye_ros.targets.profile_target import xyz
+from handeye_ros.units import UNITS
 from handeye_ros.words import mm
 import numpy as np
 from scipy.interpolate import PchipInterpolator
