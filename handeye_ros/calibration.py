@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_POINTS = 200_000  # measured points of which residuals are computed
-MAX_FOLDS = 20  # of the cross-validation
+MAX_FOLDS = 20  # of the left-out residuals
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
              'crosses the edge at too small an angle')
 SURE_SIGMAS, NOTED_SIGMAS = 4.0, 3.0  # of a bend or a drift, and of a measure, to note them

@@ -238,7 +238,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
                         move_warning or missing_motion(solution, config),
                         solution.posterior.linear.lever)
         require_edges(solution)
-        # 9. Cross-validation: refuse samples that the others do not predict. The figures of the
+        # 9. Left-out residuals: refuse samples that the others do not predict. The figures of the
         # answer hold these residuals.
         candidate = calibration_of(
             samples, rejects, solution, config, frame_id,

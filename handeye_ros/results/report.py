@@ -29,7 +29,7 @@ from handeye_ros.results.truth import field_points, FIELD_TEXT
 from handeye_ros.words import mm
 import numpy as np
 
-MUCH_WORSE = 4.0  # ratio of the cross-validation error to the residual
+MUCH_WORSE = 4.0  # ratio of the left-out RMS to that in the fit
 SAME_ANSWER = 0.1  # sigmas: two answers of the same recording agree so well
 
 

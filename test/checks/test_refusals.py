@@ -119,6 +119,18 @@ def test_the_weakest_direction_is_reported_and_refused_if_uncertain(name: str) -
         simulated_cell.solve(limits__rotation=0.99 * turn_std)
 
 
+@every_target
+def test_samples_that_the_others_do_not_predict_are_refused(name: str) -> None:
+    """With few samples the answer follows each of them: only left out does it show its error."""
+    simulated_cell = cell(scenario(name))
+    few = simulated_cell.samples[:TARGETS[name].min_samples + 3]
+    quality = simulated_cell.solve(few).quality
+    between = math.sqrt(quality.residual_rms * quality.holdout_rms)
+    with refused('left_out', f'by {quality.holdout_rms * 1e3:.3g} mm RMS from what the others'):
+        simulated_cell.solve(few, limits__residual=between)
+    assert simulated_cell.solve(few, limits__residual=1.01 * quality.holdout_rms)
+
+
 # -- too few samples
 
 
