@@ -258,7 +258,7 @@ def advised(cell: World, solution: Solution | None) -> Callable[[], np.ndarray |
         away = min(1.0 + 0.2 * count, 2.5)  # who sees nothing jogs about
         if result.next_pose:
             return missed(cell, result.next_pose.T_base_flange, result.next_pose.place, away)
-        return moved(cell, result.first_move, away)
+        return moved(cell, result.move_from_first_pose, away)
 
     return near
 
@@ -317,7 +317,7 @@ def followed(cell: World, away: float, stations: int) -> Followed:
             enough = len(cell.samples)
             break
         if advice.next_pose is None:
-            insist(cell, lambda move=advice.first_move: moved(cell, move, 1.0))
+            insist(cell, lambda move=advice.move_from_first_pose: moved(cell, move, 1.0))
             continue
         T = missed(cell, advice.next_pose.T_base_flange, advice.next_pose.place, away)
         try:

@@ -131,7 +131,7 @@ def trial(job: tuple[Scenario, int, bool]) -> Outcome:
     try:
         answer = solve()
     except HandeyeError as error:
-        cause = error.reason or type(error).__name__
+        cause = error.code or type(error).__name__
         return Outcome(time.process_time() - start, refusal=f'{cause}: {error}')
     seconds, X_true = time.process_time() - start, truth.T_flange_sensor
     X, field = answer.T_flange_sensor, trials.field_of(scenario)

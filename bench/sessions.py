@@ -135,7 +135,7 @@ def session(job: tuple[str, int]) -> tuple[str, bool]:
     try:
         found = pipeline.solve(kind.damage(list(samples), rng), (), config, 'laser')
     except DataError as error:
-        return error.reason or type(error).__name__, False
+        return error.code or type(error).__name__, False
     X, X_true = found.T_flange_sensor, truth.T_flange_sensor
     delta = se3.difference(X, X_true)
     sigmas = math.sqrt(trials.nees(X, found.covariance, X_true) / 6)
@@ -196,7 +196,7 @@ def told(job: tuple[str, str, int]) -> str:
         answer = pipeline.solve(moved(samples, X, what, rng) if what else samples, (), config,
                                 'laser')
     except DataError as error:
-        return _when(str(error), half) or f'refused otherwise ({error.reason})'
+        return _when(str(error), half) or f'refused otherwise ({error.code})'
     for warning in answer.provenance.get('warnings', ()):
         if result := _when(warning, half):
             return result.replace('refused', 'warned')

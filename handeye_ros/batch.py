@@ -21,11 +21,12 @@ from typing import Any, TypeAlias
 from handeye_ros import __version__
 from handeye_ros.bags.reader import SUFFIXES
 from handeye_ros.config import read_yaml
-from handeye_ros.errors import count_of, InputError, without_numbers
+from handeye_ros.csv_tables import CsvTable
+from handeye_ros.errors import InputError
 from handeye_ros.output import csv_text, rendered, write_atomically
 from handeye_ros.se3 import AXES
-from handeye_ros.tables import Table
 from handeye_ros.verification.routines import ROUTINES
+from handeye_ros.words import count_of, without_numbers
 
 JobRow: TypeAlias = dict[str, Any]
 # runs `handeye` with arguments, the verb first, in its process; returns the exit code
@@ -171,7 +172,7 @@ def arguments_of(args: str, config: Path | str | None, settings: Iterable[str],
 
 def _jobs_of_list(path: Path, verb: str, arguments: tuple[str, ...]) -> Iterator[Job]:
     """Yield the jobs of a list, whose paths are relative to it."""
-    table, folder = Table(path), path.absolute().parent
+    table, folder = CsvTable(path), path.absolute().parent
     if not LIST_COLUMNS.issuperset(table.columns) or '' in table.texts('bag'):
         raise InputError(f'{path}: it has the columns {", ".join(table.columns)}; expected bag, '
                          'with a value in each row, and, if wanted, label, config, settings, args')
@@ -185,7 +186,11 @@ def _jobs_of_list(path: Path, verb: str, arguments: tuple[str, ...]) -> Iterator
 
 @contextmanager
 def client_of(scheduler: str) -> Iterator[Any]:
-    """Give a Dask client of a cluster on this machine (`local`), or of one; raises InputError."""
+    """
+    Give a Dask client of a cluster on this machine (`local`), or of the scheduler at an address.
+
+    Raises InputError.
+    """
     try:
         import dask
         from distributed import Client
@@ -261,7 +266,7 @@ def run(job: Job, out: Path, run_verb: RunVerb) -> JobRow:
     unfinished = folder.with_name(f'.{folder.name}.handeye-batch')
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.mkdir(parents=True)
-    start, state = time.perf_counter(), job.fingerprint()
+    start, fingerprint = time.perf_counter(), job.fingerprint()
     printed, errors = io.StringIO(), io.StringIO()
     try:
         with redirect_stdout(printed), redirect_stderr(errors):
@@ -276,7 +281,8 @@ def run(job: Job, out: Path, run_verb: RunVerb) -> JobRow:
     row = {'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': code,
            'cause': cause, 'warnings': sum(line.startswith('warning:') for line in lines),
            'seconds': round(time.perf_counter() - start, 3), **_figures_in(unfinished)}
-    write_atomically(unfinished / JOB_FILE, json.dumps({'state': state, 'row': row}, indent=1))
+    write_atomically(unfinished / JOB_FILE,
+                     json.dumps({'state': fingerprint, 'row': row}, indent=1))
     shutil.rmtree(folder, ignore_errors=True)
     unfinished.replace(folder)
     return {**row, 'computed': True}
@@ -332,5 +338,5 @@ def write_table(rows: Sequence[JobRow], out: Path) -> None:
                  if any(row.get(figure[0]) is not None for row in rows)],
         causes=sorted(causes.values(), key=len, reverse=True),
         counts=Counter(map(outcome_of, rows)).most_common(),
-        target=lambda row: next((f'{row["label"]}/{name}' for name in ('report.html', 'output.txt')
-                                 if (out / row['label'] / name).exists()), '')))
+        link_of=lambda row: next(filter(lambda link: (out / link).exists(), (
+            f'{row["label"]}/{name}' for name in ('report.html', 'output.txt'))), '')))

@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_POINTS = 200_000  # measured points of which residuals are computed
-MAX_FOLDS = 20  # of the cross-validation
+MAX_FOLDS = 20  # of the left-out residuals
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
              'crosses the edge at too small an angle')
 SURE_SIGMAS, NOTED_SIGMAS = 4.0, 3.0  # of a bend or a drift, and of a measure, to note them
@@ -110,13 +110,14 @@ def report_of_row(number: int, kind: str, used: bool, off: float) -> SampleRepor
 def _described_target(solution: Solution, config: Config) -> dict[str, Any]:
     """Return the estimates of the target and of all nuisance parameters."""
     described = solution.problem.target.describe(solution.estimate.state, solution.target_std)
-    described |= reported_parameters(solution) | {'joint': _joint_covariance(solution)}
+    # the key is named after the joint covariance in it
+    described |= reported_parameters(solution) | {'joint': _values_for_check(solution)}
     described = {key: value for key, value in described.items() if not key.startswith(TIME_OFFSET)}
     notes = '; '.join(notes_of(solution, config))
     return described | ({'note': notes} if notes else {})
 
 
-def _joint_covariance(solution: Solution) -> dict[str, Any]:
+def _values_for_check(solution: Solution) -> dict[str, Any]:
     """
     Return the values for a later check: target state, joint covariance, factors of the noise.
 

@@ -27,7 +27,7 @@ from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import least_squares_fit
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.published import chen2023, cn105021139a, jing2020, wu2017, zheng2018
-from handeye_ros.results.table import figures_table
+from handeye_ros.results.printed import figures_table
 from handeye_ros.results.truth import errors_against, field_points, FIELD_TEXT
 from handeye_ros.sampling.session import Session
 from handeye_ros.tabulated.pairs import PairedRows, PosePairs
@@ -91,8 +91,9 @@ class ComparedStations:
         """
         Return the distances (k,) of the points of some stations from the target (m).
 
-        X: (4, 4) from the mount to the sensor plane; fitted: the stations to which the target is
-        fitted, with X held; measured: the stations whose points are returned. Both are indices.
+        X: (4, 4) the pose of the sensor plane in the mount; fitted: the stations to which the
+        target is fitted, with X held; measured: the stations whose points are returned. Both are
+        indices.
         """
         part = self.problem.subset(fitted)
         target_alone = _FixedTransformProblem(

@@ -423,8 +423,8 @@ class Quality:
 
     samples_used, samples_rejected: how many samples the answer uses, and how many it does not
     residual_rms: RMS distance of all used observations from the estimated target (m)
-    holdout_rms: the same, each observation predicted from a fit without its station; of many
-        stations, without it and some others (m)
+    holdout_rms: the left-out RMS: the same, each observation predicted from a fit without its
+        station; of many stations, without it and some others (m)
     weakest_direction: the direction in which the position is least certain, in words
     weakest_std: 1 sigma of the position in this direction (m)
     """

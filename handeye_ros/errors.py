@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The parents of all refusals, those that several stages share, and numbers in words.
+The parents of all refusals, and those that several stages share.
 
 A message says what is wrong, why it matters or how it was seen, and what to do. The exit
 code is that of the command line: 2 for wrong usage or unreadable input, 3 for data that
@@ -12,10 +12,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 import difflib
 import errno
-import math
 import os
 from pathlib import Path
-import re
 import sys
 import traceback
 from typing import Any, TypeVar
@@ -29,14 +27,14 @@ class HandeyeError(Exception):
     """
     The parent of every error of this package that a user can act on.
 
-    reason: a short code where a program must tell refusals apart, '' elsewhere.
+    code: a short word where a program must tell refusals apart, '' elsewhere.
     """
 
     exit_code = 2
 
-    def __init__(self, sentence: str = '', *, reason: str = '') -> None:
+    def __init__(self, sentence: str = '', *, code: str = '') -> None:
         super().__init__(sentence)
-        self.reason = reason
+        self.code = code
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Support copy and pickle: the constructors of subclasses do not take the sentence."""
@@ -114,26 +112,6 @@ class BadValueError(InputError):
 
     def __init__(self, key: str, value: object, expected: str) -> None:
         super().__init__(f'{key} is {value!r}, expected {expected}')
-
-
-def mm(metres: float) -> str:
-    """Return a length in words."""
-    return f'{metres * 1e3:.3g} mm' if metres < 1 else 'more than a metre'
-
-
-def degrees(radians: float) -> str:
-    """Return an angle in words."""
-    return f'{math.degrees(radians):.3g} degrees' if radians < 1 else 'more than 57 degrees'
-
-
-def count_of(count: int, what: str) -> str:
-    """Return a number with its noun: `1 sample`, `2 samples`."""
-    return f'{count} {what}' if count == 1 else f'{count} {what}s'
-
-
-def without_numbers(sentence: str) -> str:
-    """Return a sentence with # for its numbers, as those that are equal then say the same."""
-    return re.sub(r'[-+]?\d[\d.e+-]*', '#', sentence)
 
 
 class UnwritableError(InputError):

@@ -8,7 +8,7 @@ samples into an `Answer` in ten steps: a calibration, or a refusal. The command 
 review of samples, the guidance and the report all read that answer. A function or method
 `require_...` raises a refusal where what it names is missing (DataError; InputError where an
 argument or a setting is wrong); a method returns it otherwise. `with_...` returns its first
-argument together with what it names, and may refuse too.
+argument, or a value that holds it, with what it names, and may refuse too.
 """
 from __future__ import annotations
 
@@ -105,7 +105,8 @@ def calibrate(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config
     """
     Return the calibration from a recording, its messages in the order of their stamps.
 
-    Raises DataError when the recording cannot carry an answer, and InputError as gather does.
+    Raises DataError when the recording cannot carry an answer, and InputError as gather and
+    answer_samples do.
     """
     return calibrate_session(gather(profiles, poses, config), config)
 
@@ -131,7 +132,7 @@ def gather(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: C
 
 
 def calibrate_session(session: Session, config: Config) -> Calibration:
-    """Return the calibration from what gather returns; raises DataError as calibrate does."""
+    """Return the calibration from what gather returns; raises as calibrate does."""
     return answer_session(session, config).require_calibration()
 
 
@@ -139,8 +140,8 @@ def answer_session(session: Session, config: Config) -> Answer:
     """
     Return the answer of a session.
 
-    Raises DataError when it holds no stops, InputError for messages that contradict the settings.
-    config: the one of the session, which made its samples.
+    Raises DataError when it holds no stops, InputError for messages that contradict the settings,
+    and as answer_samples does. config: the one of the session, which made its samples.
     """
     session.require_any_stop()
     return answer_samples(session.samples, session.rejects, session.config_with_base_frame(config),
@@ -153,7 +154,8 @@ def solve(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, 
     Return the calibration from samples, in any order.
 
     rejects: stops that gave no sample, for the report; frame_id: of the profiles.
-    Raises DataError when the samples cannot carry an answer, InputError for other arguments.
+    Raises DataError when the samples cannot carry an answer, InputError for other arguments, and
+    as answer_samples does.
     """
     require_type('config', config, Config)
     require_type('frame_id', frame_id, str)
@@ -187,7 +189,8 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
     Return what samples say, in any order; see solve.
 
     session: the stops they come from, in which the cause of a refusal is searched; warnings: of
-    the recording, if no session is given.
+    the recording, if no session is given. Raises InputError for a target or a method that does not
+    exist, and for a kinematics.yaml (config.kinematics) that cannot be used.
     """
     samples = sorted(samples, key=lambda sample: sample.stamp)
     target, rng = targets.target_for(config), np.random.default_rng(SEED)
@@ -211,7 +214,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         problem = synced.problem or targets.problem_of_known_poses(samples, config)
         solution = robust_solution(problem, rng, subsets=True, start=synced.estimate)
         # 5. Measure of the target: estimate it where only this makes the samples agree.
-        solution = with_free_measure_if_needed(problem, solution, rng, synced.estimate)
+        solution = with_free_measure_if_needed(solution, problem, rng, synced.estimate)
         # 6. Consistency: refuse samples that contradict each other, or fit decisively better under
         # another assumption (a hypothesis), which the refusal names.
         baseline = Explanation.of_solutions([sample.stamp for sample in samples], solution)
@@ -235,7 +238,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
                         move_warning or missing_motion(solution, config),
                         solution.posterior.linear.lever)
         require_edges(solution)
-        # 9. Cross-validation: refuse samples that the others do not predict. The figures of the
+        # 9. Left-out residuals: refuse samples that the others do not predict. The figures of the
         # answer hold these residuals.
         candidate = calibration_of(
             samples, rejects, solution, config, frame_id,

@@ -25,9 +25,9 @@ from handeye_ros.frames import mount_poses
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.calibration_file import config_of
 from handeye_ros.results.file_values import input_provenance
+from handeye_ros.results.printed import figures_table, sample_summary
 from handeye_ros.results.report import SolvedRecording
 from handeye_ros.results.scene import Agreement, StopSnapshot
-from handeye_ros.results.table import figures_table, sample_summary
 from handeye_ros.sampling.edge_shapes import common_shape, EdgeShape, with_common_edge_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
@@ -64,7 +64,7 @@ def solved_recording(calibration: Calibration, bag: Path | None, folder: Path = 
     stops = [stop_snapshot(stop, config) for stop in session.stops]
     if answer.calibration is None:
         return SolvedRecording(tuple(stops), refusal=str(answer.refusal or ''))
-    agreement_of_stop = agreements(session, answer, config)
+    agreement_of_stop = agreements(session, answer)
     reasons = {report.stamp: report.reason for report in answer.calibration.samples
                if not report.used}
 
@@ -111,7 +111,7 @@ def stop_snapshot(stop: Stop, config: Config) -> StopSnapshot:
                         sample.features if sample else (), getattr(stop.result, 'reason', ''))
 
 
-def agreements(session: Session, answer: Answer, config: Config) -> dict[int, Agreement]:
+def agreements(session: Session, answer: Answer) -> dict[int, Agreement]:
     """
     Return how each sample of a session agrees with its answer, by the number of the stop.
 
@@ -143,7 +143,8 @@ def agreements(session: Session, answer: Answer, config: Config) -> dict[int, Ag
     in_answer = {station.stamp for station in answer.samples}
     shape = common_shape([station for station in session.samples if station.stamp in in_answer])
     residual[unused] = left_out[unused] = _residuals_of_unused(
-        [samples[k] for k in unused], shape, answer.samples[0].clock_values, solution, config)
+        [samples[k] for k in unused], shape, answer.samples[0].clock_values, solution,
+        session.config)
     return {number: Agreement(float(residual[k]), float(left_out[k]), bool(is_used[k]))
             for k, number in enumerate(sample_of) if not np.isnan(residual[k])}
 
@@ -172,9 +173,9 @@ def _residuals_of_unused(samples: Sequence[Sample], shape: EdgeShape, clock_valu
                   measured.residuals(problem, solution.estimate), len(samples))
 
 
-def samples_table(session: Session, answer: Answer, config: Config) -> Table:
+def samples_table(session: Session, answer: Answer) -> Table:
     """Return the table of the stops of a session, the worst left-out residual first."""
-    agreement_of_stop, rows = agreements(session, answer, config), []
+    agreement_of_stop, rows = agreements(session, answer), []
     order = {number: -agreement.left_out for number, agreement in agreement_of_stop.items()}
     for stop in sorted(session.stops, key=lambda stop: (order.get(stop.number, 1.0), stop.number)):
         agreement = agreement_of_stop.get(stop.number)

@@ -1,6 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The calibrations of a folder over time: each compared with the first and the previous one."""
+"""
+The calibrations of a folder over time: each compared with a reference and the previous one.
+
+The reference is the oldest, or that of --against.
+"""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -13,7 +17,7 @@ from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.least_squares import chi2_sf
 from handeye_ros.results.calibration_file import NAME, read_calibration
-from handeye_ros.results.table import figures_table
+from handeye_ros.results.printed import figures_table
 from handeye_ros.se3 import AXES
 import numpy as np
 from rich.table import Table
@@ -29,7 +33,7 @@ class TrendEntry:
     recorded: time of its first sample, or of its solution where that is unknown
     difference: (6,) from the reference, as x y z rx ry rz (m, rad)
     std: (6,) 1 sigma of the difference, by both covariances
-    p_first: p-value of the difference from the reference (the first, or that of --against)
+    p_reference: p-value of the difference from the reference
     p_before: p-value of the difference from the previous one; of the first from the reference
     residual: RMS residual of its samples (m)
     """
@@ -38,22 +42,50 @@ class TrendEntry:
     recorded: str
     difference: Array
     std: Array
-    p_first: float
+    p_reference: float
     p_before: float
     residual: float
 
 
-def trend(folder: Path, first: Calibration | None = None) -> tuple[list[TrendEntry], list[str]]:
+def trend(folder: Path, against: Calibration | None = None) -> tuple[list[TrendEntry], list[str]]:
     """
     Return the calibrations below a folder by time, and a warning for each file left out.
 
-    first: the reference, the oldest if not given; only those between its frames are compared.
-    Raises DataError where fewer than two (with first: one) are between its frames, and
+    against: the reference, the oldest if not given; only those between its frames are compared.
+    Raises DataError where fewer than two (with against: one) are between its frames, and
     InputError for a folder without any readable one.
     """
     if not folder.is_dir():
         raise InputError(f'there is no folder {folder}: name one that holds calibrations')
-    calibrations, warnings = [], []
+    calibrations, warnings = _dated_below(folder)
+    if not calibrations:
+        raise InputError(f'{folder} holds 0 readable calibration.yaml: a trend needs two, or one '
+                         'with --against')
+    reference = before = against or calibrations[0][-1]
+    entries = []
+    for recorded, _, path, calibration in calibrations:
+        if _frames(calibration) != _frames(reference):
+            warnings.append(f'{path} is left out: it is of {_frames(calibration)}, not of '
+                            f'{_frames(reference)}; name another reference with --against')
+            continue
+        difference, std, p_reference = difference_of(calibration, reference)
+        _, _, p_before = difference_of(calibration, before)
+        entries.append(TrendEntry(path, recorded, difference, std, p_reference, p_before,
+                                  calibration.quality.residual_rms))
+        before = calibration
+    if len(entries) < 2 - (against is not None):
+        raise DataError(f'{folder} holds {len(entries)} readable calibration.yaml of '
+                        f'{_frames(reference)}: a trend needs two, or one with --against')
+    return entries, warnings
+
+
+def _dated_below(folder: Path) -> tuple[list[tuple[str, str, Path, Calibration]], list[str]]:
+    """
+    Return the usable calibrations below a folder by time, and a warning for each other file.
+
+    With the times of recording and of solution, and the path.
+    """
+    found, warnings = [], []
     for path in sorted(folder.rglob(NAME)):
         try:
             calibration = read_calibration(path)
@@ -66,27 +98,8 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[TrendEnt
         stamp = min((report.stamp for report in calibration.samples), default=0)
         created = str(calibration.provenance.get('created', ''))
         recorded = output.iso_time(stamp) or created
-        calibrations.append(((recorded, created, str(path)), path, calibration))
-    calibrations.sort(key=itemgetter(0))
-    if not calibrations:
-        raise InputError(f'{folder} holds 0 readable calibration.yaml: a trend needs two, or one '
-                         'with --against')
-    reference = before = first or calibrations[0][2]
-    entries = []
-    for (recorded, _, _), path, calibration in calibrations:
-        if _frames(calibration) != _frames(reference):
-            warnings.append(f'{path} is left out: it is of {_frames(calibration)}, not of '
-                            f'{_frames(reference)}; name another reference with --against')
-            continue
-        difference, std, p_first = difference_of(calibration, reference)
-        _, _, p_before = difference_of(calibration, before)
-        entries.append(TrendEntry(path, recorded, difference, std, p_first, p_before,
-                                  calibration.quality.residual_rms))
-        before = calibration
-    if len(entries) < 2 - (first is not None):
-        raise DataError(f'{folder} holds {len(entries)} readable calibration.yaml of '
-                        f'{_frames(reference)}: a trend needs two, or one with --against')
-    return entries, warnings
+        found.append((recorded, created, path, calibration))
+    return sorted(found, key=itemgetter(0, 1)), warnings  # of one time by path
 
 
 def _frames(calibration: Calibration) -> str:
@@ -106,10 +119,10 @@ def table(entries: Sequence[TrendEntry]) -> Table:
     rows = []
     for entry in entries:
         shift, turn = np.split(entry.difference, 2)
-        least = min(entry.p_first, entry.p_before)
+        least = min(entry.p_reference, entry.p_before)
         rows.append((
             entry.recorded, *(f'{metres * 1e3:.3f}' for metres in shift),
-            f'{np.degrees(np.linalg.norm(turn)):.4f}', f'{entry.p_first:.3g}',
+            f'{np.degrees(np.linalg.norm(turn)):.4f}', f'{entry.p_reference:.3g}',
             f'{entry.p_before:.3g}',
             'CHANGED' if least < CHANGED_P else 'watch' if least < WATCH_P else '',
             str(entry.path.parent)))
@@ -126,7 +139,7 @@ def since_when(entries: Sequence[TrendEntry]) -> str:
             other = 'the reference' if entry is entries[0] else 'the previous one'
             return f'the calibration changed between {entry.recorded or entry.path} and {other}'
     for entry in entries:
-        if entry.p_first < CHANGED_P:
+        if entry.p_reference < CHANGED_P:
             return (f'the calibration drifted: {entry.recorded or entry.path} differs from the '
                     'reference, and none from its previous one')
     return 'no calibration differs from the previous one by more than their uncertainties explain'
@@ -137,5 +150,5 @@ def csv_text(entries: Sequence[TrendEntry]) -> str:
     return output.csv_text(
         ('recorded', 'path', *AXES, *(f'{axis}_std' for axis in AXES), 'p_first', 'p_before',
          'residual'),
-        ((entry.recorded, entry.path, *entry.difference, *entry.std, entry.p_first,
+        ((entry.recorded, entry.path, *entry.difference, *entry.std, entry.p_reference,
           entry.p_before, entry.residual) for entry in entries))

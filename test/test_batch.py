@@ -104,9 +104,9 @@ def test_links_to_recordings_are_followed(tmp_path):
     (tmp_path / 'cell/tuesday.mcap').symlink_to(tmp_path / 'store/single.mcap')
     jobs = jobs_of([str(tmp_path / 'cell')], 'solve')
     assert [job.label for job in jobs] == ['monday', 'tuesday']
-    state = jobs[0].fingerprint()
+    fingerprint = jobs[0].fingerprint()
     (tmp_path / 'store/night/metadata.yaml').write_text('changed')
-    assert jobs[0].fingerprint() != state
+    assert jobs[0].fingerprint() != fingerprint
 
 
 def test_lists_name_their_recordings_relative_to_them(tmp_path):

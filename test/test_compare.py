@@ -105,7 +105,7 @@ def test_axes_other_than_x_z_turn_every_answer(only) -> None:
 def test_an_answer_too_uncertain_for_us_is_none(only) -> None:
     only('plate', 'plate', CHEN_RIGID)
     comparison = compared(cell('plate', limits__translation=1e-6))
-    assert comparison.refusal.reason == 'uncertain'
+    assert comparison.refusal.code == 'uncertain'
     rows = by_name(comparison)
     assert rows['plate'].T_flange_sensor is None
     assert mapped(rows[CHEN_RIGID]) < 1e-3

@@ -146,12 +146,12 @@ def test_streams_may_be_generators_and_stay_as_they_are() -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(('name', 'reasons'), [
+@pytest.mark.parametrize(('name', 'codes'), [
     ('no_target', 'edges settings'), ('nothing_in_sight', 'few')])
-def test_what_shows_no_target_is_refused(name: str, reasons: str) -> None:
+def test_what_shows_no_target_is_refused(name: str, codes: str) -> None:
     with pytest.raises(DataError) as caught:
         recorded(name, 0, rate=5.0, columns=640).calibrate()
-    assert caught.value.reason in reasons.split() and caught.value.exit_code == 3
+    assert caught.value.code in codes.split() and caught.value.exit_code == 3
 
 
 def in_motion(profiles, poses, spans):

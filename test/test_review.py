@@ -20,7 +20,7 @@ def test_a_stop_left_out_agrees_as_one_that_is_used() -> None:
     for excluded in ([], [5]):
         config = set_to(rounded.config, samples__exclude=excluded)
         session = gather(rounded.profiles, rounded.poses, config)
-        agreement = agreements(session, answer_session(session, config), config)[5]
+        agreement = agreements(session, answer_session(session, config))[5]
         assert agreement.used == (not excluded)
         left_out.append(agreement.left_out)
     assert left_out[1] == pytest.approx(left_out[0], rel=0.1)

@@ -26,7 +26,7 @@ from handeye_ros.data import Calibration
 from handeye_ros.errors import DataError, InputError, UnwritableError
 from handeye_ros.node.main import ros, run_for_exit_code
 from handeye_ros.output import write_atomically
-from handeye_ros.results import calibration_file, exports, report, table
+from handeye_ros.results import calibration_file, exports, printed, report
 from handeye_ros.results.file_values import input_provenance
 from handeye_ros.results.truth import errors_against, true_transform
 from handeye_ros.review import solved_recording
@@ -57,9 +57,9 @@ def demo(bag: Path, config: Path, out: Path, rate: float) -> None:
             calibration_file.read_calibration(next(saved.glob('*/calibration.yaml'))), bag, out)
     written = exports.save_all(calibration, out, ())
     terminal = sys.stdout.isatty()
-    Console(width=None if terminal else 160).print(table.table(calibration))
+    Console(width=None if terminal else 160).print(printed.table(calibration))
     if T_true is not None:
-        print(table.error_sentence(errors_against(calibration.T_flange_sensor, T_true)))
+        print(printed.error_sentence(errors_against(calibration.T_flange_sensor, T_true)))
     report_file = out / exports.REPORT_FILE
     write_atomically(report_file, report.html(calibration, solved_recording(calibration, bag)))
     print(f'{written}\nwrote {report_file}: open it in a browser')

@@ -29,11 +29,12 @@ from handeye_ros.bags.reader import (
     RecordedMessage,
     STRING_TYPE,
 )
-from handeye_ros.config import Config, UNITS
+from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, NS, Profile, RawProfile, TimedPose
 from handeye_ros.errors import InputError
 from handeye_ros.output import write_atomically, write_errors_for
 from handeye_ros.results.truth import TRUTH_NAME
+from handeye_ros.units import UNITS
 from mcap.reader import make_reader
 from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer

@@ -17,9 +17,10 @@ import math
 from typing import Any
 
 from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE, TF_TYPE
-from handeye_ros.config import ProfileConfig, UNITS
+from handeye_ros.config import ProfileConfig
 from handeye_ros.data import Array, column_order, NS, Profile, RawProfile, rms, TimedPose
 from handeye_ros.errors import UnusableMessageError
+from handeye_ros.units import UNITS
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.serde import SerdeError

@@ -16,7 +16,8 @@ from pathlib import Path
 import sqlite3
 from typing import Any, BinaryIO, NamedTuple
 
-from handeye_ros.errors import count_of, InputError
+from handeye_ros.errors import InputError
+from handeye_ros.words import count_of
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema
 from mcap.stream_reader import breakup_chunk, StreamReader
 import zstandard

@@ -35,9 +35,10 @@ from handeye_ros.checks.stated_lengths import scale_hypotheses
 from handeye_ros.checks.surfaces import require_one_surface
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
-from handeye_ros.errors import DataError, mm
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.sampling.session import Session
+from handeye_ros.words import mm
 
 # reduced chi-squared, blocks as noise: above the first the other range sign is tried, above the
 # second (3 sigma) other conventions, though the samples do not contradict the solution
@@ -68,7 +69,7 @@ def require_agreement(samples: Sequence[Sample], solution: Solution, baseline: E
         raise DataError(f'samples and poses contradict each other by {rms} RMS, and the '
                         'orientations of the poses are scattered in all directions, as when '
                         'angles in degrees are read as radians: convert the angles of the poses',
-                        reason='convention')
+                        code='convention')
     if refusal and rms_turns_and_axes(poses)[0][1] < SMALL_SECOND_TURN:
         require_certain(solution.transform_covariance, config, missing_motion(solution, config))
     # the scale of the robot, and a sensor or target that moved
@@ -93,10 +94,10 @@ def with_known_cause(refusal: DataError, baseline: Explanation, session: Session
         return refusal
     unexplained = isinstance(refusal, UnexplainedError)
     try:
-        if unexplained or refusal.reason == 'moved':
+        if unexplained or refusal.code == 'moved':
             refuse_by_best(baseline, setting_hypotheses(session, config, baseline))
             require_one_surface(session, config, refusal)
-        if unexplained or refusal.reason == 'uncertain':
+        if unexplained or refusal.code == 'uncertain':
             require_same_clock(session, config)
     except DataError as named:
         return named

@@ -45,7 +45,7 @@ def require_steady_clocks(solution: Solution) -> None:
         raise DataError(
             f'the clocks of profiles and poses drift apart by {drift.value * 60e3:.0f} ms a '
             'minute, or one of them jumped meanwhile: give both the same clock, without steps, '
-            'and record again', reason='clocks_differ')
+            'and record again', code='clocks_differ')
 
 
 def require_same_clock(session: Session, config: Config) -> None:
@@ -94,7 +94,7 @@ def _delay_hypotheses(rests: Sequence[_Rest], config: Config) -> Iterator[Hypoth
         yield Hypothesis(explain_samples(samples, config, stamps), DataError(
             'the samples do not fit the poses of their time, but as if the profiles were '
             f'{abs(delay):.1f} s {"late" if delay > 0 else "early"}: the clocks of sensor and '
-            f'robot differ; {setting}give both the same clock', reason='clocks_differ'))
+            f'robot differ; {setting}give both the same clock', code='clocks_differ'))
 
 
 def _delay(pairs: Sequence[tuple[_Rest, _Rest]]) -> float:

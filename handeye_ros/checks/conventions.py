@@ -56,7 +56,7 @@ def convention_hypotheses(samples: Sequence[Sample], problem: Problem, baseline:
                 baseline, f'{name} undone'.format(other=config.other_calibration_type))
             yield Hypothesis(explanation, DataError(
                 f'the poses contradict the samples: {comparison}; '
-                f'{advice.format(other=config.other_calibration_type)}', reason='convention'))
+                f'{advice.format(other=config.other_calibration_type)}', code='convention'))
 
 
 def orientations_scatter(poses: Array) -> bool:

@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The engine of all named causes: the same stops, fitted again under one changed assumption.
+The engine of most named causes: the same stops, fitted again under one changed assumption.
 
 An `Explanation` is how well one set of assumptions explains some stops. A `Hypothesis` is one with
 the refusal that names what was changed. `refuse_by_best` compares hypotheses with the explanation
@@ -29,7 +29,7 @@ import math
 from handeye_ros.checks.refusals import MAX_DROPPED_SHARE
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample, SEED
-from handeye_ros.errors import DataError, mm
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import CONVINCING_SQUARE, quick_solution, robust_solution
 from handeye_ros.estimation.solution import Solution
@@ -38,6 +38,7 @@ from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.sweep import with_estimated_clocks
 from handeye_ros.targets import problem_of_known_poses, target_for
+from handeye_ros.words import mm
 import numpy as np
 
 FALSE_CAUSE_PROBABILITY = 1e-5  # probability of naming a wrong cause

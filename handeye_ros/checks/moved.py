@@ -26,7 +26,7 @@ from handeye_ros.checks.hypotheses import (
     Hypothesis,
 )
 from handeye_ros.data import Array, rms, SEED
-from handeye_ros.errors import DataError, degrees, mm
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.least_squares import chi2_isf
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, NoiseModel
@@ -39,6 +39,7 @@ from handeye_ros.estimation.solution import (
     with_noise_reestimated,
 )
 from handeye_ros.frames import mount_frame, target_frame
+from handeye_ros.words import degrees, mm
 import numpy as np
 from numpy.typing import NDArray
 
@@ -91,7 +92,7 @@ def _move_refusal(first: Solution, second: Solution) -> DataError:
     return DataError(
         f'the first {count} samples agree among themselves, and so do the other {others}, but not '
         f'with each other: in between, the {what}, or {frame} became another frame (tool or base '
-        f'of the robot switched); {advice} all samples with the same', reason='moved')
+        f'of the robot switched); {advice} all samples with the same', code='moved')
 
 
 def _same_transform(first: Solution, second: Solution) -> bool:
@@ -151,9 +152,10 @@ def with_possible_move(solution: Solution) -> tuple[Solution, str]:
     Return a refined solution, and a warning on a move and its time, '' if there is none.
 
     With a warning, the covariance covers the transform with that move as well, but where all
-    dropped stations are at one end. Raises DataError as possible_move does.
+    dropped stations are at one end. Raises DataError as require_no_sure_move does.
     """
     move = possible_move(solution)
+    require_no_sure_move(move)
     if not move:
         return solution, outliers_at_one_end(solution)
     away = se3.difference(move.moved.estimate.X, move.unmoved.estimate.X)
@@ -165,18 +167,17 @@ def with_possible_move(solution: Solution) -> tuple[Solution, str]:
 
 
 def possible_move(solution: Solution) -> _Move | None:
-    """
-    Return the move that may have been, None without one or with all dropped stations at one end.
-
-    Raises DataError (moved) where it is sure (step 6 of "A small move" in estimator.md).
-    """
+    """Return the move that may have been, None also with all dropped stations at one end."""
     move = None if outliers_at_one_end(solution) else _likeliest_move(solution)
     if not move or move.evidence < WARNING_EVIDENCE or move.may_be_robot_error:
         return None
-    p_value = move.permutation_p_value()
-    if move.evidence > DECISIVE_EVIDENCE and p_value < REFUSAL_P:
-        raise DataError(move.in_words(), reason='moved')
-    return move if p_value < WARNING_P else None
+    return move if move.permutation_p_value < WARNING_P else None
+
+
+def require_no_sure_move(move: _Move | None) -> None:
+    """Raise DataError (moved) for a sure move (step 6 of "A small move" in estimator.md)."""
+    if move and move.evidence > DECISIVE_EVIDENCE and move.permutation_p_value < REFUSAL_P:
+        raise DataError(move.in_words(), code='moved')
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,6 +232,7 @@ class _Move:
             smallest = max(smallest, self.solution.full_problem.config.noise.robot_smooth)
         return rms(np.linalg.norm(shifts, axis=1)) < smallest
 
+    @cached_property
     def permutation_p_value(self) -> float:
         """Return the share of random orders of the stations with as clear a move (step 5)."""
         solution = self.solution

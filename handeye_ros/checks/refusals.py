@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from handeye_ros.calibration import unused_edges_in_words
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
-from handeye_ros.errors import count_of, DataError, degrees, mm, without_numbers
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.budget import CORRECTED_ARM
 from handeye_ros.estimation.noise import EDGE_INDEX
 from handeye_ros.estimation.solution import Solution
@@ -26,6 +26,7 @@ from handeye_ros.se3 import (
     worst_rotation,
 )
 from handeye_ros.targets.profile_target import ProfileTarget
+from handeye_ros.words import count_of, degrees, mm, without_numbers
 import numpy as np
 
 MAX_DROPPED_SHARE = 0.34  # largest share of the stations that an answer may leave out
@@ -59,13 +60,13 @@ def require_distinct_frame(frame_id: str, config: Config) -> None:
         config.base_frame, config.robot_effector_frame, frame_id))
     if base == flange:
         raise DataError(f'robot_base_frame and robot_effector_frame are both "{base}": set them '
-                        'to the frames of base and flange', reason='frame')
+                        'to the frames of base and flange', code='frame')
     if of_profiles in (base, flange):
         key = 'robot_base_frame' if of_profiles == base else 'robot_effector_frame'
         raise DataError(
             f'the profiles have the frame_id "{frame_id}", and {key} is the same frame, so the '
             'result would be a transform from this frame to itself: set another frame_id in the '
-            f'driver of the sensor, or set {key}', reason='frame')
+            f'driver of the sensor, or set {key}', code='frame')
 
 
 def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target: ProfileTarget
@@ -88,7 +89,7 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
                 'check target.type, and that the laser crosses the target')
         raise refusal(
             f'{count_of(len(samples), "usable sample")}{why}; the target {target.name} needs at '
-            f'least {target.min_samples}: {advice}', reason='few')
+            f'least {target.min_samples}: {advice}', code='few')
 
 
 def require_features(samples: Sequence[Sample], target: ProfileTarget) -> None:
@@ -98,7 +99,7 @@ def require_features(samples: Sequence[Sample], target: ProfileTarget) -> None:
             raise DataError(
                 f'the sample with the stamp {sample.stamp} lacks a feature ({missing.noun}) that '
                 f'the target {target.name} needs in every sample: gather the samples with this '
-                'target', reason='features')
+                'target', code='features')
 
 
 def require_rotations(poses: Array, frame: str, lost: str) -> None:
@@ -112,12 +113,12 @@ def require_rotations(poses: Array, frame: str, lost: str) -> None:
         raise DataError(
             f'all poses share one orientation (within {np.degrees(turns[0]):.2f} degrees): the '
             'position of the sensor cannot be separated from the position of the target; tilt '
-            'the tool by 15 degrees or more about two axes', reason='one_orientation')
+            'the tool by 15 degrees or more about two axes', code='one_orientation')
     if turns[1] < MIN_TURN:
         raise DataError(
             f'all poses share one rotation axis ({direction_in_words(axes[0], frame)}; they turn '
             f'by {np.degrees(turns[0]):.1f} degrees RMS about it): {lost}; tilt the tool by 15 '
-            f'degrees or more about {axes_across(axes[0], frame)}', reason='one_axis')
+            f'degrees or more about {axes_across(axes[0], frame)}', code='one_axis')
 
 
 def rms_turns_and_axes(poses: Array) -> tuple[Array, Array]:
@@ -141,13 +142,13 @@ def misfit_refusal(solution: Solution) -> UnexplainedError | None:
             '(frames, convention, units), whether the clocks of sensor and robot agree, whether '
             'every sample shows the target itself and no clamp or second plate, target.type and '
             'its measures, profile.unit, profile.axes, profile.range_sign and profile.invalid',
-            reason='misfit')
+            code='misfit')
     total = len(solution.full_problem.poses)
     if len(dropped) > MAX_DROPPED_SHARE * total:
         return UnexplainedError(
             f'{len(dropped)} of {total} samples contradict the others, so no answer can be '
             'trusted: check that target and sensor are fixed and that the laser crosses only the '
-            'target', reason='misfit')
+            'target', code='misfit')
     times = rms / solution.posterior.expected_rms
     if times > limits.scatter or (
             solution.posterior.reduced_chi_squared > MISFIT_CHI2 and times > MISFIT_TIMES):
@@ -156,7 +157,7 @@ def misfit_refusal(solution: Solution) -> UnexplainedError | None:
             f'the residuals of {mm(rms)} RMS are {times:.1f} times what the configured noise '
             f'explains{beyond}: there is another cause than noise; check profile.range_sign, '
             'profile.axes and target.type, or raise noise.* if the robot or the sensor really is '
-            'that inaccurate', reason='misfit')
+            'that inaccurate', code='misfit')
     return None
 
 
@@ -170,14 +171,14 @@ def require_testable(solution: Solution) -> None:
     used, dropped = len(solution.used_stations), len(solution.dropped_squares)
     redundancy = solution.posterior.redundancy
 
-    def needed(outliers: int) -> int:
+    def needed(outliers: int) -> int:  # the choice of outliers, by the same residuals, costs one
         return MIN_REDUNDANT * (1 + outliers) + (outliers > 0)
 
     if redundancy < needed(dropped):
         why = f' ({dropped} of them contradict the others)' if dropped else ''
         raise UnexplainedError(
             f'{used + dropped} usable samples{why} give only {redundancy} redundant equations; at '
-            f'least {needed(dropped)} are needed: take more samples at new poses', reason='few')
+            f'least {needed(dropped)} are needed: take more samples at new poses', code='few')
     # if one more sample were dropped
     per_sample = int(solution.posterior.ranks.max())
     missing = needed(dropped + 1) - (redundancy - per_sample)
@@ -189,7 +190,7 @@ def require_testable(solution: Solution) -> None:
             'noise.robot_smooth states, or at least one sample is wrong (a pose wrong by about a '
             'millimetre, or another surface); so few samples cannot show which: take '
             f'{max(1, -(-missing // per_sample))} more at new poses, or repeat them all',
-            reason='outlier')
+            code='outlier')
 
 
 def require_no_half_turn_twin(solution: Solution) -> None:
@@ -200,7 +201,7 @@ def require_no_half_turn_twin(solution: Solution) -> None:
     if 2 * misfit < TWIN_RATIO * residual:
         raise DataError(
             f'all samples show the target {place} of the view (within {mm(misfit)}), and a sensor '
-            f'turned by half about it would see the same: {SHOW_ALL_OF_THE_VIEW}', reason='views')
+            f'turned by half about it would see the same: {SHOW_ALL_OF_THE_VIEW}', code='views')
 
 
 def require_certain(covariance: Array, config: Config, advice: str, seen: Array | None = None
@@ -223,7 +224,7 @@ def require_certain(covariance: Array, config: Config, advice: str, seen: Array 
             how = f'uncertain by {with_unit(std)} (1 sigma; ' if std < 1 else 'not determined ('
             raise DataError(
                 f'the {what} {direction_in_words(direction, mount_frame(config))} is {how}limits.'
-                f'{key} is {with_unit(limit)}): {advice}', reason='uncertain')
+                f'{key} is {with_unit(limit)}): {advice}', code='uncertain')
 
 
 def missing_motion(solution: Solution, config: Config) -> str:
@@ -265,7 +266,7 @@ def require_edges(solution: Solution) -> None:
             f'the edges of the target scatter {factor ** 0.5:.1f} times more than the profiles '
             'allow: check that the laser crosses the target alone, and no clamp, bar or second '
             'plate beside it, profile.range_sign, and that the edges are straight and sharp',
-            reason='edges')
+            code='edges')
     used, shown = (int(problem.shows_edge.sum())
                    for problem in (solution.problem, solution.full_problem))
     if used < max(target.min_samples, (1 - MAX_DROPPED_SHARE) * shown):
@@ -278,7 +279,7 @@ def require_edges(solution: Solution) -> None:
             f'only {used} of the {shown} samples that show an edge agree on the target, and such '
             f'an answer cannot be trusted ({why}): check target.size, that the edges are straight '
             'and that the laser crosses them steeply, inside the field of view, and no others, or '
-            'calibrate from the plane alone (target.type plane)', reason='edges')
+            'calibrate from the plane alone (target.type plane)', code='edges')
 
 
 def require_predicted(left_out: float, residual: float, limit: float) -> None:
@@ -290,4 +291,4 @@ def require_predicted(left_out: float, residual: float, limit: float) -> None:
                'too few samples, or some are wrong; take more')
         raise UnexplainedError(
             f'samples differ by {mm(left_out)} RMS from what the others predict (limits.residual '
-            f'is {mm(limit)}), and by {mm(residual)} from the answer: {why}', reason='left_out')
+            f'is {mm(limit)}), and by {mm(residual)} from the answer: {why}', code='left_out')

@@ -38,19 +38,19 @@ def setting_hypotheses(session: Session, config: Config, baseline: Explanation
     """Yield the hypotheses that other settings explain the stops of a session."""
     stops = evenly_spaced(stops_to_explain(session), MAX_STOPS)
     stamps = [stop.result.stamp for stop in stops]
-    few_profiles = [with_few_profiles(stop, config) for stop in stops]
+    thinned_stops = [with_few_profiles(stop, config) for stop in stops]
     show_edge = {sample.stamp for stop in stops if (sample := stop.sample) and any(
         isinstance(feature, EdgePoint) for feature in sample.features)}
 
     def samples_as(changed: Config, profiles: int) -> list[Sample]:
         results = [result_of(replace(stop, profiles=stop.profiles[:profiles]), changed)
-                   for stop in few_profiles]
+                   for stop in thinned_stops]
         return [replace(result, stamp=stamp) for result, stamp in zip(results, stamps, strict=True)
                 if isinstance(result, Sample)]
 
     certain = dict[Values, Explanation]()  # those that leave no doubt
     for values in _likely_changes(config):
-        changed = with_settings(config, dict(values))
+        changed = with_correction(config, dict(values))
         if 2 * len(samples_as(changed, profiles=1)) < len(stops):
             continue  # most show nothing: read no more of them
         tried = explain_samples(samples_as(changed, MAX_PROFILES), changed, stamps)
@@ -86,7 +86,7 @@ def settings_refusal(values: Mapping[str, str], baseline: Explanation, changed: 
     if values == {TARGET_TYPE: 'plane'}:
         to += '; or, if the target has edges, cross them inside the field of view'
     comparison = changed.comparison_in_words(baseline, named)
-    return DataError(f'{comparison}: set {to}', reason='settings')
+    return DataError(f'{comparison}: set {to}', code='settings')
 
 
 def sign_hypothesis(samples: Sequence[Sample], config: Config, baseline: Explanation, clocks: bool
@@ -109,7 +109,7 @@ def sign_hypothesis(samples: Sequence[Sample], config: Config, baseline: Explana
     words = explanation.comparison_in_words(baseline, f'{RANGE_SIGN} {values[RANGE_SIGN]}')
     return Hypothesis(explanation, UnexplainedError(
         f'{words}, neither as well as the noise allows: check {RANGE_SIGN}, and that every sample '
-        'shows the target itself and no clamp or second plate', reason='misfit'))
+        'shows the target itself and no clamp or second plate', code='misfit'))
 
 
 def _likely_changes(config: Config) -> list[Values]:
@@ -129,8 +129,12 @@ def _likely_changes(config: Config) -> list[Values]:
     return [*((change,) for change in singles), *((change, sign) for change in (*types, *axes))]
 
 
-def with_settings(config: Config, values: Mapping[str, str]) -> Config:
-    """Return the configuration with other values; measures of another target are reset."""
+def with_correction(config: Config, values: Mapping[str, str]) -> Config:
+    """
+    Return the configuration with other values.
+
+    Another target.type also resets method, and all of target but setback_std.
+    """
     if TARGET_TYPE in values:
         config = replace(config, method='auto',
                          target=TargetConfig(setback_std=config.target.setback_std))

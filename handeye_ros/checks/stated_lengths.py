@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from handeye_ros.calibration import block_estimates, BlockEstimate, NOTED_SIGMAS
 from handeye_ros.checks.hypotheses import explain_problem, Explanation, Hypothesis
-from handeye_ros.checks.moved import possible_move
+from handeye_ros.checks.moved import possible_move, require_no_sure_move
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import scale_twists
 from handeye_ros.estimation.least_squares import (
@@ -36,13 +36,13 @@ MIN_SCALE_ERROR, MAX_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
 MIN_SHARE_WITHOUT_ONE = 0.5
 
 
-def with_free_measure_if_needed(problem: Problem, solution: Solution, rng: np.random.Generator,
+def with_free_measure_if_needed(solution: Solution, problem: Problem, rng: np.random.Generator,
                                 start: Estimate | None = None) -> Solution:
     """
     Return the solution with a stated measure free, if only that makes the stations agree.
 
-    solution: with the measure as stated; it is returned where that is good enough. start: the only
-    one to use, if given.
+    solution: of the problem, with the measure as stated; it is returned where that is good enough.
+    start: the only one to use, if given.
     """
     target, config = problem.target, problem.config
     free_config = replace(config, target=replace(config.target, **target.freed_measure))
@@ -107,8 +107,9 @@ def scale_hypotheses(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypo
     J = np.hstack([posterior.whitening(np.hstack([wrt_scale, wrt_measures])), posterior.jacobian])
     covariance = covariance_from_jacobian(J)
     cross_covariance, station = J @ covariance, posterior.problem.observations.station
-    scale = float(cross_covariance[:, 0] @ posterior.postfit_residuals)
-    residuals = posterior.postfit_residuals - cross_covariance @ (J.T @ posterior.postfit_residuals)
+    residuals = posterior.postfit_residuals
+    scale = float(cross_covariance[:, 0] @ residuals)
+    residuals = residuals - cross_covariance @ (J.T @ residuals)
     left_out = leave_one_out_residuals(residuals, J, cross_covariance, station)
     without = scale - np.bincount(station, left_out * cross_covariance[:, 0])
     shown_by_several = (np.sign(scale) * without).min() > MIN_SHARE_WITHOUT_ONE * abs(scale)
@@ -129,7 +130,7 @@ def require_one_scale(solution: Solution) -> None:
     scale = block_estimates(solution.report_posterior).get('robot_scale')
     if scale and abs(scale.sigmas_off_stated) > NOTED_SIGMAS and abs(scale.value) > max(
             MIN_SCALE_ERROR, NOTED_SIGMAS * scale.std):
-        possible_move(solution)
+        require_no_sure_move(possible_move(solution))
         raise _scale_refusal(abs(scale.value), scale.std)
 
 
@@ -137,4 +138,4 @@ def _scale_refusal(scale: float, std: float) -> DataError:
     return DataError(
         f'the lengths of robot and sensor differ by {100 * scale:.2f} +- {100 * std:.2f} %: one '
         'of them has a wrong scale; measure a known length with each, and correct the unit or '
-        'the calibration of the wrong one', reason='scale')
+        'the calibration of the wrong one', code='scale')

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from handeye_ros.checks.hypotheses import explain_samples, stops_to_explain
-from handeye_ros.checks.settings import with_few_profiles, with_settings
+from handeye_ros.checks.settings import with_correction, with_few_profiles
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine, Reject, Sample
 from handeye_ros.errors import DataError
@@ -49,7 +49,7 @@ class OtherSurfaceError(DataError):
         self.stamps, self.why = {stop.result.stamp for stop in stops}, why
         they_show = f'the {_numbers(stops)} show {why}'
         self.warning = f'{they_show}: they are left out'
-        super().__init__(f'{they_show}: {ADVICE}', reason='surface')
+        super().__init__(f'{they_show}: {ADVICE}', code='surface')
 
 
 def require_one_surface(session: Session, config: Config, refusal: DataError) -> None:
@@ -75,12 +75,12 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
         # only wrong axes or a wrong sign make the ground beneath a face
         if np.nanmedian(above) > 0 and _agree_on_target(stops[is_at_level], config):
             raise OtherSurfaceError(stops[~is_at_level], _surface_in_words(above))
-    if several and refusal.reason in ('misfit', 'edges'):
+    if several and refusal.code in ('misfit', 'edges'):
         listed = '; '.join(
             f'{(level - np.nanmin(at_edge)) * 1e3:.1f} mm: {_numbers(stops[is_at_level])}'
             for level, is_at_level in levels)
         why = f'they show edges at several heights ({listed}), as of a clamp or a second plate'
-    elif agreeing and refusal.reason == 'misfit':
+    elif agreeing and refusal.code == 'misfit':
         why = ('the ends of their faces lie on another object, such as a clamp or a second plate, '
                'the target moved in its plane or is not as target.type and target.size state, '
                'or poses or clocks are wrong along this plane')
@@ -88,7 +88,7 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
         return
     raise DataError(
         f'{agreeing} of {len(stops)} stops agree on one plane, but not on the edges of the '
-        f'target: {why}: {ADVICE}', reason='surface')
+        f'target: {why}: {ADVICE}', code='surface')
 
 
 def _heights_over_plane(stops: NDArray[np.object_], config: Config
@@ -99,7 +99,7 @@ def _heights_over_plane(stops: NDArray[np.object_], config: Config
     They are of the face at the edge of each stop (n,), and of all faces that each shows; then the
     number of stops that agree. Without such a plane there are no heights, and none agrees.
     """
-    as_plane = with_settings(config, {'target.type': 'plane'})
+    as_plane = with_correction(config, {'target.type': 'plane'})
     results = [result_of(with_few_profiles(stop, config), as_plane) for stop in stops]
     fit = explain_samples([result for result in results if isinstance(result, Sample)], as_plane,
                           [result.stamp for result in results], all_starts=True)

@@ -248,8 +248,8 @@ def seam(
     """Find the seam in a cloud, and tool frames along it."""
     if not (abs(travel) < 90.0 and abs(work) < 90.0):
         raise typer.BadParameter('--travel and --work: a tool leans by less than 90 degrees')
-    from handeye_ros.config import parse_length
     from handeye_ros.scanning.seam import find_seam, sentences, tool_frames, write
+    from handeye_ros.units import parse_length
     limits = [parse_length(text, '--box', MAX_PLAIN) for text in box]
     if any(map(operator.gt, limits[::2], limits[1::2])):
         raise BadValueError('--box', ' '.join(box), 'of each axis the lower limit first')

@@ -46,7 +46,7 @@ def solve(
 ) -> None:
     """Find the transform from a recording or a file."""
     from handeye_ros.output import folder_name
-    from handeye_ros.results import exports, table
+    from handeye_ros.results import exports, printed
     from handeye_ros.results.truth import errors_against, FIELD_TEXT, true_transform
     opened = open_input(path, config, assignments, angles, kinematics)
     settings = opened.settings
@@ -70,7 +70,7 @@ def solve(
             answer = pipeline.answer_session(opened.session, settings)
         if budget and answer.samples_agree:
             solution = answer.require_solution()
-            show(table.budget_table(budget_of(solution), len(solution.used_stations)))
+            show(printed.budget_table(budget_of(solution), len(solution.used_stations)))
         calibration = answer.require_calibration()
         warnings = calibration.provenance.get('warnings', ())
         warn(*warnings)
@@ -80,10 +80,10 @@ def solve(
         calibration = replace(calibration, provenance=provenance)
         T_plane, field, field_text = T_sensor_plane(settings), None, FIELD_TEXT
     saved = exports.save_all(calibration, folder, settings.save.formats)
-    show(table.table(calibration))
+    show(printed.table(calibration))
     if T_true is not None:
         errors = errors_against(calibration.T_flange_sensor @ T_plane, T_true @ T_plane, field)
-        typer.echo(table.error_sentence(errors, field_text))
+        typer.echo(printed.error_sentence(errors, field_text))
     typer.echo(saved)
 
 
@@ -122,7 +122,7 @@ def samples(
         raise InputError(f'{path} is a table of measured values, without samples')
     with progress_bar('comparing the samples'):
         answer = pipeline.answer_session(session, settings)
-        rows = samples_table(session, answer, settings)
+        rows = samples_table(session, answer)
     if answer.refusal:
         typer.echo(f'refused: {answer.refusal}', err=True)
     show(rows)

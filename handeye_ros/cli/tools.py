@@ -25,7 +25,8 @@ from handeye_ros.cli.common import (
     show,
     warn,
 )
-from handeye_ros.errors import count_of, NoRosError, UnknownNameError
+from handeye_ros.errors import NoRosError, UnknownNameError
+from handeye_ros.words import count_of
 import typer
 
 if TYPE_CHECKING:

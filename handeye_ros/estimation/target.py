@@ -165,7 +165,7 @@ class Target(ABC):
         Return the state, with 1 sigma (k,) of the parameters, as plain values.
 
         Of these names results/scene.py draws a pose, a point with a direction, a normal with a
-        distance, and a centre with a radius; results/table.py knows the units of names.
+        distance, and a centre with a radius; results/printed.py knows the units of names.
         """
 
     def describe_strays(self, observations: Observations, p: Array, state: Array, config: Config

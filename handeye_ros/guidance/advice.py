@@ -86,7 +86,8 @@ class Advice:
     sentences: what to do, and why, in the order of their weight
     next_pose: the pose that helps most; None before the sensor is roughly known, in a sweep, and
         where no pose within the limits keeps the target in view
-    first_move: the move from the first pose, while the sensor is not roughly known; else None
+    move_from_first_pose: the next move, described from the first pose, while the sensor is not
+        roughly known; else None
     sigmas: the uncertainty in each direction, last that of mapped points; empty before an answer
     enough: whether the samples are sufficient
     why: the reason of enough, in one sentence
@@ -94,7 +95,7 @@ class Advice:
 
     sentences: tuple[str, ...]
     next_pose: Proposal | None
-    first_move: AdvisedMove | None
+    move_from_first_pose: AdvisedMove | None
     sigmas: tuple[Uncertainty, ...]
     enough: bool
     why: str

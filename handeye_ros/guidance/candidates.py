@@ -250,16 +250,16 @@ def covariances_with_one_more(solution: Solution, candidates: Problem) -> Array:
 
     candidates: with equally many observations at each. The blocks count as errors of the station.
     """
-    C = solution.reported_covariance
+    Sigma = solution.reported_covariance
     noise = replace(solution.posterior.noise, blocks_as_noise=True)
     A = posterior_at(candidates, solution.estimate, noise).jacobian
-    A = A.reshape(len(candidates.poses), -1, len(C))
-    # (N + A'A)^-1 = C - C A' (1 + A C A')^-1 A C inverts only a small matrix
-    AC = A @ C
-    inner = AC @ np.swapaxes(A, 1, 2) + np.eye(A.shape[1])
-    AC_transform = AC[:, :, :6]
-    return np.asarray(C[:6, :6] - np.swapaxes(AC_transform, 1, 2)
-                      @ np.linalg.solve(inner, AC_transform))
+    A = A.reshape(len(candidates.poses), -1, len(Sigma))
+    # (Sigma^-1 + A'A)^-1 = Sigma - Sigma A' (1 + A Sigma A')^-1 A Sigma: one small inverse
+    A_Sigma = A @ Sigma
+    inner = A_Sigma @ np.swapaxes(A, 1, 2) + np.eye(A.shape[1])
+    of_transform = A_Sigma[:, :, :6]
+    return np.asarray(Sigma[:6, :6] - np.swapaxes(of_transform, 1, 2)
+                      @ np.linalg.solve(inner, of_transform))
 
 
 def std_with_one_more(solution: Solution, levers: Array, added: Problem) -> float:

@@ -166,12 +166,13 @@ def next_move(taken: int, target: ProfileTarget, config: Config, view: View) -> 
         angle = min(np.pi / 2 - angle, config.guidance.turn)
     mirror_sign = -1.0 if taken // len(moves) % 2 else 1.0  # every other time through the table
     turn = float(np.copysign(angle, turn * mirror_sign))
-    text = _advice(target, config, turn, tilt, place, edge, beside)
+    text = _move_in_words(target, config, turn, tilt, place, edge, beside)
     return AdvisedMove(text, turn, tilt, place, edge, float(beside))
 
 
-def _advice(target: ProfileTarget, config: Config, turn: float, tilt: Array, place: Array,
-            edge: int, beside: float) -> str:
+def _move_in_words(target: ProfileTarget, config: Config, turn: float, tilt: Array, place: Array,
+                   edge: int, beside: float) -> str:
+    """Return a move in words; the arguments are as in AdvisedMove."""
     # beside the robot the sensor stays, and the robot turns the target the other way
     mover, other, turn_axis, sign = (
         ('sensor', 'target', 'its viewing direction', 1) if config.in_hand else

@@ -47,7 +47,6 @@ from handeye_ros.bags.session_files import (
 from handeye_ros.config import Config, SamplesConfig
 from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
 from handeye_ros.errors import (
-    count_of,
     DataError,
     FeatureError,
     HandeyeError,
@@ -61,12 +60,13 @@ from handeye_ros.node.pool import Pool, PoolEndedError, trim_memory
 from handeye_ros.node.solver import ANSWER_KEYS, LiveSolver, SAMPLE_KEYS, settings_of
 from handeye_ros.node.state import Attempt, MessageCount
 from handeye_ros.node.verification import LiveVerification
+from handeye_ros.results.printed import sample_summary
 from handeye_ros.results.scene import StopSnapshot
-from handeye_ros.results.table import sample_summary
 from handeye_ros.sampling.features import features_of, result_of
 from handeye_ros.sampling.session import Session, silent_poses_error
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.stream import interpolate
+from handeye_ros.words import count_of
 
 MAX_STOPS = 32  # waiting for evaluation: at most 7 MB each with 1280 points a profile
 KEPT_JOINTS = 20_000  # messages with joint values: more than those of the longest stop
@@ -473,7 +473,7 @@ class LiveSession:
         """
         samples = [stop for stop in self.session.stops if stop.sample]
         if not samples:
-            raise DataError('there is no sample to remove', reason='nothing_to_remove')
+            raise DataError('there is no sample to remove', code='nothing_to_remove')
         last = samples[-1]
         self._store(self.files.add_event, REMOVED, self.config, Stop(0, number=last.number))
         with self.lock:

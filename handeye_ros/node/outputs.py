@@ -23,7 +23,7 @@ from geometry_msgs.msg import (
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration
-from handeye_ros.errors import count_of, INSTALL_TF2, without_numbers
+from handeye_ros.errors import INSTALL_TF2
 from handeye_ros.frames import mount_poses, target_frame
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import (
@@ -48,6 +48,7 @@ from handeye_ros.results.scene import (
     StopSnapshot,
 )
 from handeye_ros.sampling.stops import Stop
+from handeye_ros.words import count_of, without_numbers
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks

@@ -18,15 +18,16 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 from handeye_ros import pipeline
 from handeye_ros.config import Config, flatten, record_texts
 from handeye_ros.data import Array, Calibration, Sample
-from handeye_ros.errors import count_of, DataError, HandeyeError
+from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.guidance.advice import Advice, advise
 from handeye_ros.guidance.view import extremes
 from handeye_ros.output import folder_name
 from handeye_ros.results import calibration_file, exports
+from handeye_ros.results.printed import transform_rows
 from handeye_ros.results.scene import Agreement
-from handeye_ros.results.table import transform_rows
 from handeye_ros.review import agreements
 from handeye_ros.sampling.session import Session
+from handeye_ros.words import count_of
 import numpy as np
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def review_of(session: Session, config: Config, view: Array, with_cause: bool) -
                                      session if with_cause else None)
     failed = [stop.T_base_flange for stop in session.stops if stop.poses and not stop.sample]
     return Review(advise(in_order, config, answer, view, failed), answer,
-                  agreements(session, answer, config),
+                  agreements(session, answer),
                   max((stop.number for stop in session.stops if stop.sample), default=0))
 
 

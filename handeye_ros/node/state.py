@@ -22,8 +22,8 @@ from handeye_ros.config import MAX_TIME_OFFSET
 from handeye_ros.data import Array
 from handeye_ros.node.solver import LiveSolver, Review, summary
 from handeye_ros.output import folder_name
+from handeye_ros.results.printed import sample_summary
 from handeye_ros.results.scene import Agreement
-from handeye_ros.results.table import sample_summary
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import NO_STOP, Stop
 import numpy as np
@@ -151,7 +151,7 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
     troubles = (
         graph_trouble, str(conflict or ''),
         'all samples are of the first: ~/clear_samples begins anew with the frame of now'
-        if conflict and conflict.reason == 'two_frames' and session.samples else '',
+        if conflict and conflict.code == 'two_frames' and session.samples else '',
         late and f'{late} are dropped, as their stamps are older than those before; if they stay '
         'so, sampling goes on with them', str(session.unusable_poses_error or ''),
         # of two publishers stamps that seem to be of two clocks follow

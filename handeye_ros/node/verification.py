@@ -17,7 +17,7 @@ from handeye_ros.node.state import Attempt
 from handeye_ros.output import yaml_text
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import read_calibration
-from handeye_ros.results.table import sample_summary
+from handeye_ros.results.printed import sample_summary
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.verification.result_file import plain_values, sentence
 from handeye_ros.verification.routines import Routine, ROUTINES

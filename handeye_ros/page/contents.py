@@ -23,7 +23,7 @@ from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.guidance.view import AdvisedMove, extremes
 from handeye_ros.pipeline import Answer
-from handeye_ros.results import exports, table
+from handeye_ros.results import exports, printed
 from handeye_ros.results.scene import outline_of, profile_picture, rounded, StopSnapshot
 from handeye_ros.review import stop_snapshot
 from handeye_ros.targets import target_for
@@ -171,7 +171,7 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
     checked = live.verification.content_of_answer
     return {**state, 'profile': snapshot and _picture(snapshot), 'scene': _scene(live, snapshot),
             'edges': _edges(live), 'has_just_begun': len(state['samples']) <= FEW_STOPS,
-            'rows': list(table.transform_rows(calibration)) if calibration else [],
+            'rows': list(printed.transform_rows(calibration)) if calibration else [],
             'verification': {
                 'running': live.verification.text,
                 'next_part': live.verification.has_next_part,
@@ -236,7 +236,7 @@ def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
                      for stop in live.session_copy().stops if stop.sample],
         'next': as_rows(next_pose),
         'aim': None if pose is None or next_pose is None else _motion_to(pose, next_pose),
-        'move': advice.first_move and _advised_move(advice.first_move),
+        'move': advice.move_from_first_pose and _advised_move(advice.move_from_first_pose),
         **(_target(answer, config) if solution else {'edges': [], 'outline': [], 'spots': []})}
 
 

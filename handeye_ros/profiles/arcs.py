@@ -15,7 +15,7 @@ import math
 
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, even_indices, Indices, SIGMA_OF_MEDIAN
-from handeye_ros.errors import FeatureError, mm
+from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
 from handeye_ros.profiles.ransac import circles_among
 from handeye_ros.profiles.segment import (
@@ -23,6 +23,7 @@ from handeye_ros.profiles.segment import (
     noise_level,
     surface_columns,
 )
+from handeye_ros.words import mm
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgesv
@@ -82,24 +83,12 @@ def arc_features(points: Array, config: Config) -> tuple[Arc]:
     raise FeatureError(reason or 'no arc of the sphere in the profile')
 
 
-def fit_round(points: Array) -> Array:
-    """
-    Return the centre and radius (d + 1,) of the circle or sphere nearest to points (n, d).
-
-    Least squares of the squared distances (Kasa 1976, IEEE Trans. Instrum. Meas. 25:8).
-    """
-    design = np.column_stack([2.0 * points, np.ones(len(points))])
-    fit = np.linalg.lstsq(design, np.sum(points ** 2, axis=1), rcond=None)[0]
-    fit[-1] = np.sqrt(max(fit[-1] + fit[:-1] @ fit[:-1], 1e-12))
-    return np.asarray(fit)
-
-
 def fit_circle(points: Array, steps: int = 4) -> Array:
     """
     Return the circle (x, z, r) with the least squared radial distances to (n, 2) points.
 
-    steps: of Gauss-Newton from the algebraic fit of fit_round, which is biased for short arcs. It
-    is written out here, about the mean of the points: profiles are read in less time.
+    steps: of Gauss-Newton from the algebraic fit of se3.fit_round, which is biased for short arcs.
+    It is written out here, about the mean of the points: profiles are read in less time.
     """
     middle = points.sum(axis=0) / len(points)
     x, z = (points - middle).T

@@ -14,10 +14,9 @@ import math
 from handeye_ros import config as configuration
 from handeye_ros import se3
 from handeye_ros.data import Array, Calibration
-from handeye_ros.errors import mm
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.output import rendered
-from handeye_ros.results import exports, table
+from handeye_ros.results import exports, printed
 from handeye_ros.results.calibration_file import config_of
 from handeye_ros.results.scene import (
     feature_points,
@@ -27,9 +26,10 @@ from handeye_ros.results.scene import (
     StopSnapshot,
 )
 from handeye_ros.results.truth import field_points, FIELD_TEXT
+from handeye_ros.words import mm
 import numpy as np
 
-MUCH_WORSE = 4.0  # ratio of the cross-validation error to the residual
+MUCH_WORSE = 4.0  # ratio of the left-out RMS to that in the fit
 SAME_ANSWER = 0.1  # sigmas: two answers of the same recording agree so well
 
 
@@ -56,7 +56,7 @@ def html(calibration: Calibration, recording: SolvedRecording) -> str:
     good, sentence = verdict(calibration, recording, sensor_points(seen, config))
     picture = scene(calibration, recording.stops, config)
     return rendered(
-        'report.html', c=calibration, good=good, sentence=sentence, table=table,
+        'report.html', c=calibration, good=good, sentence=sentence, printed=printed,
         remarks=list(_remarks(calibration, recording)),
         matrix=exports.FORMATS['matrix'].text(calibration),
         joint=exports.filled_template(calibration, 'joint.xacro.jinja'),

@@ -24,7 +24,7 @@ from handeye_ros.data import Calibration
 from handeye_ros.output import write_atomically, yaml_text
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import with_origin
-from handeye_ros.results.table import figures_table
+from handeye_ros.results.printed import figures_table
 from handeye_ros.robot.selection import ArmSelection, UNCHANGED_ARM
 import numpy as np
 from rich.console import Group, RenderableType

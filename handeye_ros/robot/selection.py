@@ -22,7 +22,7 @@ from handeye_ros.arm import (
     REVOLUTE,
 )
 from handeye_ros.data import Array, Indices, rms
-from handeye_ros.errors import count_of, DataError, degrees, mm
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.robot.estimate import (
     arm_covariance,
@@ -32,9 +32,10 @@ from handeye_ros.robot.estimate import (
     with_estimated_weights,
     without_bad_stops,
 )
+from handeye_ros.words import count_of, degrees, mm
 import numpy as np
 
-UNSOLVED = 'unsolved'  # reason of refusals that wrong clocks may explain
+UNSOLVED = 'unsolved'  # code of refusals that wrong clocks may explain
 UNCHANGED_ARM = 'the URDF as it is'
 REGION_COUNT, MIN_OF_REGION = 8, 3  # of the joint space, each left out once; stops of one
 FOLD_ROUNDS = 2
@@ -222,4 +223,4 @@ def _contradiction(fit: ArmFit, stop_count: int, limit: float) -> DataError:
         f'that is only inaccurate at most {mm(limit)}: check that the URDF is of this robot, '
         '--base and --flange, the sign of each joint, whether a joint is counted from the '
         'horizontal, all units (degrees or radians?), calibration_type, and that the target is '
-        'the stated one and fixed', reason=UNSOLVED)
+        'the stated one and fixed', code=UNSOLVED)

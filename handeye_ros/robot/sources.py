@@ -21,9 +21,10 @@ from handeye_ros.bags.bag import Recording
 from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.refusals import require_certain, require_samples
-from handeye_ros.config import Config, UNITS
+from handeye_ros.config import Config
+from handeye_ros.csv_tables import ANGLE, CsvTable, LENGTH, require_different
 from handeye_ros.data import Array, Calibration, Indices, NS, Sample, SEED
-from handeye_ros.errors import DataError, InputError, mm
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.least_squares import robust_least_squares
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import robust_solution
@@ -48,9 +49,10 @@ from handeye_ros.robot.selection import (
 from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import with_estimated_clocks
-from handeye_ros.tables import ANGLE, LENGTH, require_different, Table
 from handeye_ros.targets import problem_of_known_poses, target_for
 from handeye_ros.targets.profile_target import xyz
+from handeye_ros.units import UNITS
+from handeye_ros.words import mm
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial import KDTree
@@ -152,7 +154,7 @@ def solve_sources(sources: Sequence[ArmSamples], arm: Arm, inputs: Sequence[dict
             fit_of_sources(sources, arm), sum(len(source.q) for source in sources),
             sources[0].problem.config.limits.residual)
     except DataError as error:
-        for source in sources if error.reason == UNSOLVED else ():
+        for source in sources if error.code == UNSOLVED else ():
             require_same_clock(source.session, source.problem.config)
         raise
     calibrations = [_calibrated(source, outcome.arm) for source in sources]
@@ -201,7 +203,7 @@ def read_arm_points(path: Path, arm: Arm, in_hand: bool
     names the point where there are several. in_hand: as in ArmPoints. Rows count from 0, a
     peculiarity is a sentence. Raises InputError and DataError.
     """
-    table = Table(path)
+    table = CsvTable(path)
     kinds = {j.name: LENGTH if j.kind == PRISMATIC else ANGLE for j in arm.joints}
     readings = {name: table.values([name], kind)[:, 0] for name, kind in kinds.items()
                 if name in table.columns}

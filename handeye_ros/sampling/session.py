@@ -24,12 +24,13 @@ import math
 from handeye_ros import se3, targets
 from handeye_ros.config import Config, UNNAMED_FRAME
 from handeye_ros.data import AnyProfile, Array, NS, Reject, Sample, TimedPose
-from handeye_ros.errors import count_of, DataError, InputError
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import frame_notes
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.stops import Motion, ProfileBuffer, PROFILES_OF_SAMPLE, Stop, StopFinder
 from handeye_ros.sampling.stream import Copyable, LAST_STAMP, REORDER_TIME, Stream
 from handeye_ros.sampling.sweep import passes_expanded
+from handeye_ros.words import count_of
 import numpy as np
 
 POSES_MISSING_TIME = 0.25  # s without a pose, while profiles come: then the robot may be anywhere
@@ -191,7 +192,7 @@ class Session(Copyable):
         """
         Return the stop at which the robot stands now.
 
-        Raises the conflict of the streams, and DataError without current poses (its reason
+        Raises the conflict of the streams, and DataError without current poses (its code
         no_poses, silent_poses, late_poses or position_unit), or while the robot moves (moving).
         """
         if self.conflict:
@@ -200,17 +201,17 @@ class Session(Copyable):
         poses, stop = self._pose_stream, self._finder.current()
         if poses.late:
             raise DataError('the robot position is not known: its poses have older stamps than '
-                            'those before', reason='late_poses')
+                            'those before', code='late_poses')
         silence = (self._profile_stream.latest - poses.latest) / NS
         if max(POSES_MISSING_TIME, 5 * poses.period) < silence < REORDER_TIME / NS:
             raise silent_poses_error(silence)
         if stop is None:
             if self.config.sampling.moving:
                 raise DataError('the pass has just begun: sweep on, and take the sample in a '
-                                'second', reason='moving')
+                                'second', code='moving')
             motion = self.motion.sentence if self.motion else 'too few poses have come'
             raise DataError(f'the robot must stand still for {self.config.sampling.still_time:g} '
-                            f's, and {motion}: wait, and take the sample again', reason='moving')
+                            f's, and {motion}: wait, and take the sample again', code='moving')
         self._profiles.add(self._profile_stream.release(stop.start, stop.end))
         return stop.with_profiles(self._profiles.items, self.config)
 
@@ -220,11 +221,11 @@ class Session(Copyable):
         if self._pose_stream.repeats >= MAX_REPEATS:
             return DataError('all poses have the same stamp: the clock of their driver stands '
                              'still; with use_sim_time, /clock must be published',
-                             reason='late_poses')
+                             code='late_poses')
         if self._reach > MAX_FLANGE_DISTANCE:
             return DataError(f'the flange is {self._reach:.0f} m from the base of the robot: the '
                              'positions seem to be in mm; publish them in metres',
-                             reason='position_unit')
+                             code='position_unit')
         return None
 
     def _require_usable_poses(self) -> None:
@@ -233,12 +234,12 @@ class Session(Copyable):
         if self._pose_stream.frame is None:  # one that is held was received too
             topic, keys = self.config.pose_topic_and_keys
             raise DataError(f'no flange pose was received on {topic}: start the robot driver, or '
-                            f'set {keys}', reason='no_poses')
+                            f'set {keys}', code='no_poses')
 
     def _require_no_conflict(self) -> None:
         """Raise the conflict of the streams, but of two frames only before the first sample."""
         conflict = self.conflict  # what has another frame is dropped: samples are all of one
-        if conflict and not (conflict.reason == 'two_frames' and self._has_samples):
+        if conflict and not (conflict.code == 'two_frames' and self._has_samples):
             raise conflict
 
     @property
@@ -250,7 +251,7 @@ class Session(Copyable):
         Refuse a recording in which the robot never stood still, or seldom long enough.
 
         Raises InputError as take_remaining does, of a tilted light plane by all samples, and
-        DataError, its reason no_poses, not_asked, late_poses, position_unit, sparse_poses or
+        DataError, its code no_poses, not_asked, late_poses, position_unit, sparse_poses or
         no_stops.
         """
         self._require_no_conflict()
@@ -260,29 +261,29 @@ class Session(Copyable):
             raise DataError(f'the robot stood still for {sampling.still_time:g} s only '
                             f'{count_of(count, "time")}, and {self._finder.short_rest_count} '
                             'times for less: stay longer at each stop, or lower '
-                            'sampling.still_time', reason='no_stops')
+                            'sampling.still_time', code='no_stops')
         if count or self.last_number:
             return
         if self.unrequested_stops_notice:
-            raise DataError(self.unrequested_stops_notice, reason='not_asked')
+            raise DataError(self.unrequested_stops_notice, code='not_asked')
         self._require_usable_poses()
         if poses.period > sampling.max_pose_gap:
             raise DataError(
                 'the flange poses, or the joint values that give them, come only every '
                 f'{poses.period:.2g} s, more than sampling.max_pose_gap '
                 f'({sampling.max_pose_gap:g} s): publish them more often, also while the robot '
-                'stands still, or raise sampling.max_pose_gap', reason='sparse_poses')
+                'stands still, or raise sampling.max_pose_gap', code='sparse_poses')
         if sampling.moving:
             raise DataError(f'the {poses.count} poses make no sweep: nowhere are there '
                             f'{min(sampling.still_time, 1.0):g} s of them without a gap: record '
-                            'a longer sweep', reason='no_stops')
+                            'a longer sweep', code='no_stops')
         raise DataError(f'the robot never stood still for {sampling.still_time:g} s in '
                         f'{poses.count} poses, but for {self._finder.longest_rest_ns / NS:.2g} s '
                         'at most: stop at each sample, and let its poses be sent while it stands, '
                         'too, or lower sampling.still_time; if its poses are noisy, raise '
                         'sampling.still_translation and sampling.still_rotation; if the robot '
                         'moves all the time, set sampling.mode to moving',
-                        reason='no_stops')
+                        code='no_stops')
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -307,14 +308,14 @@ class Session(Copyable):
         """
         Return why the messages contradict the settings or each other, or None.
 
-        Its reason is base_frame (another one than in the settings), tilted_plane (of the light)
+        Its code is base_frame (another one than in the settings), tilted_plane (of the light)
         or two_frames (on a topic).
         """
         wanted = self.config.robot_base_frame.lstrip('/')
         if wanted and self.base_frame and wanted != self.base_frame:
             return InputError(f'the poses are given in "{self.base_frame}", but robot_base_frame '
                               f'is "{wanted}": set it to {self.base_frame}, or leave it out; it '
-                              'is then that of the poses', reason='base_frame')
+                              'is then that of the poses', code='base_frame')
         return (_tilted_plane_error(self._centroids, self.config.profile.axes)
                 or self._pose_stream.conflict or self._profile_stream.conflict)
 
@@ -469,10 +470,10 @@ def _tilted_plane_error(centroids: Sequence[Array], axes: Sequence[str]) -> Inpu
         f'the profiles lie between {across.min() * 1e3:.1f} and {across.max() * 1e3:.1f} mm '
         f'beside the plane of {" and ".join(axes)} in their frame, as in a light plane that is '
         'tilted against it: let the driver publish them in a frame of the light plane; a static '
-        'transform can hold the tilt', reason='tilted_plane')
+        'transform can hold the tilt', code='tilted_plane')
 
 
 def silent_poses_error(seconds: float) -> DataError:
     """Return the refusal of a sample while no pose has come for a time (s)."""
     return DataError(f'no pose has come for {seconds:.1f} s, so the robot position is not known: '
-                     'check the robot driver, and take the sample again', reason='silent_poses')
+                     'check the robot driver, and take the sample again', code='silent_poses')

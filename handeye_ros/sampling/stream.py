@@ -169,7 +169,7 @@ def two_frames_error(kind: str, first: str, second: str) -> InputError:
     why = ('profiles cannot be of one sensor; give each sensor its own topic' if kind == 'profile'
            else 'poses cannot be in one robot base; let only one node publish them, in one frame')
     return InputError(f'the {kind} topic carries two frames, "{first}" and "{second}": the {why}',
-                      reason='two_frames')
+                      code='two_frames')
 
 
 def in_majority_order(stamps: NDArray[np.int64], source: str) -> NDArray[np.bool_]:
@@ -191,7 +191,7 @@ def in_majority_order(stamps: NDArray[np.int64], source: str) -> NDArray[np.bool
         index = int(np.argmax(back > REORDER_TIME))
         raise DataError(f'the stamps {source} jump back by {back[index] * 1e-9:.1f} s at message '
                         f'{index + 1}: two runs seem to be mixed (a bag recorded in a loop?); '
-                        'record one run', reason='two_runs')
+                        'record one run', code='two_runs')
     return fits
 
 

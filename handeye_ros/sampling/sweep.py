@@ -197,7 +197,7 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> SyncedSa
                                      MAX_SAMPLES)], key=by_stamp)
     if (seconds := (samples[-1].stamp - samples[0].stamp) * 1e-9) < MIN_SWEEP:
         raise DataError(f'the profiles that show the target are of {seconds:.1f} s, in which a '
-                        'robot hardly turns: record a longer sweep', reason='few')
+                        'robot hardly turns: record a longer sweep', code='few')
     clocked, problem = ClockedPoses(samples), problem_with_clocks(samples, config)
     # the clocks from some samples, and then from all
     start = _best_over_offsets(problem.subset(even_indices(len(samples), SEARCH_SAMPLES)),
@@ -227,7 +227,7 @@ def _flange_at(clock_values: Iterable[float], clocked: ClockedPoses, problem: Pr
     if (count := instants.inside.sum()) < least:
         raise DataError(f'at the time offset that fits best, {count} of {len(instants.inside)} '
                         f'profiles have poses of their time, and {problem.target.name} needs '
-                        f'{least}: record a longer sweep', reason='few')
+                        f'{least}: record a longer sweep', code='few')
     return instants
 
 

@@ -14,8 +14,9 @@ from functools import cached_property
 from operator import itemgetter
 
 from handeye_ros.data import Array, rms, robust_std
-from handeye_ros.errors import count_of, DataError
+from handeye_ros.errors import DataError
 from handeye_ros.se3 import unit
+from handeye_ros.words import count_of
 import numpy as np
 from scipy.interpolate import BSpline, make_lsq_spline
 

@@ -21,8 +21,9 @@ from dataclasses import dataclass
 import math
 
 from handeye_ros.data import Array, Indices
-from handeye_ros.errors import DataError, mm
+from handeye_ros.errors import DataError
 from handeye_ros.se3 import unit
+from handeye_ros.words import mm
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum

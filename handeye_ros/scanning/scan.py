@@ -19,12 +19,13 @@ from dataclasses import dataclass
 from itertools import compress, islice
 
 from handeye_ros import se3
-from handeye_ros.config import Config, NoiseConfig, parse_length
+from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Array, Calibration, Profile, ROTATION_LAG
 from handeye_ros.errors import BadValueError, DataError
 from handeye_ros.frames import mount_poses, target_frame, unit_vectors
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.scanning.cloud import Points
+from handeye_ros.units import parse_length
 import numpy as np
 from numpy.typing import NDArray
 

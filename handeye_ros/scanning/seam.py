@@ -17,12 +17,13 @@ from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.data import Array, rms
-from handeye_ros.errors import DataError, mm
+from handeye_ros.errors import DataError
 from handeye_ros.output import csv_text, write_atomically, yaml_text
 from handeye_ros.scanning.curves import Curve, spline
 from handeye_ros.scanning.rough_seam import FLAT_RATIO, rough_seam_of, sheets_of
 from handeye_ros.scanning.seam_sections import edges_of_seam, SeamSections
 from handeye_ros.se3 import unit
+from handeye_ros.words import mm
 import numpy as np
 from scipy.spatial.transform import Rotation
 

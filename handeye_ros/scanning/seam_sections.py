@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array, Indices, robust_std
-from handeye_ros.errors import DataError, mm
+from handeye_ros.errors import DataError
 from handeye_ros.scanning.curves import Curve, spline, STIFF_ONLY
 from handeye_ros.scanning.rough_seam import (
     MIN_GAP_WIDTH,
@@ -22,6 +22,7 @@ from handeye_ros.scanning.rough_seam import (
     Sheets,
 )
 from handeye_ros.se3 import unit
+from handeye_ros.words import mm
 import numpy as np
 from scipy.signal import find_peaks
 

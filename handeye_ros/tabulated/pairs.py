@@ -23,6 +23,7 @@ from typing import Any, ClassVar, Self
 from handeye_ros import se3
 from handeye_ros.checks.refusals import require_rotations
 from handeye_ros.config import Config, with_values
+from handeye_ros.csv_tables import CsvTable, NOTATIONS, require_different
 from handeye_ros.data import Array, Indices, SEED
 from handeye_ros.errors import DataError, require_count
 from handeye_ros.estimation.least_squares import (
@@ -36,7 +37,6 @@ from handeye_ros.estimation.least_squares import (
 from handeye_ros.frames import mount_frame, mount_poses
 from handeye_ros.published.cn105021139a import solve_motions
 from handeye_ros.results.file_values import input_provenance
-from handeye_ros.tables import NOTATIONS, require_different, Table
 from handeye_ros.tabulated.problem import Misreading, TableAnswer, TableProblem
 import numpy as np
 from scipy.special import fdtri
@@ -74,11 +74,11 @@ class PairedRows(TableProblem):
 
     @classmethod
     @abstractmethod
-    def from_table(cls, table: Table, config: Config) -> Self:
+    def from_table(cls, table: CsvTable, config: Config) -> Self:
         """Return the rows of a table, whose columns state their units; raises TableError."""
 
     @abstractmethod
-    def in_other_notations(self, table: Table) -> Iterator[Misreading]:
+    def in_other_notations(self, table: CsvTable) -> Iterator[Misreading]:
         """Yield the rows of the table as they would read in other notations."""
 
     @abstractmethod
@@ -102,7 +102,7 @@ class PairedRows(TableProblem):
     @classmethod
     def read(cls, path: Path, config: Config) -> Self:
         """Return the rows of a table; raises TableError, DataError."""
-        table = Table(path)
+        table = CsvTable(path)
         rows = replace(cls.from_table(table, config), frame=config.sensor_frame,
                        inputs=[input_provenance(path)])
         rows.require_plausible()
@@ -139,7 +139,7 @@ class PairedRows(TableProblem):
                 f'the positions of the {seen} are typically {near:.3g} m from the origin, those '
                 f'of the {robot} {far:.3g} m, as in no cell: correct the units in the header, of '
                 f'{seen}_x, {seen}_y, {seen}_z and {robot}_x, {robot}_y, {robot}_z',
-                reason='convention')
+                code='convention')
 
     def in_other_units(self) -> Iterator[Misreading]:
         """Yield the values with one list in another unit, as far as they then are of a cell."""
@@ -256,10 +256,10 @@ class PointPairs(PairedRows):
     typical_variances = np.array([1e-18])
 
     @classmethod
-    def from_table(cls, table: Table, config: Config) -> Self:
+    def from_table(cls, table: CsvTable, config: Config) -> Self:
         return cls(config, *map(table.points, cls.prefixes))
 
-    def in_other_notations(self, table: Table) -> Iterator[Misreading]:
+    def in_other_notations(self, table: CsvTable) -> Iterator[Misreading]:
         yield Misreading('one of the two lists mirrored', 'use right-handed frames: check the '
                          'signs and the order of the axes of both lists',
                          replace(self, seen=-self.seen))
@@ -305,11 +305,11 @@ class PosePairs(PairedRows):
     typical_variances = 1e-8 * np.array([1e-8, 1e-6, 1e-7])  # as 0.1 mm, 1 mrad and 0.3 mrad
 
     @classmethod
-    def from_table(cls, table: Table, config: Config) -> Self:
+    def from_table(cls, table: CsvTable, config: Config) -> Self:
         flange = table.poses('flange', config.target.angles)
         return cls(config, table.poses('target'), mount_poses(flange, config))
 
-    def in_other_notations(self, table: Table) -> Iterator[Misreading]:
+    def in_other_notations(self, table: CsvTable) -> Iterator[Misreading]:
         yield Misreading('one of the two lists inverted', 'set calibration_type to the other one, '
                          'or, if it is right, give the flange in the base and the target in the '
                          'camera', replace(self, robot=se3.inverse(self.robot)))

@@ -24,9 +24,10 @@ from handeye_ros.checks.refusals import (
 )
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
-from handeye_ros.errors import DataError, degrees, mm
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.results.truth import field_points, FIELD_TEXT
+from handeye_ros.words import degrees, mm
 import numpy as np
 from numpy.typing import NDArray
 
@@ -171,7 +172,7 @@ def answer_table(problem: TableProblem) -> TableAnswer:
         refusal = DataError(
             f'no transform brings all samples together: the {answer.used.sum()} of '
             f'{len(answer.used)} that agree best differ by {mm(answer.residual_rms)}{turned} RMS: '
-            f'{problem.to_check}', reason='misfit')
+            f'{problem.to_check}', code='misfit')
     except DataError as error:
         refusal = error
     explaining = list[tuple[Array, str]]()
@@ -184,5 +185,5 @@ def answer_table(problem: TableProblem) -> TableAnswer:
                     answer.X, f'the values contradict each other, but with {description} they '
                     f'agree to {mm(answer.residual_rms)}: {remedy}'))
     if explaining and all(np.allclose(X, explaining[0][0], atol=1e-9) for X, _ in explaining):
-        raise DataError(explaining[0][1], reason='convention')
+        raise DataError(explaining[0][1], code='convention')
     raise refusal

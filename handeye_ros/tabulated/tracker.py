@@ -20,15 +20,13 @@ from handeye_ros import se3
 from handeye_ros.bags.bag import read as read_bag
 from handeye_ros.calibration import rms_by
 from handeye_ros.config import Config
+from handeye_ros.csv_tables import CsvTable, LENGTH, TableError
 from handeye_ros.data import AnyProfile, Array, rms, SEED, TimedPose
 from handeye_ros.errors import (
     BadValueError,
-    count_of,
     DataError,
-    degrees,
     FeatureError,
     InputError,
-    mm,
     UnusableMessageError,
 )
 from handeye_ros.frames import T_sensor_plane
@@ -37,8 +35,8 @@ from handeye_ros.profiles.faces import face_pair_features
 from handeye_ros.published import jing2020
 from handeye_ros.results.file_values import input_provenance
 from handeye_ros.sampling.stream import interpolate
-from handeye_ros.tables import LENGTH, Table, TableError
 from handeye_ros.tabulated.problem import TableAnswer, TableProblem
+from handeye_ros.words import count_of, degrees, mm
 import numpy as np
 
 MIN_POINTS = {'arc': 6, 'line': 3, 'face_c': 3, 'face_d': 3, 'ball': 1}  # points in the file
@@ -186,7 +184,7 @@ class TrackerProblem(TableProblem):
                 f'the points contradict each other, most of all {worst}, by {mm(distance)}: '
                 'measure again or leave that row out, and check which face is which, the unit of '
                 'the table, tracker.h0 and tracker.h1, and the noise of both instruments',
-                reason='misfit')
+                code='misfit')
 
     def covariance(self, X: Array, distances: Mapping[str, Array]) -> Array:
         """Return the covariance (6, 6) of X (4, 4) by draws of the noise that distances show."""
@@ -235,7 +233,7 @@ def read_reflector_points(path: Path) -> dict[str, list[Piece]]:
     The table has the columns kind (arc, line, ball, face_c or face_d) and x, y, z with their unit,
     as in `x [mm]`; its rows are in the order measured. Raises TableError.
     """
-    table = Table(path)
+    table = CsvTable(path)
     kinds, points = table.texts('kind'), table.values('xyz', LENGTH)
     for row, kind in enumerate(kinds, 1):
         if kind not in MIN_POINTS:

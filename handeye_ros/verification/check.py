@@ -37,7 +37,7 @@ from handeye_ros.data import (
     Sample,
     TimedPose,
 )
-from handeye_ros.errors import DataError, InputError, mm
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.blocks import LINE_BEND, line_bend, sensor_distortion, wrt_smooth
 from handeye_ros.estimation.noise import NoiseModel, Whitening, whitening
 from handeye_ros.estimation.problem import (
@@ -61,6 +61,7 @@ from handeye_ros.verification.fit import (
     regularised_least_squares,
     require_stations,
 )
+from handeye_ros.words import mm
 import numpy as np
 from scipy.special import softmax
 
@@ -150,7 +151,7 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
     try:
         session = pipeline.gather(profiles, poses, config)
     except DataError as error:
-        if error.reason != 'no_stops' or not calibration.time_offset:
+        if error.code != 'no_stops' or not calibration.time_offset:
             raise
         config = replace(config, sampling=replace(config.sampling, mode='moving'))
         session = pipeline.gather(profiles, poses, config)
@@ -209,7 +210,7 @@ def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Rej
                 f'this recording is off by {mm(off)} RMS from what the calibration has, which '
                 'neither a small move nor an error of the robot explains: check that the '
                 'calibration is of this sensor, robot and target, and that the target still '
-                'stands there; if it does not, calibrate again', reason='other_cell')
+                'stands there; if it does not, calibrate again', code='other_cell')
 
     stamps = pass_stamps or sorted([*(sample.stamp for sample in samples),
                                     *(reject.stamp for reject in rejects)])

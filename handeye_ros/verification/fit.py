@@ -25,7 +25,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Indices, Reject, rms
-from handeye_ros.errors import count_of, DataError, InputError
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.blocks import wrt_smooth
 from handeye_ros.estimation.least_squares import (
     chi2_sf,
@@ -51,6 +51,7 @@ from handeye_ros.estimation.problem import (
 )
 from handeye_ros.frames import direction_in_words, mount_frame
 from handeye_ros.targets.profile_target import grazing
+from handeye_ros.words import count_of
 import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 import math
 
+from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError
-from handeye_ros.profiles.arcs import fit_round
 from handeye_ros.verification.fit import Quantity, Shape, StationSet
 from handeye_ros.verification.tooth_gauge import teeth
 import numpy as np
@@ -109,7 +109,7 @@ def spheres(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
     """
     p, count = stations.problem.points_in_base(X), len(stations.counts)
     recording = stations.recording_of_point
-    start = np.concatenate([fit_round(p[recording == k]) for k in range(count)])
+    start = np.concatenate([se3.fit_round(p[recording == k]) for k in range(count)])
 
     def distance(p: Array, q: Array) -> Array:
         balls = q.reshape(count, 4)[recording]

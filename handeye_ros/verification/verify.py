@@ -16,7 +16,7 @@ import math
 from handeye_ros import output
 from handeye_ros.config import Config, VerifyConfig
 from handeye_ros.data import Calibration, Reject, Sample
-from handeye_ros.errors import DataError, InputError, mm
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.least_squares import FALSE_ALARM
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.verification.fit import (
@@ -32,6 +32,7 @@ from handeye_ros.verification.fit import (
 )
 from handeye_ros.verification.routines import Routine
 from handeye_ros.verification.stations import stations_of
+from handeye_ros.words import mm
 import numpy as np
 
 SIGNIFICANCE = 0.01  # level of the tests of a calibration error

@@ -56,7 +56,7 @@ def assert_names(message: str, direction: Array, frame: str, within: float = 0.0
 @pytest.mark.parametrize('noise', [True, False])
 def test_one_orientation_is_refused(name: str, where: str, frame: str, noise: bool) -> None:
     make = cell if noise else exact_cell
-    assert refusal(make(scenario(name, 'one_orientation', where))).reason == 'one_orientation'
+    assert refusal(make(scenario(name, 'one_orientation', where))).code == 'one_orientation'
 
 
 @every_target
@@ -66,7 +66,7 @@ def test_one_axis_is_named(name: str, where: str, frame: str, motion: str, axis:
     for seed in range(3):
         simulated_cell = cell(scenario(name, motion, where), seed)
         error = refusal(simulated_cell)
-        assert error.reason == 'one_axis'
+        assert error.code == 'one_axis'
         true_axis = simulated_cell.truth.T_flange_sensor[:3, axis]
         assert_names(str(error), true_axis, frame)
         match = re.search(rf'about {frame} ([xyz]) or ([xyz])$', str(error))
@@ -77,7 +77,7 @@ def test_one_axis_is_named(name: str, where: str, frame: str, motion: str, axis:
 def test_one_orientation_per_edge_is_one_axis(where: str, frame: str) -> None:
     plate_cell = cell(scenario('plate', 'one_orientation_per_edge', where))
     error = refusal(plate_cell)
-    assert error.reason == 'one_axis'
+    assert error.code == 'one_axis'
     poses = plate_cell.problem.poses
     on_edge_p = [s.label == 'p' for s in plate_cell.truth.stations]
     between = poses[on_edge_p.index(True), :3, :3].T @ poses[on_edge_p.index(False), :3, :3]
@@ -92,9 +92,9 @@ def test_tilts_of_one_degree_are_too_uncertain(name: str, where: str, frame: str
     simulated_cell = cell(replace(scenario(name, 'general', where), tilt=math.radians(1)),
                           limits__rotation=0.01)
     error = refusal(simulated_cell)
-    assert error.reason in ('uncertain', 'one_axis', 'one_orientation')
+    assert error.code in ('uncertain', 'one_axis', 'one_orientation')
     assert re.search(rf'\b{frame}\b', str(error)) and 'degrees' in str(error)
-    if error.reason == 'uncertain':
+    if error.code == 'uncertain':
         turns, axes = rms_turns_and_axes(simulated_cell.problem.poses)
         assert f'turn by only {np.degrees(turns[1]):.3g} degrees RMS about' in str(error)
         assert_names(str(error).split('RMS about')[1], axes[1], frame)
@@ -117,6 +117,18 @@ def test_the_weakest_direction_is_reported_and_refused_if_uncertain(name: str) -
     turn_std = float(np.sqrt(np.linalg.eigvalsh(calibration.covariance[3:, 3:])[2]))
     with refused('uncertain', 'rotation about'):
         simulated_cell.solve(limits__rotation=0.99 * turn_std)
+
+
+@every_target
+def test_samples_that_the_others_do_not_predict_are_refused(name: str) -> None:
+    """With few samples the answer follows each of them: only left out does it show its error."""
+    simulated_cell = cell(scenario(name))
+    few = simulated_cell.samples[:TARGETS[name].min_samples + 3]
+    quality = simulated_cell.solve(few).quality
+    between = math.sqrt(quality.residual_rms * quality.holdout_rms)
+    with refused('left_out', f'by {quality.holdout_rms * 1e3:.3g} mm RMS from what the others'):
+        simulated_cell.solve(few, limits__residual=between)
+    assert simulated_cell.solve(few, limits__residual=1.01 * quality.holdout_rms)
 
 
 # -- too few samples

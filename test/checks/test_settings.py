@@ -38,9 +38,9 @@ def test_a_stored_stop_is_thinned_as_one_of_a_bag_is() -> None:
         ('sphere', {'target__radius': 0.012}, 'target.radius to 0.040'),
         ('wedge', {'noise__sensor': 5e-7}, 'noise.sensor to 5e-06$'),
         *((name, {'target__type': wrong}, f'target.type to {right}$')
-          for name, wrong, right in (('sphere', 'plate', 'sphere'), ('baseline', 'sphere', 'plate'),
-                                     ('baseline', 'line', 'plate'),
-                                     ('wedge', 'sphere', 'wedge')))))])
+          for name, wrong, right in (
+              ('sphere', 'plate', 'sphere'), ('baseline', 'sphere', 'plate'),
+              ('baseline', 'line', 'plate'), ('wedge', 'sphere', 'wedge')))))])
 def test_wrong_settings_are_named(name: str, values: dict[str, object], words: str) -> None:
     with pytest.raises(DataError, match=f'set {words}'):
         fault_recording(name).calibrate(**values)
@@ -85,7 +85,7 @@ def test_what_no_setting_mends_is_not_blamed_on_one() -> None:
         for k, p in enumerate(fault_recording('baseline').poses)]
     with pytest.raises(DataError) as caught:
         fault_recording('baseline').calibrate(poses=poses)
-    assert caught.value.reason != 'settings'
+    assert caught.value.code != 'settings'
 
 
 @pytest.mark.thorough

@@ -90,7 +90,7 @@ def test_the_stops_that_show_another_surface_are_named_and_left_out(
         assert squared_error(answer.calibration, recording.truth) < ONE_IN_100
     else:
         sentence = str(answer.refusal)
-        assert answer.refusal.reason == 'surface'
+        assert answer.refusal.code == 'surface'
     lowest_highest = re.search(
         r'surface, ([-\d.]+) (?:to ([-\d.]+) )?mm above that of the others', sentence)
     assert [float(height) for height in lowest_highest.groups(default=lowest_highest[1])

@@ -71,7 +71,7 @@ def test_the_stated_covariance_is_that_of_the_errors(name: str) -> None:
         try:
             calibration = simulated_cell.solve()
         except DataError as error:
-            assert error.reason == 'uncertain'
+            assert error.code == 'uncertain'
             continue
         lost.append(calibration.quality.samples_rejected)
         squares.append(squared_error(calibration, simulated_cell.truth) / 6)

@@ -176,7 +176,7 @@ def test_before_an_answer_it_tells_moves_within_the_limits(target: str, turn: fl
     config = with_values(simulated_cell.config, {'guidance.turn': turn}, 'test')
     method, view = targets.target_for(config), learn_view(simulated_cell.samples)
     advice = advise(simulated_cell.samples[:1], config, Answer((), None, False, None, None))
-    assert advice.next_pose is None and advice.first_move is not None and not advice.enough
+    assert advice.next_pose is None and advice.move_from_first_pose and not advice.enough
     assert 'turn the sensor' in advice.text and 'in view' in advice.text
     assert ('beside the top' in advice.text) == (target == 'sphere')
     moves = [next_move(n, method, config, view) for n in range(1, 20)]
@@ -202,7 +202,7 @@ def test_a_sensor_that_is_not_roughly_known_is_not_aimed(fitted: tuple[Cell, Sol
     vague = replace(certain, report_posterior=certain.posterior,
                     added_covariances={'a test': ROUGHLY_KNOWN ** 2 * 2 * np.eye(6)})
     advice = advice_for((simulated_cell, vague))
-    assert advice.next_pose is None and advice.first_move is not None
+    assert advice.next_pose is None and advice.move_from_first_pose is not None
 
 
 def test_the_view_holds_what_was_seen() -> None:

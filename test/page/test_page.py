@@ -11,7 +11,7 @@ from typing import Any
 
 from calibrations import calibration_at
 from command import chromium, complaints, free_port, PATIENCE
-from handeye_ros.results import report, table
+from handeye_ros.results import printed, report
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.results.report import SolvedRecording
 from handeye_ros.results.truth import true_transform
@@ -103,7 +103,7 @@ def calibrated(browser: Any, tmp_path: Path) -> int:
     rows = browser.execute_script("return [...document.querySelectorAll('#figures tbody tr')]"
                                   '.map(r => [...r.cells].map(c => c.textContent))')
     # the page, the report and the command line say the same, figure by figure
-    assert rows[:6] == [list(row) for row in table.transform_rows(calibration)]
+    assert rows[:6] == [list(row) for row in printed.transform_rows(calibration)]
     text = report.html(calibration, SolvedRecording(()))
     assert all(figure in text for row in rows[:6] for figure in row[1:3])
     quality = calibration.quality

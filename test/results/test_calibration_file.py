@@ -13,7 +13,7 @@ from command import assert_refused, handeye
 from handeye_ros import se3
 from handeye_ros.data import Calibration, ClockEstimate, Quality, SampleReport
 from handeye_ros.errors import InputError, UnwritableError
-from handeye_ros.results import calibration_file, table, truth
+from handeye_ros.results import calibration_file, printed, truth
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -155,7 +155,7 @@ def test_sigma_of_roll_pitch_yaw_is_that_of_drawn_rotations():
     draws = np.random.default_rng(6).multivariate_normal(
         np.zeros(3), CALIBRATION.covariance[3:, 3:], size=4000)
     rpy = [se3.rpy(se3.perturb(T, np.concatenate([np.zeros(3), d]))) for d in draws]
-    assert table.rpy_std(T, CALIBRATION.covariance[3:, 3:]) == pytest.approx(
+    assert printed.rpy_std(T, CALIBRATION.covariance[3:, 3:]) == pytest.approx(
         np.std(rpy, axis=0), rel=0.05)
 
 
@@ -164,7 +164,8 @@ def test_samples_not_used_for_one_reason_are_one_line_whatever_its_numbers():
                '8 mm and 1.0 degrees from sample 3: it brings nothing new',
                '12 mm and -0.5 degrees from sample 4: it brings nothing new']
     samples = tuple(SampleReport(k, False, reason=reason) for k, reason in enumerate(reasons))
-    lines = [text for name, text in table.facts(replace(CALIBRATION, samples=samples)) if not name]
+    facts = printed.facts(replace(CALIBRATION, samples=samples))
+    lines = [text for name, text in facts if not name]
     assert lines == [f'12 rejected, the first: {reasons[0]}',
                      f'2 rejected, the first: {reasons[12]}']
 

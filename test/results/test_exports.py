@@ -17,10 +17,10 @@ from xml.etree import ElementTree
 from calibrations import CALIBRATION
 from command import handeye
 from handeye_ros import config, se3
+from handeye_ros.csv_tables import notation_of
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError, UnknownNameError, UnwritableError
 from handeye_ros.results import calibration_file, exports
-from handeye_ros.tables import notation_of
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 import numpy as np

@@ -164,7 +164,7 @@ MOVING = [pose(t, x=0.2 * t) for t in np.arange(0, 3, 0.02)]
 SPARSE = [pose(t, x=0.1 * (t // 10)) for t in range(60)]
 
 
-@pytest.mark.parametrize(('poses', 'mode', 'reason', 'words'), [
+@pytest.mark.parametrize(('poses', 'mode', 'code', 'words'), [
     ([], 'still', 'no_poses', 'no flange pose'), (MOVING, 'still', 'no_stops', 'never stood'),
     (SPARSE, 'still', 'sparse_poses', 'come only every 1 s'),
     ([replace(p, translation=p.translation * 1e3) for p in MOVING], 'still', 'position_unit',
@@ -173,12 +173,12 @@ SPARSE = [pose(t, x=0.1 * (t // 10)) for t in range(60)]
      'only 1 time, and 2 times for less'),
     (stops((0, 0.3)), 'still', 'no_stops', 'but for 0.3 s at most: stop at each'),
     (stops((0, 0.3)), 'moving', 'no_stops', 'make no sweep.*: record a longer')])
-def test_why_there_are_no_stops_is_told(poses: list[TimedPose], mode: str, reason: str, words: str
+def test_why_there_are_no_stops_is_told(poses: list[TimedPose], mode: str, code: str, words: str
                                         ) -> None:
     config = with_values(CONFIG, {'sampling.mode': mode}, 'test')
     with pytest.raises(DataError, match=words) as refusal:
         played(poses, profiles(0, 60), config).require_any_stop()
-    assert refusal.value.reason == reason
+    assert refusal.value.code == code
 
 
 def test_stamps_against_the_order_of_the_others_are_found() -> None:

@@ -190,11 +190,11 @@ def calibration_of(name: str) -> Calibration:
 
 
 @contextmanager
-def refused(reason: str, words: str | None = None) -> Iterator[pytest.ExceptionInfo[DataError]]:
-    """Expect a refusal for this reason, in a sentence that matches the words."""
+def refused(code: str, words: str | None = None) -> Iterator[pytest.ExceptionInfo[DataError]]:
+    """Expect a refusal with this code, in a sentence that matches the words."""
     with pytest.raises(DataError, match=words) as caught:
         yield caught
-    assert caught.value.reason == reason
+    assert caught.value.code == code
 
 
 def apart(a: Array, b: Array) -> float:

@@ -18,13 +18,13 @@ from handeye_ros.bags import bag, bag_write
 from handeye_ros.cli.tools import write_simulated
 from handeye_ros.compare import compare_files
 from handeye_ros.config import load, with_assignments, with_values
+from handeye_ros.csv_tables import CsvTable
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.results import calibration_file
 from handeye_ros.results.truth import errors_against, true_transform
 from handeye_ros.simulate import FILE_SCENES, tables
 from handeye_ros.simulate.scenario import SensorModel
-from handeye_ros.tables import Table
 from handeye_ros.tabulated import FILE_TARGETS
 from handeye_ros.tabulated.problem import calibrate_table, TableProblem
 import numpy as np
@@ -284,7 +284,7 @@ NUMBERS: dict[str, Callable[[Rotation], np.ndarray]] = {
 def test_the_notation_of_a_controller_is_named(
         written, unit, length, columns, angles, words, handeye, tmp_path):
     write_simulated('hand_eye', 1, tmp_path / 'cell')
-    table = Table(tmp_path / 'cell' / 'poses.csv')
+    table = CsvTable(tmp_path / 'cell' / 'poses.csv')
     flange, target = table.poses('flange'), table.poses('target')
     turned = NUMBERS[written](Rotation.from_matrix(flange[:, :3, :3]))
     of_length = '' if angles else ' [m]'
@@ -309,7 +309,7 @@ def test_one_orientation_is_no_misreading(seed: int, handeye: Run, tmp_path: Pat
     # angles in the other unit are as noisy as small turns
     cell = tables.hand_eye(np.random.default_rng(seed), noise=4.0, tilts=(0.0, 0.0, 0.0))
     (tmp_path / 'poses.csv').write_text(cell.tables['poses.csv'])
-    T = Table(tmp_path / 'poses.csv').poses('flange')
+    T = CsvTable(tmp_path / 'poses.csv').poses('flange')
     abc = Rotation.from_matrix(T[:, :3, :3]).as_euler('ZYX', degrees=True)
     header, *lines = cell.tables['poses.csv'].splitlines()
     text = ['flange_a,flange_b,flange_c,' + header, *(

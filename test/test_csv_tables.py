@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from handeye_ros.tables import LENGTH, notation_of, NOTATIONS, Table, TableError
+from handeye_ros.csv_tables import CsvTable, LENGTH, notation_of, NOTATIONS, TableError
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -24,7 +24,7 @@ def test_any_file_is_read_or_refused(content: bytes) -> None:
         path = Path(folder) / 'table.csv'
         path.write_bytes(content)
         try:
-            values = Table(path).values('xy', LENGTH)
+            values = CsvTable(path).values('xy', LENGTH)
         except TableError as error:
             assert str(path) in str(error)
         else:
@@ -35,13 +35,14 @@ def test_any_file_is_read_or_refused(content: bytes) -> None:
 def test_values_are_in_si_units(tmp_path: Path, micro: str) -> None:
     path = tmp_path / 'table.csv'
     path.write_text(f'\ufeff# remark\nx [mm];y[ {micro}m ]\n1;2\n\n-3.5; 4e3\n', encoding='utf-8')
-    np.testing.assert_allclose(Table(path).values('xy', LENGTH), [[1e-3, 2e-6], [-3.5e-3, 4e-3]])
+    values = CsvTable(path).values('xy', LENGTH)
+    np.testing.assert_allclose(values, [[1e-3, 2e-6], [-3.5e-3, 4e-3]])
 
 
 def test_poses_are_read_as_a_controller_shows_them(tmp_path: Path) -> None:
     path = tmp_path / 'table.csv'
     path.write_text('f_x,f_y [m],f_z,f_a,f_b [rad],f_c\n10,0.02,30,90,0,0\n')
-    T = Table(path).poses('f', 'kuka-abc')[0]
+    T = CsvTable(path).poses('f', 'kuka-abc')[0]
     np.testing.assert_allclose(T, [[0, -1, 0, 0.01], [1, 0, 0, 0.02], [0, 0, 1, 0.03],
                                    [0, 0, 0, 1]], atol=1e-12)
 
@@ -64,7 +65,7 @@ def test_poses_are_read_as_a_controller_shows_them(tmp_path: Path) -> None:
 def test_tables_that_cannot_be_read_are_refused_with_a_reason(tmp_path, text, message):
     (tmp_path / 'a.csv').write_text(text)
     with pytest.raises(TableError, match=message):
-        Table(tmp_path / 'a.csv').values('xy', LENGTH)
+        CsvTable(tmp_path / 'a.csv').values('xy', LENGTH)
 
 
 @pytest.mark.parametrize(('header', 'message'), [
@@ -76,13 +77,13 @@ def test_tables_that_cannot_be_read_are_refused_with_a_reason(tmp_path, text, me
 def test_poses_without_all_columns_or_unit_length_are_refused(tmp_path, header, message):
     (tmp_path / 'a.csv').write_text(f'{header}\n' + ','.join('1' for _ in header.split(',')))
     with pytest.raises(TableError, match=message):
-        Table(tmp_path / 'a.csv').poses('f')
+        CsvTable(tmp_path / 'a.csv').poses('f')
 
 
 def test_poses_that_need_no_notation_are_told_so(tmp_path):
     (tmp_path / 'a.csv').write_text('f_x,f_y,f_z,f_roll,f_pitch,f_yaw\n1,1,1,1,1,1')
     with pytest.raises(TableError, match='those that are read without --angles'):
-        Table(tmp_path / 'a.csv').poses('f', 'kuka-abc')
+        CsvTable(tmp_path / 'a.csv').poses('f', 'kuka-abc')
 
 
 def matrix(name: str, *numbers: float) -> np.ndarray:

@@ -20,9 +20,10 @@ from pathlib import Path
 import re
 
 from handeye_ros import se3
-from handeye_ros.config import MICRO, UNITS
 from handeye_ros.data import Array, QUATERNION_TOLERANCE
-from handeye_ros.errors import count_of, DataError, did_you_mean, InputError, UnknownNameError
+from handeye_ros.errors import DataError, did_you_mean, InputError, UnknownNameError
+from handeye_ros.units import MICRO, UNITS
+from handeye_ros.words import count_of
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -41,7 +42,7 @@ class TableError(InputError):
         super().__init__(f'{path}: {reason}')
 
 
-class Table:
+class CsvTable:
     """
     The columns of a CSV file.
 
@@ -80,7 +81,7 @@ class Table:
         self.columns = {name: (unit, texts) for (name, unit), texts in zip(
             units.items(), zip(*rows, strict=True), strict=True)}
 
-    def renamed(self, names: Mapping[str, str]) -> Table:
+    def renamed(self, names: Mapping[str, str]) -> CsvTable:
         """Return the table with other names of some columns; their units stay."""
         other = copy(self)
         other.columns = {names.get(name, name): column for name, column in self.columns.items()}

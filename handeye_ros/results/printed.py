@@ -18,9 +18,9 @@ from handeye_ros.data import (
     Reject,
     Sample,
 )
-from handeye_ros.errors import count_of, without_numbers
 from handeye_ros.frames import weakest_position
 from handeye_ros.results.truth import FIELD_TEXT, TransformErrors
+from handeye_ros.words import count_of, without_numbers
 import numpy as np
 from rich import box
 from rich.console import Group, RenderableType
