@@ -115,6 +115,7 @@ def test_the_command_line_gives_the_answer_of_the_node(whole: Path, tmp_path: Pa
     assert n == calibration.quality.samples_used + 1
 
 
+@pytest.mark.thorough
 def test_a_sample_taken_again_is_reported_and_compared(whole: Path, tmp_path: Path) -> None:
     # the stop is stored twice: as a bag its stamps would jump back
     session = Path(shutil.copytree(whole, tmp_path / 'session'))

@@ -99,11 +99,11 @@ def once_horizontal(T: Array) -> Array:
     return se3.transform(first, np.zeros(3)) @ T
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(('seed', 'wrong_poses'), [
-    pytest.param(1, lambda T: np.array([s.T_base_flange for s in cell('plate', 2).samples]),
-                 id='of another recording'),
-    pytest.param(3, lambda T: once_horizontal(np.roll(T, 1, axis=0)), id='of another sample',
-                 marks=THOROUGH)])
+    (1, lambda T: np.array([s.T_base_flange for s in cell('plate', 2).samples])),
+    (3, lambda T: once_horizontal(np.roll(T, 1, axis=0)))],
+    ids=['of another recording', 'of another sample'])
 @pytest.mark.filterwarnings('error')
 def test_poses_that_fit_nothing_name_no_cause(seed: int, wrong_poses: Change) -> None:
     plate_cell = cell('plate', seed)

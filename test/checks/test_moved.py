@@ -54,8 +54,8 @@ def test_what_moved_is_named(name: str, change: Change, words: str) -> None:
     assert first + others == n and abs(first - n // 2) <= 2
 
 
-@pytest.mark.parametrize('name', [
-    'sphere', pytest.param('plane', marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize('name', ['plane', 'sphere'])
 def test_parts_with_neither_one_target_nor_one_transform_name_no_move(name: str) -> None:
     # as parts of a few samples with wrong poses fit, by chance
     simulated_cell = cell(name, 3)

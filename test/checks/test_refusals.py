@@ -156,10 +156,10 @@ def test_samples_of_another_target_are_refused(name: str, kept: type) -> None:
         cell(name).solve([*samples[:3], one_other, *samples[4:]])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(('angle', 'words'), [
     (1.3, 'only 10 of .* crosses them at less than sampling.min_crossing_angle'),
-    pytest.param(1.5, 'only [23] of .* plate needs 6.* crosses them steeply',
-                 marks=pytest.mark.thorough)])
+    (1.5, 'only [23] of .* plate needs 6.* crosses them steeply')])
 def test_edges_that_are_crossed_at_too_small_an_angle_are_named(angle: float, words: str) -> None:
     with refused('edges', words):
         cell('plate', 1).solve(sampling__min_crossing_angle=angle)

@@ -84,6 +84,7 @@ def test_a_cluster_that_agrees_on_something_wrong_is_left_out(
         s for s in samples if s.stamp not in wrong_stamps))
 
 
+@pytest.mark.thorough
 def test_too_many_wrong_stations_are_refused() -> None:
     plate_cell = cell('plate', 1)
     rng = np.random.default_rng(0)

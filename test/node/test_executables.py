@@ -119,6 +119,7 @@ def test_every_message_of_a_bag_arrives_as_it_was_recorded(tmp_path, client: Cli
     assert times == sorted(times) and times[-1] == max(raw.log_time for raw in recorded)
 
 
+@pytest.mark.thorough
 def test_without_subscribers_it_says_so_and_interrupted_it_ends_cleanly(client: Client) -> None:
     poses: list[object] = []
     client.node.create_subscription(PoseStamped, '/flange_pose', poses.append, RELIABLE)
@@ -231,6 +232,7 @@ def test_profiles_before_a_clock_reset_are_not_scanned(tmp_path: Path, client: C
     np.testing.assert_allclose(heights(clouds), 0.1, atol=1e-4)
 
 
+@pytest.mark.thorough
 def test_a_scan_tells_why_it_hears_nothing(tmp_path: Path, client: Client) -> None:
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
     with started('scan', tmp_path, '--set', 'profile_topic=/laser') as node:

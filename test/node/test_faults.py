@@ -301,6 +301,7 @@ if __name__ == '__main__':
 """
 
 
+@pytest.mark.thorough
 def test_a_node_goes_on_after_an_exception_and_the_log_shows_where(tmp_path, client):
     log, script = tmp_path / 'node.log', tmp_path / 'broken.py'
     script.write_text(BROKEN)

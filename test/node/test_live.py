@@ -229,6 +229,7 @@ def test_another_frame_after_the_samples_is_told_and_they_are_computed(kind: str
         live.call_on_worker(live.take_sample)
 
 
+@pytest.mark.thorough
 def test_cleared_samples_leave_no_joints_and_no_view() -> None:
     live, wide = fed(), fed()
     wide.solver.view = np.array([[-0.5, 0.5], [0.5, 0.5]])  # by another sensor
@@ -239,6 +240,7 @@ def test_cleared_samples_leave_no_joints_and_no_view() -> None:
     assert wide.solver.review.advice.sigmas == live.solver.review.advice.sigmas
 
 
+@pytest.mark.thorough
 def test_settings_that_change_need_no_new_samples() -> None:
     live, config = fed(), SPHERE.config
     computed(live)
@@ -259,6 +261,7 @@ def test_settings_that_change_need_no_new_samples() -> None:
     assert sample_count(state_of(live)) == count
 
 
+@pytest.mark.thorough
 def test_stops_of_one_pose_are_one_sample_where_other_settings_revive_them() -> None:
     items = SPHERE.messages
     once, live = fed(), new(set_to(SPHERE.config, sampling__min_points=5000))

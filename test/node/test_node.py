@@ -118,6 +118,7 @@ def test_a_bag_through_the_node_gives_the_offline_result(tmp_path: Path, client:
     assert 'Traceback' not in (tmp_path / 'node.log').read_text()
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(TFMessage is None, reason='tf2_msgs is not built: make tf2_msgs')
 def test_poses_come_from_tf_and_tf_static_is_latched(tmp_path: Path, client: Client) -> None:
     settings = load(SPHERE)

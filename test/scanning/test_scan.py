@@ -132,6 +132,7 @@ def test_the_std_of_a_point_is_that_of_many_trials():
     assert result == pytest.approx(scatter, rel=0.04)
 
 
+@pytest.mark.thorough
 def test_memory_does_not_grow_with_the_length(tmp_path):
     def peak(repeats):
         profiles, track = plane_profiles(200, 400), trajectory_of(moving(200), GAP)

@@ -142,6 +142,7 @@ def test_a_wrong_row_is_left_out_and_reported(tmp_path: Path) -> None:
     assert first.residual > 0.4
 
 
+@pytest.mark.thorough
 def test_the_samples_of_the_tracker_are_its_rows_and_the_profiles(tmp_path: Path) -> None:
     write_simulated('small_tracker', 2, tmp_path / 'cell')
     file = tmp_path / 'cell' / 'tracker.csv'
