@@ -61,7 +61,7 @@ def kinematics(
     from handeye_ros.bags.session_files import is_session, read_session
     from handeye_ros.results.file_values import input_provenance
     from handeye_ros.robot.arm_answer import table
-    from handeye_ros.robot.sources import solve_sources, solve_table, source_of
+    from handeye_ros.robot.sources import arm_samples_of, solve_samples, solve_table
     text, arm = read_urdf(urdf, base, flange)
     if tables:
         with progress_bar('solving'):
@@ -74,12 +74,12 @@ def kinematics(
             read_with = replace(configuration(
                 config, assignments, stored.config if stored else None), kinematics='')
             recording = read_bag_shown(path, read_with, arm)
-            measured.append(source_of(
+            measured.append(arm_samples_of(
                 stored.session(read_with) if stored else collect_samples(recording, read_with),
                 recording, arm, read_with,
                 [{'path': str(path.absolute())}] if stored else recording.inputs))
         with progress_bar('solving'):
-            answer = solve_sources(measured, arm, [input_provenance(urdf)])
+            answer = solve_samples(measured, arm, [input_provenance(urdf)])
     warn(*answer.warnings)
     show(table(answer))
     typer.echo(answer.save(text, out, settings.save.formats))
