@@ -76,10 +76,10 @@ def test_a_stop_that_is_left_out_has_its_number_among_all_stops(calibrated):
     samples[8] = replace(samples[8], T_base_flange=wrong)
     others = [Reject(sample.stamp, 'no edge') for sample in samples[:2]]
     known = CalibratedCell.of_calibration(calibration, config)
-    assert check(samples[2:], known, others).left_out == [9]
+    assert check(samples[2:], known, others).contradicting == [9]
     passes = [sample.stamp for sample in samples[::4]]  # of a sweep, with four profiles in each
     check_result = check(samples[2:], known, others, passes)
-    assert check_result.left_out == [3]
+    assert check_result.contradicting == [3]
     assert check_result.sentence.endswith('profiles of the passes [3]')
 
 
@@ -151,7 +151,7 @@ def test_a_stop_that_contradicts_the_others_is_left_out(calibrated):
     T_off = se3.perturb(samples[2].T_base_flange, np.array([0, 0, 1e-3, 0, 0, 0]))
     samples[2] = replace(samples[2], T_base_flange=T_off)
     check_result = check(samples, CalibratedCell.of_calibration(calibration, config))
-    assert (check_result.verdict, check_result.left_out) == ('unchanged', [3])
+    assert (check_result.verdict, check_result.contradicting) == ('unchanged', [3])
     assert check_result.stations == 7
     assert check_result.sentence.endswith('stops [3]')
 
@@ -167,7 +167,7 @@ def test_faces_seen_at_grazing_incidence_are_no_change(calibrated):
             check_result = check(
                 checked_samples, CalibratedCell.of_calibration(calibration, config))
             assert check_result.verdict == 'unchanged', check_result.sentence
-            assert check_result.left_out == [], check_result.sentence
+            assert check_result.contradicting == [], check_result.sentence
 
 
 @pytest.mark.parametrize('fault', ['distorted 0.02 mm', 'wavy 10 um', 'plane, distorted 0.02 mm',
