@@ -122,7 +122,7 @@ class Streams:
         for topic in self._topics:
             self._subscribe(topic)
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._read_until_end, name='drain', daemon=True)
+        self._thread = threading.Thread(target=self._read_until_end, name='streams', daemon=True)
         self._thread.start()
 
     def _configured_topics(self, config: Config) -> list[_Subscribed]:
