@@ -79,12 +79,12 @@ def convention_error(name: str) -> Damage:
 
 
 def mispaired(samples: list[Sample], rng: np.random.Generator) -> list[Sample]:
-    """Give every sample the pose of the station before."""
+    """Give every sample the pose of the stop before."""
     return with_poses(samples, np.roll(poses_of(samples), 1, axis=0))
 
 
 def shuffled(samples: list[Sample], rng: np.random.Generator) -> list[Sample]:
-    """Give every sample the pose of any station."""
+    """Give every sample the pose of any stop."""
     T = poses_of(samples)
     return with_poses(samples, T[rng.permutation(len(T))])
 
@@ -108,7 +108,7 @@ KINDS = {
     'eye on base': Kind(True, SCENARIOS['eye_on_base']),
     'systematic robot': Kind(True, replace(PLATE, robot=SYSTEMATIC)),
     'systematic robot, sphere': Kind(True, replace(SPHERE, robot=SYSTEMATIC)),
-    '2 stations at other edges': Kind(True, SCENARIOS['wrong_edges']),
+    '2 stops at other edges': Kind(True, SCENARIOS['wrong_edges']),
     '20 % moved 5 mm': Kind(True, PLATE, displaced(0.2, 5e-3, False)),
     '28 % moved 5 mm together': Kind(True, PLATE, displaced(0.28, 5e-3, True)),
     'one orientation': Kind(False, SCENARIOS['one_orientation']),

@@ -19,7 +19,7 @@ import pytest
 
 pytestmark = pytest.mark.once
 
-BASE = replace(simulate.SCENARIOS['plate'], stations=(6, 6))
+BASE = replace(simulate.SCENARIOS['plate'], stops=(6, 6))
 # as short as it gets with the default sampling
 BASE = replace(BASE, robot=replace(BASE.robot, dwell=0.8, move=0.4, rate=50.0),
                sensor=replace(BASE.sensor, columns=640, rate=15.0))

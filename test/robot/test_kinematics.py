@@ -295,10 +295,10 @@ def test_a_urdf_of_another_robot_is_refused(recorded):
 def test_a_solve_with_a_corrected_arm_carries_its_uncertainty(tmp_path):
     stated, rng, scenario = arm_of(simulated_arm.URDF), np.random.default_rng(1), SCENARIOS[
         'sphere']
-    scenario = replace(scenario, stations=(30, 0), tilt=0.6, robot=replace(
+    scenario = replace(scenario, stops=(30, 0), tilt=0.6, robot=replace(
         scenario.robot, geometry=1e-9, systematic=(0.0, 0.0)))
     samples, truth = simulate_samples(scenario, rng)
-    real = np.array([station.T_base_flange for station in truth.stations])
+    real = np.array([stop.T_base_flange for stop in truth.stops])
     arm = replace(with_errors(stated, rng), configurations=simulated_arm.inverse(real))
     q = arm.inverse(real)
     np.testing.assert_allclose(arm.forward(q), real, atol=1e-9)

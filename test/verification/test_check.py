@@ -159,7 +159,7 @@ def test_a_stop_that_contradicts_the_others_is_left_out(calibrated):
 def test_faces_seen_at_grazing_incidence_are_no_change(calibrated):
     config = calibrated['wedge'].config  # the simulated sensor errs in range where light grazes
     for seed in (21, 22):
-        scenario = replace(SCENARIOS['wedge'], stations=(26, 0))
+        scenario = replace(SCENARIOS['wedge'], stops=(26, 0))
         recording = simulate(scenario, np.random.default_rng(seed))
         samples = pipeline.gather(recording.profiles, recording.poses, config).samples
         calibration = pipeline.solve(samples[:18], [], config, 'laser')
@@ -202,7 +202,7 @@ def test_what_cannot_be_checked_is_refused(calibrated):
 
 @pytest.mark.thorough
 def test_the_verb_on_recordings(tmp_path):
-    scenario = replace(SCENARIOS['small_plate'], stations=(6, 6))
+    scenario = replace(SCENARIOS['small_plate'], stops=(6, 6))
     recording = simulate(scenario, np.random.default_rng(5))
     bag_write.write(tmp_path / 'today', recording.profiles, recording.poses)
     succeeds('solve', 'today', '--out', '.', cwd=tmp_path)

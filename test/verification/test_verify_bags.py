@@ -108,7 +108,7 @@ def test_files_of_no_verification_are_refused(tmp_path, text, words):
 def sweep(target, calibrated, knot, delay, **values):
     """Return the samples of a sweep in which the profiles come late, calibration and settings."""
     base, routine = SCENARIOS[target], ROUTINES[target]
-    scenario = replace(base, stations=(8, 0), sweep=Sweep(knot=knot), **values,
+    scenario = replace(base, stops=(8, 0), sweep=Sweep(knot=knot), **values,
                        sensor=replace(base.sensor, columns=320, delay=delay))
     recording = simulate(scenario, np.random.default_rng(5))
     config = routine.settings(with_values(Config(), settings(scenario) | {
