@@ -33,8 +33,8 @@ from pathlib import Path
 import re
 import tempfile
 
-from handeye_ros import pipeline, se3
-from handeye_ros.bags import bag, bag_write
+from handeye_ros import pipeline, read_bag, se3
+from handeye_ros.bags import writer
 from handeye_ros.config import Config, with_assignments, with_values
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError, HandeyeError
@@ -261,7 +261,7 @@ def of_settings(job: tuple[str, int]) -> list[tuple[str, str, bool, bool]]:
         for key, value in settings(scenario).items()}
     with tempfile.TemporaryDirectory() as folder:
         path, made = Path(folder) / 'bag', simulate(scenario, np.random.default_rng(seed))
-        bag_write.write(path, made.profiles, made.poses)
+        writer.write(path, made.profiles, made.poses)
         config = with_values(Config(), settings(scenario), 'bench')
         return [(', '.join(f'{key}={value}' for key, value in changes.items()),
                  *read_with(path, config, changes, right, made.truth.T_flange_sensor))
@@ -308,7 +308,7 @@ def _near(answer: Calibration, T: Array) -> bool:
 
 def _solved(path: Path, config: Config) -> Calibration | str:
     try:
-        recording = bag.read(path, config)
+        recording = read_bag(path, config)
         return pipeline.calibrate(recording.profiles, recording.poses, config)
     except HandeyeError as error:
         return str(error)

@@ -25,7 +25,7 @@ import time
 
 from handeye_ros import config as configs
 from handeye_ros import pipeline, targets
-from handeye_ros.bags.bag import read
+from handeye_ros.bags.recording import read
 from handeye_ros.config import Config
 from handeye_ros.errors import FeatureError
 from handeye_ros.simulate import SCENARIOS, settings, simulate_samples

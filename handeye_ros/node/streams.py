@@ -19,7 +19,7 @@ from handeye_ros.bags.messages import (
     stamp_and_frame,
 )
 from handeye_ros.bags.poses import OtherJointsError, pose_topics
-from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, POSE_TYPE, TF_TYPE
+from handeye_ros.bags.storage import CLOUD_TYPE, JOINTS_TYPE, POSE_TYPE, TF_TYPE
 from handeye_ros.bags.transforms import FlangeFollower
 from handeye_ros.config import Config
 from handeye_ros.data import RawProfile, TimedPose

@@ -13,8 +13,8 @@ from typing import Any, TYPE_CHECKING
 
 from handeye_ros import config as configuration
 from handeye_ros import se3
-from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE
 from handeye_ros.bags.session_files import read_session, sessions_in
+from handeye_ros.bags.storage import CLOUD_TYPE, POSE_TYPE
 from handeye_ros.calibration import edges_used
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration

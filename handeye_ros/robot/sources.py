@@ -17,7 +17,7 @@ from pathlib import Path
 
 from handeye_ros import pipeline, se3
 from handeye_ros.arm import Arm, PRISMATIC
-from handeye_ros.bags.bag import Recording
+from handeye_ros.bags.recording import Recording
 from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.refusals import require_certain, require_samples

@@ -11,7 +11,7 @@ from cells import ONE_IN_1000, squared_error
 from command import assert_refused, bench_of, handeye, ROOT, succeeds
 from handeye_ros import pipeline, se3
 from handeye_ros.arm import ALL_KINDS, arm_of, corrected_urdf, read_arm, read_urdf
-from handeye_ros.bags.bag import read
+from handeye_ros.bags.recording import read
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem

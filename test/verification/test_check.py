@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from command import handeye, succeeds
 from handeye_ros import pipeline, se3
-from handeye_ros.bags import bag_write
+from handeye_ros.bags import writer
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Reject
 from handeye_ros.errors import DataError, InputError
@@ -204,7 +204,7 @@ def test_what_cannot_be_checked_is_refused(calibrated):
 def test_the_verb_on_recordings(tmp_path):
     scenario = replace(SCENARIOS['small_plate'], stops=(6, 6))
     recording = simulate(scenario, np.random.default_rng(5))
-    bag_write.write(tmp_path / 'today', recording.profiles, recording.poses)
+    writer.write(tmp_path / 'today', recording.profiles, recording.poses)
     succeeds('solve', 'today', '--out', '.', cwd=tmp_path)
     calibration = read_calibration(tmp_path / 'calibration.yaml')
     T = se3.perturb(calibration.T_flange_sensor, np.full(6, 3e-3))
@@ -217,7 +217,7 @@ def test_the_verb_on_recordings(tmp_path):
     run = handeye('check', 'today', 'today', '--against', 'moved.yaml', cwd=tmp_path)
     assert run.returncode == 1, run.stderr
     assert 'UNCHANGED' not in run.stdout
-    bag_write.write(tmp_path / 'before', recording.profiles, [
+    writer.write(tmp_path / 'before', recording.profiles, [
         replace(p, translation=p.translation + [0, 0, 2e-3]) for p in recording.poses])
     run = handeye('check', 'before', 'today', '--against', 'calibration.yaml', cwd=tmp_path)
     assert run.returncode == 1 and ': UNCHANGED' in run.stdout, run.stderr
