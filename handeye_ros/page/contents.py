@@ -74,7 +74,9 @@ def page_source(node: HandeyeNode) -> PageSource:
     """Return content and actions of the page for a node."""
     actions: dict[str, Action] = {
         **{name: partial(lambda name, _: node.call_service(name), name) for name in PAGE_SERVICES},
-        'remove_last_sample': partial(_remove_last, node),
+        # number: of that which the person has seen as the last
+        'remove_last_sample': lambda values: node.call_service(
+            'remove_last_sample', values.get('number')),
         'exclude': partial(_exclude, node), 'set': partial(_set, node),
         'open': lambda values: (True, node.open_session(str(values.get('session'))))}
     queries: dict[str, Query] = {
@@ -82,11 +84,6 @@ def page_source(node: HandeyeNode) -> PageSource:
         'cell': lambda values: _cell(node),
         'file': lambda values: _file(node.live, values.get('name', ''))}
     return PageSource(lambda: contents(node.state, node.live), actions, queries)
-
-
-def _remove_last(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
-    """Remove the last sample; number: of that which the person has seen as the last."""
-    return node.call_service('remove_last_sample', values.get('number'))
 
 
 def _exclude(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:

@@ -80,7 +80,7 @@ def test_four_points_in_one_plane_are_left_out() -> None:
 
 RADIUS = 0.03
 CAMERA = wang2015.Camera(np.array([[2400.0, 0.0, 640.0], [0.0, 2390.0, 512.0], [0.0, 0.0, 1.0]]),
-                       np.array([np.cos(0.45), 0.0, np.sin(0.45), 0.18 * np.sin(0.45)]))
+                         np.array([np.cos(0.45), 0.0, np.sin(0.45), 0.18 * np.sin(0.45)]))
 
 
 def project(points: Array) -> Array:
