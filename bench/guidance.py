@@ -1,10 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-How many stations the advice saves, against poses at random within the same limits.
+How many stops the advice saves, against poses at random within the same limits.
 
 usage: python bench/guidance.py [--seeds N] [--first S] [--targets plate,line,sphere] [--robot R]
-           [--priors none|shipped] [--wanted METRES] [--stations N] [--refused]
+           [--priors none|shipped] [--wanted METRES] [--stops N] [--refused]
 
 Per seed a new cell: rendered profiles (4 a stop), a robot whose repeatability is that of --robot
 (common: 0.05 mm and 0.02 degrees; fine: 0.02 mm and 0.004 degrees), and nothing systematic in
@@ -14,17 +14,17 @@ guidance.tilt and guidance.turn from the same first pose. Both end up turned off
 sigma; the moves before the sensor is roughly known: by 4), with the target 3 mm from where it was
 to be seen. Where the sensor shows no target, or the laser is nowhere near an edge of it, both try
 again, and that counts nothing.
-A row per target: the median number of stations, and its quartiles, until points mapped over the
+A row per target: the median number of stops, and its quartiles, until points mapped over the
 sensor's field of view are off by less than --wanted (0.1 mm), and until their stated 1 sigma is
-less; each for the first time, and from then on up to the last of --stations (50). Sessions that
-never got there count as all stations, and are told. The error of one session may be small by
+less; each for the first time, and from then on up to the last of --stops (50). Sessions that
+never got there count as all stops, and are told. The error of one session may be small by
 luck long before anybody could know: for the first time counts this luck, from then on does not.
 ratio: of the medians; paired: the median of the ratios of each seed.
 Counts go to stderr as they come. Each solution starts from the one before, and no other answers
 are looked for, which takes most of the time of `handeye solve`.
 
 With --refused, sessions with the shipped settings go to every proposal, exactly and off by as much
-as above (1 sigma), until the node says that it is enough or for --stations stops: how many stops
+as above (1 sigma), until the node says that it is enough or for --stops stops: how many stops
 gave no sample and why, how many sessions reached enough and at which sample, and the median of the
 stated 1 sigma and of the true error of mapped points then (mm), and the worst error.
 """
@@ -274,15 +274,15 @@ def moved(cell: World, move: AdvisedMove, away: float) -> np.ndarray:
     return cell.looking(R, spot, move.place + shift[:2])
 
 
-def session(cell: World, operator: str, stations: int) -> np.ndarray:
-    """Return error and stated 1 sigma (stations, 2) after each station, inf without an answer."""
-    found = np.full((stations, 2), np.inf)
+def session(cell: World, operator: str, stops: int) -> np.ndarray:
+    """Return error and stated 1 sigma (stops, 2) after each stop, inf without an answer."""
+    found = np.full((stops, 2), np.inf)
     while True:
         count = len(cell.samples)
         solution = solved(cell)
         if solution is not None:
             found[count - 1] = error_of(solution, cell), sigma_of(solution, cell)
-        if count == stations:
+        if count == stops:
             return found
         insist(cell, advised(cell, solution) if operator == 'advice' else lambda: anywhere(cell))
 
@@ -303,14 +303,14 @@ class Followed:
     error: float
 
 
-def followed(cell: World, away: float, stations: int) -> Followed:
+def followed(cell: World, away: float, stops: int) -> Followed:
     """
     Go to each pose that is proposed, off by so much, until enough or for so many stops.
 
     Nothing is tried again: what is refused counts.
     """
     why, enough = list[str](), 0
-    for _ in range(stations):
+    for _ in range(stops):
         advice = advise(cell.samples, cell.config, answer_of(cell, solved(cell)), cell.seen,
                         cell.refused)
         if advice.enough:
@@ -344,13 +344,13 @@ def error_of(solution: Solution, cell: World) -> float:
                           field_points((x0, x1), (z0, z1))).mapped_points
 
 
-def tell_refused(targets_: list[str], seeds: range, stations: int) -> None:
+def tell_refused(targets_: list[str], seeds: range, stops: int) -> None:
     """Print a row per target and operator; see --refused."""
     print(f'{"target":8} {"operator":10} {"stops":>6} {"refused":>8} {"enough":>8} {"at":>9} '
           f'{"sigma":>8} {"error":>8} {"worst":>8}  reasons')
     for target in targets_:
         for operator, away in (('exact', 0.0), ('2 deg 3 mm', 1.0)):
-            made = [followed(world(target, ROBOTS['common'], seed, {}), away, stations)
+            made = [followed(world(target, ROBOTS['common'], seed, {}), away, stops)
                     for seed in seeds]
             reasons = Counter(re.sub(r'-?[0-9.]+', '#', why) for one in made for why in one.why)
             at = sorted(one.enough for one in made if one.enough) or [0]
@@ -364,7 +364,7 @@ def tell_refused(targets_: list[str], seeds: range, stations: int) -> None:
 
 
 def readings(found: np.ndarray, wanted: float) -> list[int]:
-    """Return the numbers of stations (4,), as in READINGS, of a session's (stations, 2)."""
+    """Return the numbers of stops (4,), as in READINGS, of a session's (stops, 2)."""
     good = found < wanted
     first = np.where(good.any(axis=0), good.argmax(axis=0) + 1, len(good))
     kept = [min(int(np.flatnonzero(~column).max(initial=-1)) + 2, len(good)) for column in good.T]
@@ -401,12 +401,12 @@ def main() -> None:
     parser.add_argument('--robot', choices=list(ROBOTS), default='common')
     parser.add_argument('--priors', choices=['none', 'shipped'], default='none')
     parser.add_argument('--wanted', type=float, default=1e-4)
-    parser.add_argument('--stations', type=int, default=50)
+    parser.add_argument('--stops', type=int, default=50)
     parser.add_argument('--refused', action='store_true')
     arguments = parser.parse_args()
     if arguments.refused:
         return tell_refused(arguments.targets.split(','), range(
-            arguments.first, arguments.first + arguments.seeds), arguments.stations)
+            arguments.first, arguments.first + arguments.seeds), arguments.stops)
     known = KNOWN if arguments.priors == 'none' else {}
     known = known | {'guidance.accuracy': arguments.wanted}
     print(f'{"target":8} {"":8}', *(f'{reading:>22}' for reading in READINGS))
@@ -415,15 +415,15 @@ def main() -> None:
         for seed in range(arguments.first, arguments.first + arguments.seeds):
             counts.append([readings(session(
                 world(target, ROBOTS[arguments.robot], seed, known), operator,
-                arguments.stations), arguments.wanted) for operator in OPERATORS])
+                arguments.stops), arguments.wanted) for operator in OPERATORS])
             print(target, seed, *counts[-1], file=sys.stderr, flush=True)
-        tell(target, np.array(counts), arguments.stations)
+        tell(target, np.array(counts), arguments.stops)
 
 
-def tell(target: str, counts: np.ndarray, stations: int) -> None:
+def tell(target: str, counts: np.ndarray, stops: int) -> None:
     """Print the rows of a target: counts (seeds, operators, readings)."""
     low, middle, high = np.percentile(counts, (25, 50, 75), axis=0)
-    never = (counts >= stations).sum(axis=0)
+    never = (counts >= stops).sum(axis=0)
     for i, operator in enumerate(OPERATORS):
         row = [f'{m:.0f} ({a:.0f}-{b:.0f})' + (f', {n} never' if n else '') for m, a, b, n in zip(
             middle[i], low[i], high[i], never[i], strict=True)]

@@ -34,8 +34,8 @@ import time
 import traceback
 from typing import Any
 
-from handeye_ros.bags.bag_write import cloud_cdr, pose_cdr
 from handeye_ros.bags.session_files import files_of, read_session
+from handeye_ros.bags.writer import cloud_cdr, pose_cdr
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Profile, Sample, TimedPose
 from handeye_ros.errors import HandeyeError

@@ -26,8 +26,8 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mount_poses
 from handeye_ros.robot.estimate import ArmFit, ArmPoints, with_estimated_weights
-from handeye_ros.robot.selection import ArmSelection, corrected_arm
-from handeye_ros.robot.sources import ArmSamples, fit_of_sources, solve_points
+from handeye_ros.robot.selection import ArmSelection, select_model
+from handeye_ros.robot.sources import ArmSamples, fit_of_samples, solve_points
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import recording as cells
 from handeye_ros.simulate import robot, SCENARIOS, settings
@@ -179,12 +179,12 @@ def bound(cell: Cell, rows: ArmPoints, held: ArmPoints) -> float:
     return float(np.sqrt(variances.sum(axis=1).mean())) * 1e3 * NOISE
 
 
-def judged(cell: Cell, case: Case, outcome: ArmSelection, held: ArmPoints) -> tuple[float, ...]:
+def judged(cell: Cell, case: Case, selection: ArmSelection, held: ArmPoints) -> tuple[float, ...]:
     """Return before and after (mm), NEES over 6, and the share of parameters within 2 sigma."""
     before, after = (rms(predicted(m.fit, held) - held.points)
-                     for m in (outcome.models[0], outcome.chosen))
-    nees = trials.nees(outcome.chosen.fit.X, outcome.covariance, cell.X) / 6
-    arm = outcome.arm
+                     for m in (selection.models[0], selection.chosen))
+    nees = trials.nees(selection.chosen.fit.X, selection.covariance, cell.X) / 6
+    arm = selection.arm
     off = np.abs(arm.errors - cell.arm.errors)[arm.is_estimated]
     inside = off < 2 * np.maximum(np.sqrt(np.diag(arm.covariance)), 1e-12)
     return before, after, nees, float(inside.mean()) if len(off) else 1.0
@@ -199,7 +199,7 @@ def shown(name: str, rng: np.random.Generator, share: int, other: cells.Cell | N
     """
     scenario = SCENARIOS[name]
     scenario = replace(scenario, robot=replace(scenario.robot, geometry=LINKS), tilt=0.6,
-                       stations=tuple(n * 4 // 3 // share for n in PROFILES[name]))
+                       stops=tuple(n * 4 // 3 // share for n in PROFILES[name]))
     scene = SCENES[scenario.scene]
     stops = scene.stops(scenario, rng)
     stops = stops.ordered(rng.permutation(len(stops.labels)))
@@ -231,13 +231,13 @@ def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
     for each in names:
         cell, source = shown(each, rng, len(names), cell)
         sources.append(source)
-    start = fit_of_sources(sources, arm_of(robot.URDF))
+    start = fit_of_samples(sources, arm_of(robot.URDF))
     used = np.concatenate([np.arange(len(one.q)) < 0.75 * len(one.q) for one in start.measured])
     fit = with_estimated_weights(replace(start, used=used))
-    outcome = corrected_arm(fit, used.sum(), LIMIT)
+    selection = select_model(fit, used.sum(), LIMIT)
     before, after = (float(np.sqrt((m.fit.distances[~used] ** 2).mean())) * 1e3
-                     for m in (outcome.models[0], outcome.chosen))
-    return before, after, trials.nees(outcome.chosen.fit.X, outcome.covariance,
+                     for m in (selection.models[0], selection.chosen))
+    return before, after, trials.nees(selection.chosen.fit.X, selection.covariance,
                                       cell.arm.flange @ cell.T_mount_sensor) / 6
 
 
@@ -262,9 +262,9 @@ def main() -> None:
             first = np.arange(len(cell.data.q)) < given.stops
             began = time.perf_counter()
             seen, held = selected(cell.data, first), selected(cell.exact, ~first)
-            outcome = solve_points([seen], cell.arm.with_errors_of(()), LIMIT)
+            selection = solve_points([seen], cell.arm.with_errors_of(()), LIMIT)
             times.append(time.perf_counter() - began)
-            rows.append((*judged(cell, case, outcome, held),
+            rows.append((*judged(cell, case, selection, held),
                          bound(cell, seen, held)))
         before, after, nees, joints, best = np.array(rows).T
         print(f'{name:14} {np.median(before):7.3f} {np.median(after):7.3f} '

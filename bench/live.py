@@ -29,7 +29,7 @@ import time
 from typing import Any
 
 from handeye_ros import se3
-from handeye_ros.bags.bag_write import cloud_cdr, pose_cdr
+from handeye_ros.bags.writer import cloud_cdr, pose_cdr
 from handeye_ros.data import Array, Profile, TimedPose
 import numpy as np
 from scipy.spatial.transform import Rotation

@@ -5,7 +5,7 @@
 What the faults of real cells do to the answer: simulated profiles through the whole pipeline.
 
 usage: python bench/physics.py [--sweeps] [--seeds N] [--first S] [--only TEXT] [--workers W]
-                               [--samples] [--stations N ...] [--refusals]
+                               [--samples] [--stops N ...] [--refusals]
 
 A row per cell of FAULTS in simulate/scenario.py; its name says all that is wrong with it, and
 the settings do not know of it. Over N recordings of each:
@@ -28,7 +28,7 @@ tilts within 24 degrees, poses at 250 Hz with a white error of 0.02 mm and 0.004
 profiles of 640 points at 50 Hz; the profiles' clock is off by the offset named. Then also:
   offset    ms, median and largest error of the time offset, and the median of its stated sigma;
             its NEES (1 when true), and its share in the stated region
---stations replaces the number of stations of each cell; several numbers give several tables.
+--stops replaces the number of stops of each cell; several numbers give several tables.
 --samples makes the features directly, with the noise of ideal edges: quick, but of robots only.
 """
 from __future__ import annotations
@@ -79,7 +79,7 @@ def sweep_of(target: str, offset: float = 0.02, knot: float = 1.6, rate: float =
     base, knots = SCENARIOS[target], round(DURATION / knot) + 1
     second = knots // 2 * (base.scene == 'plate')
     scenario = swept(base, target, poses=rate, delay=-offset, rim_bias=base.sensor.rim_bias)
-    return replace(scenario, stations=(knots - second, second),
+    return replace(scenario, stops=(knots - second, second),
                    sweep=Sweep(knot, **sweep))  # type: ignore[arg-type]
 
 
@@ -106,11 +106,11 @@ def sweeps() -> Iterator[tuple[str, Scenario]]:
             sweep_of(target), calibration_type='eye_on_base')
 
 
-def with_stations(scenario: Scenario, count: int) -> Scenario:
-    """Return a scenario with so many stations, spread over its edges as before."""
-    first, second = scenario.stations
+def with_stops(scenario: Scenario, count: int) -> Scenario:
+    """Return a scenario with so many stops, spread over its edges as before."""
+    first, second = scenario.stops
     share = round(count / scenario.repeats * first / (first + second))
-    return replace(scenario, stations=(share, count // scenario.repeats - share))
+    return replace(scenario, stops=(share, count // scenario.repeats - share))
 
 
 def trial(job: tuple[Scenario, int, bool]) -> Outcome:
@@ -175,12 +175,12 @@ def main() -> None:
     trials.add_options(parser, 20)
     parser.add_argument('--sweeps', action='store_true', help='robots that move all the time')
     parser.add_argument('--samples', action='store_true', help='make features, no profiles')
-    parser.add_argument('--stations', type=int, nargs='+', default=[0], help='instead of its own')
+    parser.add_argument('--stops', type=int, nargs='+', default=[0], help='instead of its own')
     parser.add_argument('--refusals', action='store_true', help='print every refusal')
     arguments = parser.parse_args()
     cells = [(f'{name}, {count}' if count else name,
-              with_stations(scenario, count) if count else scenario)
-             for count in arguments.stations
+              with_stops(scenario, count) if count else scenario)
+             for count in arguments.stops
              for name, scenario in (sweeps() if arguments.sweeps else FAULTS.items())
              if arguments.only in name]
     seeds = trials.seeds_of(arguments)

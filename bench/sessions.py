@@ -33,8 +33,8 @@ from pathlib import Path
 import re
 import tempfile
 
-from handeye_ros import pipeline, se3
-from handeye_ros.bags import bag, bag_write
+from handeye_ros import pipeline, read_bag, se3
+from handeye_ros.bags import writer
 from handeye_ros.config import Config, with_assignments, with_values
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError, HandeyeError
@@ -79,12 +79,12 @@ def convention_error(name: str) -> Damage:
 
 
 def mispaired(samples: list[Sample], rng: np.random.Generator) -> list[Sample]:
-    """Give every sample the pose of the station before."""
+    """Give every sample the pose of the stop before."""
     return with_poses(samples, np.roll(poses_of(samples), 1, axis=0))
 
 
 def shuffled(samples: list[Sample], rng: np.random.Generator) -> list[Sample]:
-    """Give every sample the pose of any station."""
+    """Give every sample the pose of any stop."""
     T = poses_of(samples)
     return with_poses(samples, T[rng.permutation(len(T))])
 
@@ -108,7 +108,7 @@ KINDS = {
     'eye on base': Kind(True, SCENARIOS['eye_on_base']),
     'systematic robot': Kind(True, replace(PLATE, robot=SYSTEMATIC)),
     'systematic robot, sphere': Kind(True, replace(SPHERE, robot=SYSTEMATIC)),
-    '2 stations at other edges': Kind(True, SCENARIOS['wrong_edges']),
+    '2 stops at other edges': Kind(True, SCENARIOS['wrong_edges']),
     '20 % moved 5 mm': Kind(True, PLATE, displaced(0.2, 5e-3, False)),
     '28 % moved 5 mm together': Kind(True, PLATE, displaced(0.28, 5e-3, True)),
     'one orientation': Kind(False, SCENARIOS['one_orientation']),
@@ -261,7 +261,7 @@ def of_settings(job: tuple[str, int]) -> list[tuple[str, str, bool, bool]]:
         for key, value in settings(scenario).items()}
     with tempfile.TemporaryDirectory() as folder:
         path, made = Path(folder) / 'bag', simulate(scenario, np.random.default_rng(seed))
-        bag_write.write(path, made.profiles, made.poses)
+        writer.write(path, made.profiles, made.poses)
         config = with_values(Config(), settings(scenario), 'bench')
         return [(', '.join(f'{key}={value}' for key, value in changes.items()),
                  *read_with(path, config, changes, right, made.truth.T_flange_sensor))
@@ -308,7 +308,7 @@ def _near(answer: Calibration, T: Array) -> bool:
 
 def _solved(path: Path, config: Config) -> Calibration | str:
     try:
-        recording = bag.read(path, config)
+        recording = read_bag(path, config)
         return pipeline.calibrate(recording.profiles, recording.poses, config)
     except HandeyeError as error:
         return str(error)

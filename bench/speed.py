@@ -9,7 +9,7 @@ usage: python bench/speed.py
 Prints, for the bags of plate (1280 points) and sphere (640 points), how many profiles a second
 of the processor are segmented, as the best of seven rounds, beside the 96 a second of the network
 of a published method. Then, for plate and sphere, the median
-seconds of the processor from samples to answer for 18 and for 2000 stations and the ratio of the
+seconds of the processor from samples to answer for 18 and for 2000 stops and the ratio of the
 two, and the wall time of `handeye solve` (import included) on a simulated 40 s bag of 1280-point
 profiles at 30 Hz.
 """
@@ -25,7 +25,7 @@ import time
 
 from handeye_ros import config as configs
 from handeye_ros import pipeline, targets
-from handeye_ros.bags.bag import read
+from handeye_ros.bags.recording import read
 from handeye_ros.config import Config
 from handeye_ros.errors import FeatureError
 from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
@@ -36,9 +36,9 @@ CONFIG = ROOT / 'config' / 'plate.yaml'
 NETWORK = 96  # profiles a second that a published network segments
 
 
-def solve_seconds(target: str, stations: int, runs: int) -> float:
+def solve_seconds(target: str, stops: int, runs: int) -> float:
     """Return the median seconds of the processor that a solve takes."""
-    scenario = replace(SCENARIOS[target], stations=(stations // 2, stations // 2))
+    scenario = replace(SCENARIOS[target], stops=(stops // 2, stops // 2))
     samples, _ = simulate_samples(scenario, np.random.default_rng(0))
     config = configs.with_values(Config(), settings(scenario), target)
     times = []
@@ -88,7 +88,7 @@ def main() -> None:
               f'{rate / NETWORK:.0f} times the {NETWORK} of a published network', flush=True)
     for target in ('plate', 'sphere'):
         few, many = solve_seconds(target, 18, 11), solve_seconds(target, 2000, 3)
-        print(f'{target:7} 18 stations {1e3 * few:6.1f} ms, 2000 stations {many:6.2f} s, '
+        print(f'{target:7} 18 stops {1e3 * few:6.1f} ms, 2000 stops {many:6.2f} s, '
               f'ratio {many / few:5.1f}', flush=True)
     print(f'handeye solve, 40 s of 1280 points at 30 Hz: {bag_seconds():.2f} s')
 

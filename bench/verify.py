@@ -140,7 +140,7 @@ def artefact(rng: np.random.Generator, scene: str, poses: Array, lengths: tuple[
 
     changes: of the scenario.
     """
-    scenario = replace(SCENARIOS[scene], stations=(count, 0), **{'robot': RobotModel()} | changes)
+    scenario = replace(SCENARIOS[scene], stops=(count, 0), **{'robot': RobotModel()} | changes)
     X, T = sensor_on_flange(rng), draw_pose(rng)
     taken = [take(scenario, X, T @ pose, TARGET_SCENES[scene].stops(scenario, rng), rng)
              for pose in poses]
@@ -211,7 +211,7 @@ def sphere(rng: np.random.Generator, **values: Any) -> Artefact:
 def fixed_point(rng: np.random.Generator, count: int = 12, aim: float = AIM,
                 take: Take = sampled_corner, **changes: Any) -> Artefact:
     """Return the corner of a plate, to which the laser is aimed with some error."""
-    scenario = replace(SCENARIOS['line'], stations=(count, 0), **{'robot': RobotModel()} | changes)
+    scenario = replace(SCENARIOS['line'], stops=(count, 0), **{'robot': RobotModel()} | changes)
     X, T = sensor_on_flange(rng), draw_pose(rng)
     points = TARGET_SCENES['line'].stops(scenario, rng).points
     R = INTO_CORNER @ tilts(scenario, rng, (count,))
@@ -339,7 +339,7 @@ def cell(kind: str, rng: np.random.Generator) -> tuple[Scenario, Config, Array, 
 def samples(scenario: Scenario, count: int, X: Array, T: Array, rng: np.random.Generator,
             joint: float = 0.0) -> list[Sample]:
     """Return the samples of some stops; joint: by how much joint 5 is off (rad)."""
-    scenario = replace(scenario, stations=((count + 1) // 2, count // 2) if
+    scenario = replace(scenario, stops=((count + 1) // 2, count // 2) if
                        scenario.scene == 'plate' else (count, 0))
     stops = TARGET_SCENES[scenario.scene].stops(scenario, rng)
     found = sampled(scenario, X, T, stops, rng)
@@ -409,8 +409,8 @@ def unchanged_cells(faults: list[str], seeds: range) -> None:
 
 def verdict_of_halves(scenario: Scenario, seed: int) -> str:
     """Return what the second half of a recording's stops says of the first half's calibration."""
-    first, second = scenario.stations
-    recording = simulate(replace(scenario, stations=(2 * first, 2 * second)),
+    first, second = scenario.stops
+    recording = simulate(replace(scenario, stops=(2 * first, 2 * second)),
                          np.random.default_rng(seed))
     config = with_values(Config(), settings(scenario))
     samples = pipeline.gather(recording.profiles, recording.poses, config).samples

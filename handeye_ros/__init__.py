@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from handeye_ros.bags.bag import read as read_bag
+    from handeye_ros.bags.recording import read as read_bag
     from handeye_ros.config import Config, with_values
     from handeye_ros.config import load as load_config
     from handeye_ros.data import Calibration, Profile, Reject, Sample, TimedPose
@@ -35,7 +35,7 @@ _HOMES = {
     **dict.fromkeys(('DataError', 'HandeyeError', 'InputError'), 'errors'),
     **dict.fromkeys(('calibrate', 'gather', 'solve'), 'pipeline'),
     **dict.fromkeys(('read_calibration', 'write_calibration'), 'results.calibration_file'),
-    'read_bag': 'bags.bag'}
+    'read_bag': 'bags.recording'}
 _NAMES = {'load_config': 'load', 'read_bag': 'read'}  # in their homes
 
 

@@ -19,7 +19,7 @@ import time
 from typing import Any, TypeAlias
 
 from handeye_ros import __version__
-from handeye_ros.bags.reader import SUFFIXES
+from handeye_ros.bags.storage import SUFFIXES
 from handeye_ros.config import read_yaml
 from handeye_ros.csv_tables import CsvTable
 from handeye_ros.errors import InputError

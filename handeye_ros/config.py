@@ -246,10 +246,10 @@ class SamplingConfig(Section):
 
 @dataclass(frozen=True)
 class SamplesConfig(Section):
-    """Which samples are left out of the answer."""
+    """Which samples the answer does not use."""
 
     exclude: tuple[int, ...] = setting(
-        (), 'Numbers of the samples left out; taking a number away brings it back.', 1, 10**6)
+        (), 'Numbers of the excluded samples; taking a number away includes it again.', 1, 10**6)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from handeye_ros import pipeline, se3
-from handeye_ros.bags.bag import read
+from handeye_ros.bags.recording import read
 from handeye_ros.bags.session_files import is_session, read_session
 from handeye_ros.calibration import measured_points, residuals_and_left_out, rms_by
 from handeye_ros.config import Config, SOLVED_FROM_FILES

@@ -9,7 +9,7 @@ from calibrations import CALIBRATION
 from command import assert_refused, handeye, PLATE
 import handeye_ros
 from handeye_ros import simulate
-from handeye_ros.bags import bag_write
+from handeye_ros.bags import writer
 from handeye_ros.config import Config
 from handeye_ros.errors import InputError
 from hypothesis import given
@@ -19,7 +19,7 @@ import pytest
 
 pytestmark = pytest.mark.once
 
-BASE = replace(simulate.SCENARIOS['plate'], stations=(6, 6))
+BASE = replace(simulate.SCENARIOS['plate'], stops=(6, 6))
 # as short as it gets with the default sampling
 BASE = replace(BASE, robot=replace(BASE.robot, dwell=0.8, move=0.4, rate=50.0),
                sensor=replace(BASE.sensor, columns=640, rate=15.0))
@@ -27,7 +27,7 @@ BASE = replace(BASE, robot=replace(BASE.robot, dwell=0.8, move=0.4, rate=50.0),
 
 def bag_of(path, change=lambda profiles, poses: (profiles, poses), **differs):
     recording = simulate.simulate(replace(BASE, **differs), np.random.default_rng(11))
-    bag_write.write(path, *change(recording.profiles, recording.poses))
+    writer.write(path, *change(recording.profiles, recording.poses))
     return path
 
 

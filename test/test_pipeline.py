@@ -96,7 +96,7 @@ def test_the_place_of_the_target_is_found_up_to_the_names_of_its_edges() -> None
     assert T[:3, 2] @ truth[:3, 2] > 1 - 1e-4, 'z out of the face, towards the sensor'
     # the face lies where x and y are positive, so only one assignment of p and q is left
     assert T[:3, 0] @ truth[:3, 0] > 1 - 1e-4 and T[:3, 1] @ truth[:3, 1] > 1 - 1e-4
-    labels = {s.start: s.label for s in recording('plate').truth.stations}
+    labels = {s.start: s.label for s in recording('plate').truth.stops}
     for report in calibration.samples:
         start = max(start for start in labels if start <= report.stamp)
         assert report.edge == labels[start]
@@ -117,12 +117,12 @@ def test_the_edge_angle_can_be_left_free() -> None:
 def test_every_station_is_accounted_for() -> None:
     for name in ('plate', 'bumped', 'sphere'):
         calibration, simulated = calibration_of(name), recording(name)
-        assert len(calibration.samples) == len(simulated.truth.stations)
+        assert len(calibration.samples) == len(simulated.truth.stops)
         used = [r for r in calibration.samples if r.used]
         assert calibration.quality.samples_used == len(used)
         assert calibration.quality.samples_rejected == len(calibration.samples) - len(used)
-        for report, station in zip(calibration.samples, simulated.truth.stations, strict=True):
-            assert station.start <= report.stamp <= station.end
+        for report, stop in zip(calibration.samples, simulated.truth.stops, strict=True):
+            assert stop.start <= report.stamp <= stop.end
             assert (report.residual is not None) == report.used
             assert report.used or report.reason
         rms = np.sqrt(np.mean([r.residual ** 2 for r in used]))
@@ -174,7 +174,7 @@ def in_millimetres(profiles, poses, spans):
 def test_streams_without_an_answer_are_refused(
         change: Callable[..., object], error: type[Exception], words: str) -> None:
     simulated = recording('plate_5_5')
-    spans = [(s.start, s.end) for s in simulated.truth.stations]
+    spans = [(s.start, s.end) for s in simulated.truth.stops]
     with pytest.raises(error, match=words):
         simulated.calibrate(*change(simulated.profiles, simulated.poses, spans))
 

@@ -21,7 +21,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 from handeye_ros import config as configuration
-from handeye_ros.bags.reader import Reader
+from handeye_ros.bags.storage import Reader
 from handeye_ros.data import Calibration
 from handeye_ros.errors import DataError, InputError, UnwritableError
 from handeye_ros.node.main import ros, run_for_exit_code

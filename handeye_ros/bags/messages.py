@@ -16,7 +16,7 @@ from functools import cache, lru_cache, partial
 import math
 from typing import Any
 
-from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE, TF_TYPE
+from handeye_ros.bags.storage import CLOUD_TYPE, POSE_TYPE, TF_TYPE
 from handeye_ros.config import ProfileConfig
 from handeye_ros.data import Array, column_order, NS, Profile, RawProfile, rms, TimedPose
 from handeye_ros.errors import UnusableMessageError
@@ -216,7 +216,7 @@ def _points(cloud: Any, config: ProfileConfig) -> tuple[Array, NDArray[np.bool_]
 
     Columns: along the line, range, across the plane (NaN where the driver publishes none). Points
     that are not finite, too far, or in the origin are no returns; drivers publish the origin for
-    missing returns.
+    missing returns. Raises UnusableMessageError for another unit or plane, or a missing field.
     """
     if cloud.width * cloud.height == 0:
         return np.empty((0, 3)), np.empty(0, bool)

@@ -17,7 +17,7 @@ from handeye_ros.bags.messages import (
     stamp_and_frame,
     transforms_from_cdr,
 )
-from handeye_ros.bags.reader import JOINTS_TYPE, POSE_TYPE, TF_TYPE
+from handeye_ros.bags.storage import JOINTS_TYPE, POSE_TYPE, TF_TYPE
 from handeye_ros.bags.transforms import FlangeFollower
 from handeye_ros.config import Config
 from handeye_ros.data import Array, TimedPose
@@ -30,7 +30,7 @@ class PoseTopic(NamedTuple):
     A topic with poses of the flange, and how they are read.
 
     key: of the configuration, that names it; '' for one of the transform tree
-    message_type: as in reader.py
+    message_type: as in storage.py
     read: returns the poses that a serialised message makes known, or raises UnusableMessageError
     """
 

@@ -6,9 +6,10 @@ A session on the disk: written event by event, and read back.
 A session is a folder, and a bag: one .mcap file for each event, which holds the settings and, for
 a stop, its profiles and poses (and joint values), so that stops can be evaluated again. A file is
 written under another name, synced, renamed, and the folder is synced; then the event is reported.
-If the process is killed at any time, all files are complete bags. metadata.yaml, for other readers
-of bags, repeats only data of the files: it may lack the last one after a failure, and is written
-again with the next event, and when the session is continued.
+If the process is killed at any time, all files are complete bags: a hidden .tmp file may be left,
+and is ignored; a stop that was renamed, but not yet reported, counts. metadata.yaml, for other
+readers of bags, repeats only data of the files: it may lack the last one after a failure, and is
+written again with the next event, and when the session is continued.
 """
 from __future__ import annotations
 
@@ -24,16 +25,8 @@ import re
 import shutil
 import time
 
-from handeye_ros.bags.bag_write import (
-    recorded_message,
-    string_cdr,
-    summary_of,
-    sync,
-    write_mcap,
-    write_metadata,
-)
 from handeye_ros.bags.messages import message_of, pose_from_cdr, ProfileReader
-from handeye_ros.bags.reader import (
+from handeye_ros.bags.storage import (
     by_log_time,
     CLOUD_TYPE,
     full_name,
@@ -42,6 +35,14 @@ from handeye_ros.bags.reader import (
     Reader,
     RecordedMessage,
     STRING_TYPE,
+)
+from handeye_ros.bags.writer import (
+    recorded_message,
+    string_cdr,
+    summary_of,
+    sync,
+    write_mcap,
+    write_metadata,
 )
 from handeye_ros.config import Config, flatten, RECORD_PREFIX, with_values
 from handeye_ros.data import Reject

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def command() -> 'Typer':
     """Return the command; importing a module adds its verbs."""
     from handeye_ros.cli.common import app
-    for group in ('solve', 'measure', 'tools'):  # as help lists them
+    for group in ('solve', 'measure', 'recordings'):  # as help lists them
         import_module(f'handeye_ros.cli.{group}')
     return app
 

@@ -23,7 +23,7 @@ from typer.core import TyperGroup
 
 if TYPE_CHECKING:
     from handeye_ros.arm import Arm
-    from handeye_ros.bags.bag import Recording
+    from handeye_ros.bags.recording import Recording
     from handeye_ros.config import Config
     from handeye_ros.data import Calibration
     from handeye_ros.sampling.session import Session
@@ -146,7 +146,7 @@ def is_table(path: Path) -> bool:
 def read_bag_shown(bag: Path, settings: 'Config', arm: 'Arm | None' = None) -> 'Recording':
     """Return the messages of a bag, and print its warnings; an arm gives the poses from joints."""
     with progress_bar('reading the recording') as progress:
-        from handeye_ros.bags.bag import read
+        from handeye_ros.bags.recording import read
         recording = read(bag, settings, progress, arm)
     warn(*recording.warnings)
     return recording
@@ -174,7 +174,7 @@ def stream_recording(bag: Path, settings: 'Config', calibration: 'Calibration'
 
     The stamps of the profiles are as recorded: what uses them adds the time offset.
     """
-    from handeye_ros.bags.bag import read
+    from handeye_ros.bags.recording import read
     from handeye_ros.sampling.trajectory import trajectory_of
     with progress_bar('scanning'):
         recording = read(bag, replace(settings, time_offset=0.0))

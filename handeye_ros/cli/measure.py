@@ -267,7 +267,7 @@ def seam(
     if bag:
         import time
 
-        from handeye_ros.bags.bag_write import write_path
+        from handeye_ros.bags.writer import write_path
         write_path(out / 'path', frames.T_base_tool, frame, time.time_ns())
     for sentence in sentences(result, frames):
         typer.echo(sentence)

@@ -1,6 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The verbs about the transform: find, compare, show and export it; its samples; the node."""
+"""
+The verbs about the transform: find, compare, show and export it; its samples; the node.
+
+And the one that finds the errors of the arm with it.
+"""
 from dataclasses import replace
 from importlib.util import find_spec
 import json
@@ -13,16 +17,19 @@ from handeye_ros.cli.common import (
     Angles,
     app,
     Assignments,
+    collect_samples,
     ConfigFile,
     configuration,
     file_option,
     folder_option,
     Input,
+    is_table,
     KinematicsFile,
     open_input,
     OptionalPath,
     OutFile,
     progress_bar,
+    read_bag_shown,
     show,
     warn,
     write_yaml,
@@ -207,3 +214,53 @@ def compare(
     if comparison.refusal:
         raise comparison.refusal
     write_yaml(out, comparing.plain_values(comparison))
+
+
+@app.command()
+def kinematics(
+    sources: Annotated[list[Path], typer.Argument(metavar='SOURCE...', help=(
+        'Bags with profiles and joint values, or sessions, each with the target at another place; '
+        'or a table of joint values and measured points (CSV). State the target, as in --set '
+        'target.type=sphere.'))],
+    urdf: Annotated[Path, file_option(help='The URDF of the robot.')],
+    base: Annotated[str, typer.Option(help='Link of its base; default: the root.')] = '',
+    flange: Annotated[str, typer.Option(
+        help='Link of the sensor; default: tool0, flange, or the last.')] = '',
+    config: ConfigFile = None,
+    assignments: Assignments = [],
+    out: Annotated[Path, folder_option(
+        help='For corrected.urdf, kinematics.yaml, calibration.yaml.')] = Path('out/kinematics'),
+) -> None:
+    """Estimate the errors of the arm, with the transform."""
+    tables = [*filter(is_table, sources)]
+    if tables and len(sources) > 1:
+        raise typer.BadParameter('give one table only; its column "target" names the points')
+    if len({path.resolve() for path in sources}) < len(sources):
+        raise typer.BadParameter('give each source once: it would count twice')
+    settings = configuration(config, assignments)
+    from handeye_ros.arm import read_urdf
+    from handeye_ros.bags.session_files import is_session, read_session
+    from handeye_ros.results.file_values import input_provenance
+    from handeye_ros.robot.arm_answer import table
+    from handeye_ros.robot.sources import arm_samples_of, solve_samples, solve_table
+    text, arm = read_urdf(urdf, base, flange)
+    if tables:
+        with progress_bar('solving'):
+            answer = solve_table(tables[0], arm, settings,
+                                 [*map(input_provenance, (*tables, urdf))])
+    else:
+        measured = []
+        for path in sources:
+            stored = read_session(path) if is_session(path) else None
+            read_with = replace(configuration(
+                config, assignments, stored.config if stored else None), kinematics='')
+            recording = read_bag_shown(path, read_with, arm)
+            measured.append(arm_samples_of(
+                stored.session(read_with) if stored else collect_samples(recording, read_with),
+                recording, arm, read_with,
+                [{'path': str(path.absolute())}] if stored else recording.inputs))
+        with progress_bar('solving'):
+            answer = solve_samples(measured, arm, [input_provenance(urdf)])
+    warn(*answer.warnings)
+    show(table(answer))
+    typer.echo(answer.save(text, out, settings.save.formats))

@@ -29,7 +29,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from handeye_ros.data import Array
+from handeye_ros.data import Array, ROBOT_POSITION_ERROR
 from handeye_ros.estimation.basis import (
     BEND_OF_S,
     bent_line,
@@ -156,7 +156,7 @@ def robot_smooth(linear: Linearisation) -> Blocks:
     """Yield the block of the robot's smooth errors, of position and rotation."""
     if std := linear.problem.config.noise.robot_smooth:
         yield smooth_errors('robot_smooth', linear, linear.problem.smooth_error_basis, std,
-                            best_fit=_motions_of_smooth, reported_as='robot_position_error')
+                            best_fit=_motions_of_smooth, reported_as=ROBOT_POSITION_ERROR)
 
 
 def _motions_of_smooth(linear: Linearisation) -> Array:

@@ -4,9 +4,9 @@
 The session of a running node, without ROS: from messages to stored samples.
 
 From a message to ~/samples:
-1. The thread `drain` (streams.py) reads the message and calls add_profile or add_poses, which give
-   it to the session (sampling/session.py). A stop that is over, or long enough for a sample, then
-   waits in `to_evaluate`.
+1. The thread `streams` (streams.py) reads the message and calls add_profile or add_poses, which
+   give it to the session (sampling/session.py). A stop that is over, or long enough for a sample,
+   then waits in `to_evaluate`.
 2. The thread `worker` takes it from there (`evaluate_next`), has it evaluated in another process,
    writes it to the disk (SessionFiles in bags/session_files.py) and adds it to the session: what
    is not stored is not used.
@@ -15,7 +15,7 @@ From a message to ~/samples:
    (solver.py).
 
 Threads:
-- `drain` calls add_profile, add_poses and add_joints alone;
+- only `streams` calls add_profile, add_poses and add_joints;
 - `worker` makes all other changes, one after the other;
 - those of ROS (node.py) and of the page (page/server.py) pass a function to `call_on_worker` and
   wait for its result; what they only show, they read from any thread.
@@ -72,7 +72,7 @@ MAX_STOPS = 32  # waiting for evaluation: at most 7 MB each with 1280 points a p
 KEPT_JOINTS = 20_000  # messages with joint values: more than those of the longest stop
 KEPT_LATEST = 100  # messages of a kind: one of the two streams may be late
 MAX_POSE_SILENCE = 2.0  # s without a pose, while profiles come: the robot may be anywhere
-MAX_PROFILE_SILENCE = 1.0  # s without a profile until none come
+MAX_PROFILE_SILENCE = 1.0  # s: profiles come as long as the last one is not older
 EVALUATING = 'a stop is evaluated'
 
 Result = TypeVar('Result')
@@ -123,10 +123,11 @@ class LiveSession:
         self._profiles: deque[AnyProfile] = deque(maxlen=KEPT_LATEST)
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_LATEST)
         self._dropped_stops = 0  # which waited too long
+        self._interrupted = set[int]()  # stamps of stops whose process ended
         self.troubles: dict[str, str] = {}
         self.attempt: Attempt | None = None
 
-    # from messages to stops that wait: the drain thread
+    # from messages to stops that wait: the thread `streams`
 
     def add_profile(self, profile: AnyProfile) -> None:
         """Add a profile."""
@@ -153,7 +154,11 @@ class LiveSession:
             self.joints.append((stamp, data))
 
     def _queue_stops(self, stops: Iterable[Stop]) -> None:
-        """Queue stops, each in place of an earlier part; drop the oldest if too many wait."""
+        """
+        Queue stops, each in place of an earlier part; drop the oldest new ones if too many wait.
+
+        Under lock.
+        """
         self.session.limit_waiting(MAX_STOPS)
         for stop in stops:
             self.to_evaluate.pop(stop.stamp, None)
@@ -200,7 +205,12 @@ class LiveSession:
             self.troubles['work'] = sentence_and_log('the work on the samples', error)
 
     def _do_due_work(self) -> None:
-        """Do the due work, stop by stop: whoever calls meanwhile waits for one stop only."""
+        """
+        Do the due work, stop by stop: whoever calls meanwhile waits for one stop only.
+
+        A new session begins where another frame has replaced one that gave no sample
+        (`frame_change_notice` in sampling/session.py).
+        """
         self._is_scheduled = False
         with self.lock:
             frame_change_notice = self._frame_change_notice
@@ -365,16 +375,7 @@ class LiveSession:
         if is_requested and stop.sample is None:
             remedy = ': move on, and turn the tool' if stop.final_reason else ''
             raise DataError(f'{sample_summary(stop.result)}{remedy}')
-        with self.lock:
-            joints = [*self.joints]
-        try:
-            stop = self._store(self.files.add_stop, stop, self.config, joints)
-        except InputError as error:
-            if is_requested:
-                raise
-            # an earlier part of the stop has fewer profiles, but is on the disk
-            stop = earlier if earlier and earlier.load_messages else replace(
-                stop, result=Reject(stop.result.stamp, str(error), final=True))
+        stop = self._stored(stop, earlier, is_requested)
         with self.lock:
             self.session.add_stop(stop)
         again = ' again, of the same stop' if had_sample else ''
@@ -386,13 +387,35 @@ class LiveSession:
             self.attempt = Attempt(text, stop)
         return text
 
+    def _stored(self, stop: Stop, earlier: Stop | None, is_requested: bool) -> Stop:
+        """
+        Store an evaluated stop; return it as it is on the disk.
+
+        Where that fails InputError is raised if it was requested; else it is a reject, or the
+        earlier part of it, which has fewer profiles, but is on the disk.
+        """
+        with self.lock:
+            joints = [*self.joints]
+        try:
+            return self._store(self.files.add_stop, stop, self.config, joints)
+        except InputError as error:
+            if is_requested:
+                raise
+            return earlier if earlier and earlier.load_messages else replace(
+                stop, result=Reject(stop.result.stamp, str(error), final=True))
+
     def evaluate_in_process(self, stop: Stop, config: Config) -> Sample | Reject:
         """Return what a stop gives, evaluated in another process."""
+        self._interrupted.discard(stop.stamp)
         self.running_jobs.append(EVALUATING)
         try:
             return self.pool.submit(result_of, stop.trimmed(config), config).result()
-        except (PoolEndedError, InputError) as error:  # its file is gone; or its process, then
-            return Reject(stop.stamp, str(error))  # the stop itself will be stored
+        # InputError: its file is gone. PoolEndedError: the process was killed; the stop is stored
+        # as a reject, to be tried again
+        except (PoolEndedError, InputError) as error:
+            if isinstance(error, PoolEndedError):
+                self._interrupted.add(stop.stamp)
+            return Reject(stop.stamp, str(error))
         finally:
             self.running_jobs.remove(EVALUATING)
 
@@ -425,15 +448,13 @@ class LiveSession:
             self._evaluate_again(stop for stop in self.session.stops if not stop.sample)
         return result
 
-    def retry_storing(self) -> None:
+    def retry_failed(self) -> None:
         """
-        Store what could not be stored before, if that works now.
+        Queue the stops whose process ended, and store what could not be stored, if that works now.
 
-        A folder that is gone is found here too: then there is a trouble. Stops whose process ended
-        are evaluated again.
+        A folder that is gone is found here too: then there is a trouble.
         """
-        self._evaluate_again(stop for stop in self.session.stops if stop.result == Reject(
-            stop.result.stamp, str(PoolEndedError())))
+        self._evaluate_again(s for s in self.session.stops if s.stamp in self._interrupted)
         path = self.files.path
         if 'storing' in self.troubles or path and not path.is_dir():
             with suppress(InputError):  # a trouble now
@@ -453,6 +474,8 @@ class LiveSession:
         """
         poses, profiles = self.message_counts['pose'], self.message_counts['profile']
         try:
+            # by the clock of this machine: stop_on_request compares stamps, and takes a silence of
+            # more than a second for clocks that differ
             if (poses.count and poses.silence > MAX_POSE_SILENCE
                     and profiles.silence < MAX_PROFILE_SILENCE):
                 raise silent_poses_error(poses.silence)
@@ -465,16 +488,19 @@ class LiveSession:
         self._close(stop)
         return text
 
-    def remove_last_sample(self) -> str:
+    def remove_last_sample(self, number: int | None = None) -> str:
         """
-        Forget the last sample.
+        Forget the last sample; number: of that which whoever asks takes for the last.
 
-        Raises DataError without one, InputError where that cannot be stored.
+        Raises DataError without one, or if another is the last, InputError where that cannot be
+        stored.
         """
         samples = [stop for stop in self.session.stops if stop.sample]
         if not samples:
             raise DataError('there is no sample to remove', code='nothing_to_remove')
         last = samples[-1]
+        if number not in (None, last.number):
+            raise DataError(f'sample {last.number} is the last now: look at it, then remove it')
         self._store(self.files.add_event, REMOVED, self.config, Stop(0, number=last.number))
         with self.lock:
             self.session.remove(last)
@@ -483,7 +509,7 @@ class LiveSession:
                 f'{len(samples) - 1} left')
 
     def clear_samples(self) -> str:
-        """Forget samples, verification, answer, and all messages; raises InputError."""
+        """Begin a new session; the files of the old one stay. Raises InputError."""
         count, files, note = self._sample_count(), self.files, ''
         config = replace(self.config, samples=SamplesConfig())  # numbers begin again
         if files.path:

@@ -119,7 +119,7 @@ class HandeyeNode(Node):
     def _offer_services(self) -> None:
         """Offer the services of the node, and take a sample for each message on ~/take."""
         live, solver, verification = self.live, self.live.solver, self.live.verification
-        self._trigger_functions: dict[str, Callable[[], str | Future[str]]] = {
+        self._trigger_functions: dict[str, Callable[..., str | Future[str]]] = {
             function.__name__: function for function in (
                 live.take_sample, live.remove_last_sample, live.clear_samples,
                 solver.compute_calibration, solver.save_calibration,
@@ -134,14 +134,15 @@ class HandeyeNode(Node):
         self.create_subscription(Empty, '~/take', lambda _: self.call_service('take_sample'), 10,
                                  callback_group=quick)
 
-    def call_service(self, name: str) -> tuple[bool, str]:
+    def call_service(self, name: str, *values: Any) -> tuple[bool, str]:
         """
         Return whether a service succeeds, and its message, without the troubles of now.
 
-        The page shows these beside the message, which stays when they are over.
+        The page shows these beside the message, which stays when they are over; values: what it
+        adds to the request.
         """
         try:
-            reply = self.live.call_on_worker(self._trigger_functions[name])
+            reply = self.live.call_on_worker(partial(self._trigger_functions[name], *values))
             message, success = reply.result() if isinstance(reply, Future) else reply, True
         except Exception as error:  # noqa: BLE001 - the node, and what it holds, must go on
             message, success = sentence_and_log(name, error), False

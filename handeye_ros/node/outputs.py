@@ -106,7 +106,7 @@ class Outputs:
                 return
             live, config, stamp = self._live, self._config, self._now()
             state, calibration = state_of(live), live.solver.calibration
-            self._tell_attempt(live.attempt)
+            self._publish_attempt(live.attempt)
             samples, status = json.dumps(samples_message(state)), json.dumps(status_message(state))
             guidance = state['guidance']
             transform = calibration and transform_of(calibration, stamp)
@@ -140,7 +140,7 @@ class Outputs:
             publisher.publish(message_of())
         self._latched[name] = publisher, content
 
-    def _tell_attempt(self, attempt: Attempt | None) -> None:
+    def _publish_attempt(self, attempt: Attempt | None) -> None:
         """Log an attempt once, and publish the features of its sample in the sensor frame."""
         if attempt is None or attempt is self._logged_attempt:
             return
@@ -199,15 +199,15 @@ def _statuses(state: State) -> Iterator[tuple[str, bytes, str, dict[str, object]
     yield 'calibration', level, status['text'], {'state': status['state']}
 
 
-# messages
-
-
 def log_new_warnings(node: Node, sentences: Iterable[str], logged: set[str]) -> set[str]:
     """Log sentences that are new but for their numbers; return all without them, as `logged`."""
     warnings = {without_numbers(sentence): sentence for sentence in sentences if sentence}
     for kind in warnings.keys() - logged:
         node.get_logger().warning(warnings[kind])
     return set(warnings)
+
+
+# messages
 
 
 def transform_of(calibration: Calibration, stamp: int) -> TransformStamped:

@@ -146,7 +146,7 @@ class LiveSolver:
         not computed again from the same samples and settings.
         """
         live = self._live
-        live.retry_storing()
+        live.retry_failed()
         self.is_wanted = True
         try:
             live.evaluate_all()
@@ -227,7 +227,7 @@ class LiveSolver:
     def save_calibration(self) -> str:
         """Write the answer; return the message. Raises DataError without one, InputError."""
         live, calibration = self._live, self.require_calibration()
-        live.retry_storing()
+        live.retry_failed()
         folder = live.folders.locked_folder(live.config)
         written = exports.save_all(calibration, folder, live.config.save.formats)
         self.saved = str(folder / calibration_file.NAME)

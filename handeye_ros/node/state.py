@@ -138,7 +138,15 @@ def _clock_trouble(profiles: MessageCount, poses: MessageCount, time_offset: flo
 
 
 def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxyType({})) -> State:
-    """Return the state of a running node; graph_troubles: as in streams.py, '' unless known."""
+    """
+    Return the state of a running node; graph_troubles: as in streams.py, '' unless known.
+
+    motion: whether the robot stands long enough for a sample (standing), and how it moves (text);
+    session: its folder, the running tasks (working), why messages cannot be used or stops not be
+    stored (trouble), each of these '' without any, and what else was dropped or continues
+    (warnings, a list of sentences); review: why there is no answer, ''. For profiles and poses see
+    MessageCount.state, for calibration and guidance below, for the others docs/contract.md.
+    """
     session, config, attempt = live.session_copy(), live.config, live.attempt
     review, motion = live.solver.review, session.motion
     graph_trouble = graph_troubles.get('session', '')
@@ -217,7 +225,7 @@ def _stop_row(stop: Stop, session: Session, agreement: Agreement | None) -> Stat
     """
     Return one stop of the robot.
 
-    taken: whether it gave a sample; excluded: whether samples.exclude leaves it out; believed:
+    taken: whether it gave a sample; excluded: whether samples.exclude names it; believed:
     whether the fit uses it; text: its features, or why there is no sample; residual, left_out: RMS
     (m), None without a fit; translation, rotation: the flange in the base (quaternion x y z w),
     None without a sample.

@@ -19,7 +19,7 @@ from handeye_ros.bags.messages import (
     stamp_and_frame,
 )
 from handeye_ros.bags.poses import OtherJointsError, pose_topics
-from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, POSE_TYPE, TF_TYPE
+from handeye_ros.bags.storage import CLOUD_TYPE, JOINTS_TYPE, POSE_TYPE, TF_TYPE
 from handeye_ros.bags.transforms import FlangeFollower
 from handeye_ros.config import Config
 from handeye_ros.data import RawProfile, TimedPose
@@ -122,7 +122,7 @@ class Streams:
         for topic in self._topics:
             self._subscribe(topic)
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._read_until_end, name='drain', daemon=True)
+        self._thread = threading.Thread(target=self._read_until_end, name='streams', daemon=True)
         self._thread.start()
 
     def _configured_topics(self, config: Config) -> list[_Subscribed]:

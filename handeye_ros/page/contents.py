@@ -13,8 +13,8 @@ from typing import Any, TYPE_CHECKING
 
 from handeye_ros import config as configuration
 from handeye_ros import se3
-from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE
 from handeye_ros.bags.session_files import read_session, sessions_in
+from handeye_ros.bags.storage import CLOUD_TYPE, POSE_TYPE
 from handeye_ros.calibration import edges_used
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration
@@ -74,7 +74,9 @@ def page_source(node: HandeyeNode) -> PageSource:
     """Return content and actions of the page for a node."""
     actions: dict[str, Action] = {
         **{name: partial(lambda name, _: node.call_service(name), name) for name in PAGE_SERVICES},
-        'remove_last_sample': partial(_remove_last, node),
+        # number: of that which the person has seen as the last
+        'remove_last_sample': lambda values: node.call_service(
+            'remove_last_sample', values.get('number')),
         'exclude': partial(_exclude, node), 'set': partial(_set, node),
         'open': lambda values: (True, node.open_session(str(values.get('session'))))}
     queries: dict[str, Query] = {
@@ -84,26 +86,17 @@ def page_source(node: HandeyeNode) -> PageSource:
     return PageSource(lambda: contents(node.state, node.live), actions, queries)
 
 
-def _remove_last(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
-    """Remove the last sample; number: of that which the person has seen as the last."""
-    last = max((stop['number'] for stop in node.state['samples'] if stop['taken']), default=None)
-    if last and values.get('number', last) != last:
-        return False, f'the last sample is {last} now: look at it before you remove it'
-    return node.call_service('remove_last_sample')
-
-
 def _exclude(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
-    """Leave out a sample, or bring it back."""
-    number, leave_out = values.get('number'), values.get('out') is True
+    """Exclude a sample, or include it again."""
+    number, excludes = values.get('number'), values.get('excluded') is True
     known_numbers = {stop['number'] for stop in node.state['samples']}
     if type(number) is not int or number not in known_numbers:
         return False, f'there is no sample {str(number)[:20]}'
     with EXCLUDING:
         excluded = {*node.live.config.samples.exclude} - {number}
         refusal = node.set_values(
-            {'samples.exclude': sorted(excluded | ({number} if leave_out else set()))})
-    return not refusal, refusal or (
-        f'sample {number} is left out' if leave_out else f'sample {number} is back')
+            {'samples.exclude': sorted(excluded | ({number} if excludes else set()))})
+    return not refusal, refusal or f'sample {number} is {"excluded" if excludes else "included"}'
 
 
 def _set(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
@@ -120,7 +113,8 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     """
     Return the settings with their choices, and the names of the sessions by last use.
 
-    previous: of a session that has just begun, the number of samples in the session before.
+    previous: of a session that has just begun, the number of samples in the session before;
+    nominal_keys: by routine, the keys that it asks for.
     """
     live = node.live
     values = configuration.flatten(live.config)
@@ -140,7 +134,8 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
                  'choices': choices.get(key, list(parameters[key].choices))}
                 for key in PAGE_SETTINGS]
     return {'sessions': [path.name for path in sessions], 'previous': previous,
-            'settings': settings}
+            'settings': settings,
+            'nominal_keys': {name: routine.nominal_keys for name, routine in ROUTINES.items()}}
 
 
 def _file(live: LiveSession, name: str) -> tuple[str, str]:
@@ -163,7 +158,10 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
     """
     Return the content of the page as plain values.
 
-    rows: of the answer, name, value, 1 sigma and unit as in the table of `handeye solve`;
+    The state of the node (state.py), and: profile: the last one with its features, None without
+    one; scene: for the picture in space; edges: by number, which each used sample shows;
+    has_just_begun: there are few stops, perhaps of a session that a restart began; rows: of the
+    answer, name, value, 1 sigma and unit as in the table of `handeye solve`;
     verification: what is running, in words, and whether another part of it follows; verdict (pass,
     ...), title and figures of the last of this answer.
     """
@@ -214,8 +212,9 @@ def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
     Return poses (rows of T (3, 4)) in the frame of the fixed target, and the target.
 
     known: whether the poses are of the sensor, or of the flange while the sensor's is unknown;
-    view: outline of the field of view in the sensor plane; aim: the motion to the next pose; move:
-    the advice while the sensor's pose is unknown.
+    live, next: the pose of now and the proposed one; round: whether the target is a ball; view:
+    outline of the field of view in the sensor plane; aim: the motion to the next pose; move: the
+    advice while the sensor's pose is unknown.
     """
     config, advice = live.config, live.solver.review.advice
     answer = live.solver.review.answer
@@ -232,8 +231,8 @@ def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
         'known': solution is not None, 'range_sign': config.profile.range_sign,
         'round': Arc in target_for(config).required_features,
         'view': rounded(extremes(np.concatenate(view))), 'live': as_rows(pose),
-        'stations': [{'number': stop.number, 'T': as_rows(stop.sample.T_base_flange)}
-                     for stop in live.session_copy().stops if stop.sample],
+        'samples': [{'number': stop.number, 'T': as_rows(stop.sample.T_base_flange)}
+                    for stop in live.session_copy().stops if stop.sample],
         'next': as_rows(next_pose),
         'aim': None if pose is None or next_pose is None else _motion_to(pose, next_pose),
         'move': advice.move_from_first_pose and _advised_move(advice.move_from_first_pose),

@@ -16,6 +16,7 @@ from handeye_ros.data import (
     BudgetTerm,
     Calibration,
     Reject,
+    ROBOT_POSITION_ERROR,
     Sample,
 )
 from handeye_ros.frames import weakest_position
@@ -38,7 +39,7 @@ ESTIMATES = (
     ('rotation_lag', 'robot, rotation', '{} ms later than the position', 1e3, 3),
     ('clock_drift', 'clocks', '{} ms a minute apart', 60e3, 2),
     ('scale', 'lengths', 'of the robot {} times those of the sensor', 1.0, 5),
-    ('robot_position_error', 'robot, smooth error', FOUND_MM, 1e3, 4),
+    (ROBOT_POSITION_ERROR, 'robot, smooth error', FOUND_MM, 1e3, 4),
     ('tracking_position_error', 'robot, error in motion', FOUND_MM, 1e3, 4),
     ('tracking_rotation_error', 'robot, turn in motion', FOUND_DEGREES, math.degrees(1), 4),
     ('distortion_error', 'sensor, bent field', FOUND_MM, 1e3, 4),

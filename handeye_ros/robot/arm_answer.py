@@ -44,16 +44,16 @@ FILE_HEADER = """\
 class ArmAnswer:
     """The corrected arm, and the hand-eye transform that belongs to it; warnings: sentences."""
 
-    outcome: ArmSelection
+    selection: ArmSelection
     calibration: Calibration
     warnings: tuple[str, ...]
 
     @property
     def joints(self) -> list[dict[str, Any]]:
         """Return of each joint what the URDF states, and the columns by kind of error."""
-        arm, entries = self.outcome.arm, []
+        arm, entries = self.selection.arm, []
         columns = {'value': arm.error_values, 'std': np.sqrt(np.diag(arm.covariance)),
-                   'undetermined': self.outcome.undetermined}
+                   'undetermined': self.selection.undetermined}
         joint_of, column_of = np.nonzero(arm.is_estimated)
         for j, joint in enumerate(arm.joints):
             rows_of = {kind: (joint_of == j) & (ERROR_KINDS[column_of] == kind)
@@ -79,13 +79,13 @@ class ArmAnswer:
         saved = exports.save_all(calibration, folder, formats)
         write_atomically(folder / KINEMATICS_FILE,
                          FILE_HEADER.format(limit=UNDETERMINED_SHARE) + yaml_text(_content(self)))
-        write_atomically(folder / URDF_FILE, corrected_urdf(urdf, self.outcome.arm))
+        write_atomically(folder / URDF_FILE, corrected_urdf(urdf, self.selection.arm))
         return f'{saved}, {KINEMATICS_FILE}, {URDF_FILE}'
 
 
 def _content(answer: ArmAnswer) -> dict[str, Any]:
     """Return the contents of kinematics.yaml."""
-    outcome, arm, calibration = answer.outcome, answer.outcome.arm, answer.calibration
+    selection, arm, calibration = answer.selection, answer.selection.arm, answer.calibration
     return {
         'format': FORMAT, 'name': calibration.name, 'base': arm.base,
         'flange': arm.flange, 'joints': answer.joints, 'end': se3.transform_values(arm.end),
@@ -95,9 +95,9 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
             if joint.kind == REVOLUTE},
         'transform': se3.transform_values(calibration.T_flange_sensor),
         'models': [{'parameters': list(m.fit.arm.error_kinds), 'residual_rms': m.fit.residual_rms,
-                    'left_out_rms': m.left_out_rms, 'chosen': m is outcome.chosen}
-                   for m in outcome.models],
-        'robot_smooth_error': outcome.smooth_error_rms,
+                    'left_out_rms': m.left_out_rms, 'chosen': m is selection.chosen}
+                   for m in selection.models],
+        'robot_smooth_error': selection.smooth_error_rms,
         'covariance': arm.covariance.tolist(),
         'configurations': arm.configurations.round(6).tolist(),
         'provenance': {**with_origin(calibration).provenance, 'warnings': list(answer.warnings)}}
@@ -117,11 +117,10 @@ def table(answer: ArmAnswer) -> RenderableType:
             cells.append(f'{", ".join(values)} {unit}' if values else '-')
             unknown += [kind] * (min(entry['undetermined']) > UNDETERMINED_SHARE)
         joints.add_row(joint['name'], *cells, ', '.join(unknown))
-    stated, chosen = answer.outcome.models[0], answer.outcome.chosen
+    stated, chosen = answer.selection.models[0], answer.selection.chosen
     return Group(
         Text('Zero offset: add it to the reading of the joint.'), joints,
-        Text(f'model: {", ".join(answer.outcome.arm.error_kinds) or UNCHANGED_ARM}; points that '
-             'were '
-             f'left out: {stated.left_out_rms * 1e3:.2f} mm RMS before, '
+        Text(f'model: {", ".join(answer.selection.arm.error_kinds) or UNCHANGED_ARM}; points that '
+             f'were left out: {stated.left_out_rms * 1e3:.2f} mm RMS before, '
              f'{chosen.left_out_rms * 1e3:.2f} mm after; what is left of the error of the robot: '
-             f'{answer.outcome.smooth_error_rms * 1e3:.2f} mm (RMS, each axis)'))
+             f'{answer.selection.smooth_error_rms * 1e3:.2f} mm (RMS, each axis)'))

@@ -98,7 +98,7 @@ def require_enough(usable: int) -> None:
 
 
 @single_threaded
-def corrected_arm(fit: ArmFit, stop_count: int, limit: float) -> ArmSelection:
+def select_model(fit: ArmFit, stop_count: int, limit: float) -> ArmSelection:
     """
     Return the corrected arm and its hand-eye transform by the best model; raises DataError.
 
@@ -216,7 +216,7 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
 
 
 def _contradiction(fit: ArmFit, stop_count: int, limit: float) -> DataError:
-    """Return the refusal of a fit that leaves contradictions; see corrected_arm."""
+    """Return the refusal of a fit that leaves contradictions; see select_model."""
     return DataError(
         f'joint values and measured points contradict each other: the best fit, of '
         f'{fit.used.sum()} of {stop_count} configurations, leaves {mm(fit.residual_rms)}, a robot '

@@ -4,9 +4,9 @@
 The corrected arm from its data: recordings and sessions, or a table.
 
 They give samples with the joint values of their time; a table has a row for each configuration,
-with the point that the sensor measured there. Both are read (source_of, read_arm_points), give the
-hand-eye transform alone (fit_of_sources, fit_of_points), then the best model of the arm
-(corrected_arm), and the answer with its calibration (solve_sources, solve_table).
+with the point that the sensor measured there. Both are read (arm_samples_of, read_arm_points),
+give the hand-eye transform alone (fit_of_samples, fit_of_points), then the best model of the arm
+(select_model), and the answer with its calibration (solve_samples, solve_table).
 """
 from __future__ import annotations
 
@@ -17,13 +17,21 @@ from pathlib import Path
 
 from handeye_ros import pipeline, se3
 from handeye_ros.arm import Arm, PRISMATIC
-from handeye_ros.bags.bag import Recording
+from handeye_ros.bags.recording import Recording
 from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.refusals import require_certain, require_samples
 from handeye_ros.config import Config
 from handeye_ros.csv_tables import ANGLE, CsvTable, LENGTH, require_different
-from handeye_ros.data import Array, Calibration, Indices, NS, Sample, SEED
+from handeye_ros.data import (
+    Array,
+    Calibration,
+    Indices,
+    NS,
+    ROBOT_POSITION_ERROR,
+    Sample,
+    SEED,
+)
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.least_squares import robust_least_squares
 from handeye_ros.estimation.problem import Estimate, Problem
@@ -41,9 +49,9 @@ from handeye_ros.robot.estimate import (
 )
 from handeye_ros.robot.selection import (
     ArmSelection,
-    corrected_arm,
     joint_notes,
     require_enough,
+    select_model,
     UNSOLVED,
 )
 from handeye_ros.sampling.edge_shapes import with_common_edge_shape
@@ -68,7 +76,9 @@ class ArmSamples:
     """
     The samples of one target, with joint values.
 
-    samples: in the order of the stops of the problem, whose poses are those of the arm as stated
+    session: with the stops that gave none, and the frame of the profiles
+    samples: in the order of the stations of the problem
+    problem: what they show of the target, with the poses of the arm as stated
     q: (n, joints) the joint values
     inputs, warnings: the files that were read, and the warnings about them
     """
@@ -81,8 +91,8 @@ class ArmSamples:
     warnings: Sequence[str] = ()
 
 
-def source_of(session: Session, recording: Recording, arm: Arm, config: Config,
-              inputs: Sequence[dict[str, str]] = ()) -> ArmSamples:
+def arm_samples_of(session: Session, recording: Recording, arm: Arm, config: Config,
+                   inputs: Sequence[dict[str, str]] = ()) -> ArmSamples:
     """
     Return the samples of a session with the joint values of their time.
 
@@ -119,17 +129,17 @@ def _joints_at(samples: Sequence[Sample], recording: Recording, joints: Array) -
     return np.asarray(spline((np.clip(times, stamps[0], stamps[-1]) - stamps[0]) * 1e-9))
 
 
-def fit_of_sources(sources: Sequence[ArmSamples], arm: Arm) -> ArmFit:
+def fit_of_samples(parts: Sequence[ArmSamples], arm: Arm) -> ArmFit:
     """Return the hand-eye transform alone, of the stops that agree; raises DataError."""
     measured, estimates = list[ArmProfiles](), list[Estimate]()
-    for source in sources:
-        config = source.problem.config
+    for part in parts:
+        config = part.problem.config
         noise = replace(config.noise, robot_smooth=UNCORRECTED_STD)
-        agreed = robust_solution(replace(source.problem, config=replace(config, noise=noise)),
+        agreed = robust_solution(replace(part.problem, config=replace(config, noise=noise)),
                                  np.random.default_rng(SEED), subsets=True)
         # the arm's errors and a smooth one of their own stand for robot_smooth from here on
         without_smooth = replace(config, noise=replace(noise, robot_smooth=0.0))
-        measured.append(ArmProfiles(source.q[agreed.used_stations],
+        measured.append(ArmProfiles(part.q[agreed.used_stations],
                                     replace(agreed.problem, config=without_smooth)))
         estimates.append(agreed.estimate)
         apart = se3.difference(estimates[-1].X, estimates[0].X)
@@ -141,41 +151,41 @@ def fit_of_sources(sources: Sequence[ArmSamples], arm: Arm) -> ArmFit:
         arm, measured, estimates[0].X, [each.state for each in estimates], np.ones(1)).solved())
 
 
-def solve_sources(sources: Sequence[ArmSamples], arm: Arm, inputs: Sequence[dict[str, str]] = ()
+def solve_samples(parts: Sequence[ArmSamples], arm: Arm, inputs: Sequence[dict[str, str]] = ()
                   ) -> ArmAnswer:
     """
     Return the corrected arm, and the calibration that belongs to it; raises DataError.
 
-    sources: the samples of one sensor on one robot, each with another target or another position
+    parts: the samples of one sensor on one robot, each with another target or another position
     of the target; inputs: further files.
     """
     try:
-        outcome = corrected_arm(
-            fit_of_sources(sources, arm), sum(len(source.q) for source in sources),
-            sources[0].problem.config.limits.residual)
+        selection = select_model(
+            fit_of_samples(parts, arm), sum(len(part.q) for part in parts),
+            parts[0].problem.config.limits.residual)
     except DataError as error:
-        for source in sources if error.code == UNSOLVED else ():
-            require_same_clock(source.session, source.problem.config)
+        for part in parts if error.code == UNSOLVED else ():
+            require_same_clock(part.session, part.problem.config)
         raise
-    calibrations = [_calibrated(source, outcome.arm) for source in sources]
-    first, covariance = calibrations[0], outcome.covariance
+    calibrations = [_calibrated(part, selection.arm) for part in parts]
+    first, covariance = calibrations[0], selection.covariance
     if len(calibrations) == 1:
         calibration = replace(first, covariance=cover(first.covariance, covariance))
     else:
-        calibration = _combined(calibrations, outcome.chosen.fit.X @ se3.inverse(
-            T_sensor_plane(sources[0].problem.config)), covariance)
-    files = [*(file for source in sources for file in source.inputs), *inputs]
-    warnings = dict.fromkeys(warning for source in sources for warning in source.warnings)
-    return ArmAnswer(outcome, replace(calibration, provenance={
-        **calibration.provenance, 'inputs': files}), (*warnings, *outcome.notes))
+        calibration = _combined(calibrations, selection.chosen.fit.X @ se3.inverse(
+            T_sensor_plane(parts[0].problem.config)), covariance)
+    files = [*(file for part in parts for file in part.inputs), *inputs]
+    warnings = dict.fromkeys(warning for part in parts for warning in part.warnings)
+    return ArmAnswer(selection, replace(calibration, provenance={
+        **calibration.provenance, 'inputs': files}), (*warnings, *selection.notes))
 
 
-def _calibrated(source: ArmSamples, arm: Arm) -> Calibration:
+def _calibrated(part: ArmSamples, arm: Arm) -> Calibration:
     """Return the calibration with the poses of a corrected arm; raises DataError."""
     samples = [replace(sample, T_base_flange=T, trajectory=None)
-               for sample, T in zip(source.samples, arm.forward(source.q), strict=True)]
-    return pipeline.solve(samples, source.session.rejects, source.problem.config,
-                          source.session.frame_id)
+               for sample, T in zip(part.samples, arm.forward(part.q), strict=True)]
+    return pipeline.solve(samples, part.session.rejects, part.problem.config,
+                          part.session.frame_id)
 
 
 def _combined(calibrations: Sequence[Calibration], X: Array, covariance: Array) -> Calibration:
@@ -222,7 +232,7 @@ def solve_points(measured: Sequence[ArmPoints], arm: Arm, limit: float) -> ArmSe
     """Return the corrected arm; limit: the largest valid residual (m); raises DataError."""
     stop_count = sum(len(points.q) for points in measured)
     require_enough(stop_count)
-    return corrected_arm(fit_of_points(measured, arm), stop_count, limit)
+    return select_model(fit_of_points(measured, arm), stop_count, limit)
 
 
 def fit_of_points(measured: Sequence[ArmPoints], arm: Arm) -> ArmFit:
@@ -246,8 +256,8 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     inputs: path and sha256 of the files. Raises HandeyeError.
     """
     measured, rows, notes = read_arm_points(path, arm, config.in_hand)
-    outcome = solve_points(measured, arm, config.limits.residual)
-    fit, covariance = outcome.chosen.fit, outcome.covariance
+    selection = solve_points(measured, arm, config.limits.residual)
+    fit, covariance = selection.chosen.fit, selection.covariance
     config = replace(config, robot_base_frame=arm.base, robot_effector_frame=arm.flange)
     require_certain(covariance, config, 'move all joints, and bring the target to different '
                     'points of the field of view')
@@ -258,8 +268,8 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
         numbered, fit.used, fit.distances, strict=True)]
     calibration = assemble_calibration(
         config, 'kinematics', config.sensor_frame, fit.X, covariance,
-        fit.residual_rms, outcome.chosen.left_out_rms,
-        {**target, 'robot_position_error': outcome.smooth_error_rms},
+        fit.residual_rms, selection.chosen.left_out_rms,
+        {**target, ROBOT_POSITION_ERROR: selection.smooth_error_rms},
         sorted(reports, key=attrgetter('stamp')), {'inputs': list(inputs)})
-    return ArmAnswer(outcome, replace(calibration, name=config.name or calibration.method),
-                     (*notes, *outcome.notes))
+    return ArmAnswer(selection, replace(calibration, name=config.name or calibration.method),
+                     (*notes, *selection.notes))

@@ -105,7 +105,7 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> C
     # first a stiff one alone, which does not follow outliers
     for tried in (pieces[:1], pieces[:2], pieces, pieces):
         if inliers.sum() < 4:
-            raise DataError(f'the seam is seen at {count_of(int(inliers.sum()), "place")} only: '
+            raise DataError(f'{count_of(int(inliers.sum()), "point")} on a curve that needs four: '
                             'scan more densely, or a longer part of it')
         fits = (_spline_through(t[inliers], points[inliers], count) for count in tried)
         curve = min(fits, key=itemgetter(0))[1]

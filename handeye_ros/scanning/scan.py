@@ -105,7 +105,11 @@ class Scanner:
                             'returns, check range and exposure of the sensor')
 
     def points(self, profiles: Sequence[Profile], trajectory: Trajectory) -> Points:
-        """Return the points of profiles: x, y, z in `frame` (m), intensity, std (m)."""
+        """
+        Return the points of profiles: x, y, z in `frame` (m), intensity, std (m).
+
+        intensity is there if the first profile of all has it, std if asked for.
+        """
         if self._fields is None:
             optional = {'intensity': profiles[0].intensity is not None, 'std': self.options.std}
             self._fields = np.dtype([(name, '<f4') for name in (

@@ -11,11 +11,11 @@ from handeye_ros.simulate.recording import (
     simulate,
     simulate_samples,
     Simulated,
-    TrueStation,
+    TrueStop,
     Truth,
 )
 from handeye_ros.simulate.scenario import FAULTS, Scenario, SCENARIOS
 from handeye_ros.simulate.tables import FILE_SCENES, SimulatedFiles
 
 __all__ = ['FAULTS', 'FILE_SCENES', 'SCENARIOS', 'Scenario', 'Simulated', 'SimulatedFiles',
-           'TrueStation', 'Truth', 'settings', 'simulate', 'simulate_samples']
+           'TrueStop', 'Truth', 'settings', 'simulate', 'simulate_samples']

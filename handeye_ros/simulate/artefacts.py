@@ -153,7 +153,7 @@ def measuring_cell(rng: Generator) -> tuple[dict[str, Messages], dict[str, Any]]
     simulated = simulate(plate, rng)
     X, T_bar = simulated.truth.T_flange_sensor, draw_pose(rng)
     recordings = {'plate': Messages(simulated.profiles, simulated.poses)}
-    wide = changed(SCENARIOS['sphere'], 'ball', target=GAUGE_BALL, stations=(12, 0))
+    wide = changed(SCENARIOS['sphere'], 'ball', target=GAUGE_BALL, stops=(12, 0))
     for k in range(2):
         T_ball = np.eye(4)
         T_ball[0, 3] = k * BALL_BAR_LENGTH

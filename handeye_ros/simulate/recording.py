@@ -26,14 +26,14 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-START_STAMP = 1_700_000_000_000_000_000
+START_STAMP = 1_700_000_000_000_000_000  # ns
 EXPOSURE_INSTANTS = 5  # rendered per exposure
 
 
 @dataclass(frozen=True, eq=False)
-class TrueStation:
+class TrueStop:
     """
-    A station of the robot with its true values.
+    A stop of the robot with its true values.
 
     start, end: stamps of the stop (0, 0 of a sweep)
     label: the edge that the line crosses ('p', 'q', 'p2', 'q2'), or 'sphere', 'plane' or 'wedge'
@@ -65,7 +65,7 @@ class Truth:
 
     T_flange_sensor: Array
     T_base_target: Array
-    stations: tuple[TrueStation, ...]
+    stops: tuple[TrueStop, ...]
     time_offset: float | None = None
     T_corrected_sensor: Array | None = None
 
@@ -126,11 +126,11 @@ def settings(scenario: Scenario) -> dict[str, Any]:
 @dataclass(frozen=True, eq=False)
 class Cell:
     """
-    The fixed poses of a cell, and the robot's at n stations; the sensor frame is the standard one.
+    The fixed poses of a cell, and the robot's at n stops; the sensor frame is the standard one.
 
     stops: the sensor's poses in the target
     T_mount_sensor: the sensor in the flange (eye_in_hand) or in the base (eye_on_base)
-    T_world_target: the target in the base (eye_in_hand) or in the flange (eye_on_base)
+    T_fixed_target: the target in the base (eye_in_hand) or in the flange (eye_on_base)
     T_base_flange, T_base_flange_reported: (n, 4, 4), true and with the robot's errors
     T_mount_best: T_mount_sensor as it fits the reported poses best
     arm, distortion: errors of arm and sensor, if there are any
@@ -139,7 +139,7 @@ class Cell:
     scenario: Scenario
     stops: Placements
     T_mount_sensor: Array
-    T_world_target: Array
+    T_fixed_target: Array
     T_base_flange: Array
     T_base_flange_reported: Array
     T_mount_best: Array
@@ -150,7 +150,7 @@ class Cell:
         """Return the sensor's poses (n, 4, 4) in the target at flange poses (n, 4, 4)."""
         on_base = self.scenario.calibration_type == 'eye_on_base'
         T = se3.inverse(T_base_flange) if on_base else T_base_flange
-        return np.asarray(se3.inverse(self.T_world_target) @ T @ self.T_mount_sensor)
+        return np.asarray(se3.inverse(self.T_fixed_target) @ T @ self.T_mount_sensor)
 
     def truth(self, spans: NDArray[np.int64]) -> Truth:
         """Return the true values; spans (n, 2): stamps of the stops."""
@@ -160,10 +160,10 @@ class Cell:
         corrected = None
         if self.arm and self.scenario.calibration_type == 'eye_in_hand':
             corrected = self.arm.flange @ self.T_mount_sensor @ T_true_sensor
-        stations = tuple(TrueStation(*span, *of_stop) for span, *of_stop in zip(
+        stops = tuple(TrueStop(*span, *of_stop) for span, *of_stop in zip(
             spans.tolist(), self.stops.labels, self.stops.points, self.T_base_flange,
             self.T_base_flange_reported, strict=True))
-        return Truth(self.T_mount_best @ T_true_sensor, self.T_world_target, stations,
+        return Truth(self.T_mount_best @ T_true_sensor, self.T_fixed_target, stops,
                      T_corrected_sensor=corrected)
 
 
@@ -194,12 +194,12 @@ def cell_of(scenario: Scenario, stops: Placements, rng: Generator) -> Cell:
 
 
 def flange_poses(scenario: Scenario, T_target_sensor: Array, T_mount_sensor: Array,
-                 T_world_target: Array) -> Array:
+                 T_fixed_target: Array) -> Array:
     """Return T_base_flange (n, 4, 4) at poses of the sensor in the target."""
     if scenario.calibration_type == 'eye_on_base':
         return np.asarray(T_mount_sensor @ se3.inverse(T_target_sensor)
-                          @ se3.inverse(T_world_target))
-    return np.asarray(T_world_target @ T_target_sensor @ se3.inverse(T_mount_sensor))
+                          @ se3.inverse(T_fixed_target))
+    return np.asarray(T_fixed_target @ T_target_sensor @ se3.inverse(T_mount_sensor))
 
 
 def _draw_in_flange(scenario: Scenario, rng: Generator) -> Array:
@@ -271,11 +271,11 @@ def _stopping(cell: Cell, rng: Generator) -> Simulated:
     duration = stops * robot.dwell + (stops - 1) * robot.move
 
     def progress(times: Array) -> tuple[NDArray[np.int64], Array]:
-        """Return the last station (k,), and the fraction (k,) of the path to the next."""
-        station = np.minimum((times / period).astype(np.int64), stops - 1)
-        s = np.clip((times - station * period - robot.dwell) / robot.move, 0.0, 1.0)
-        s = np.where(station == stops - 1, 0.0, s)
-        return station, s**3 * (10 - 15 * s + 6 * s**2)  # smooth at start and end
+        """Return the last stop (k,), and the fraction (k,) of the path to the next."""
+        stop = np.minimum((times / period).astype(np.int64), stops - 1)
+        s = np.clip((times - stop * period - robot.dwell) / robot.move, 0.0, 1.0)
+        s = np.where(stop == stops - 1, 0.0, s)
+        return stop, s**3 * (10 - 15 * s + 6 * s**2)  # smooth at start and end
 
     times = np.arange(0.5 / sensor.rate, duration, 1 / sensor.rate)
     still = progress(times)[1] == 0
@@ -298,9 +298,9 @@ def _stopping(cell: Cell, rng: Generator) -> Simulated:
                      cell.truth(spans))
 
 
-def _between(T: Array, station: NDArray[np.int64], fraction: Array) -> Array:
-    """Return poses (k, 4, 4) at a fraction of the path from a station (of n) to the next."""
-    start, end = T[station], T[np.minimum(station + 1, len(T) - 1)]
+def _between(T: Array, stop: NDArray[np.int64], fraction: Array) -> Array:
+    """Return poses (k, 4, 4) at a fraction of the path from a stop (of n) to the next."""
+    start, end = T[stop], T[np.minimum(stop + 1, len(T) - 1)]
     R = start[:, :3, :3]
     turn = se3.log_rotation(np.swapaxes(R, 1, 2) @ end[:, :3, :3])
     t = start[:, :3, 3] + fraction[:, None] * (end[:, :3, 3] - start[:, :3, 3])
@@ -331,7 +331,7 @@ def _sweeping(cell: Cell, sweep: Sweep, rng: Generator) -> Simulated:
     begins = (np.arange(sweep.gaps) + 0.5) * (times[-1] / max(sweep.gaps, 1))
     missing = (times >= begins[:, None]) & (times < begins[:, None] + sweep.gap)
     times = times[~missing.any(axis=0)]
-    T, T_lagging = (flange_poses(scenario, path(t), cell.T_mount_sensor, cell.T_world_target)
+    T, T_lagging = (flange_poses(scenario, path(t), cell.T_mount_sensor, cell.T_fixed_target)
                     for t in (times, times - sweep.rotation_lag))
     T = se3.transform(T_lagging[:, :3, :3], T[:, :3, 3])
     error = robots.pose_error(scenario.robot, T, rng)
@@ -391,5 +391,5 @@ def simulate_samples(scenario: Scenario, rng: Generator) -> tuple[tuple[Sample, 
     truth = cell.truth(np.stack([starts, starts + int(dwell * 1e9)], axis=1))
     features = SCENES[scenario.scene].features(scenario, cell.stops, rng)
     samples = tuple(Sample(s.start, s.T_base_flange_reported, f, scenario.profiles_per_stop)
-                    for s, f in zip(truth.stations, features, strict=True))
+                    for s, f in zip(truth.stops, features, strict=True))
     return samples, truth

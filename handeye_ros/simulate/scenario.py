@@ -74,9 +74,9 @@ class SensorModel:
 @dataclass(frozen=True)
 class RobotModel:
     """
-    A robot that stops at stations; reported pose = true pose + error.
+    A robot that stops; reported pose = true pose + error.
 
-    repeatability: (translation, rotation), 1 sigma of each axis, drawn once per station
+    repeatability: (translation, rotation), 1 sigma of each axis, drawn once per stop
     systematic: (translation, rotation), RMS of the vectors of an error that varies smoothly over
         the workspace
     geometry: 1 sigma of the errors of joints and links (m, and rad of 1 m) of a six-axis arm, 0:
@@ -189,12 +189,12 @@ class Scenario:
     scene: key of scenes.SCENES
     frame: of the driver: 'standard' (x along the line, z the range), or another of sensor.FRAMES
     no_return: 'nan', 'inf', or 'omit' for points that are left out of the message
-    stations: number at edges p and q of the plate; of other targets their sum counts
+    stops: number at edges p and q of the plate; of other targets their sum counts
     motion: key of scenes.MOTIONS
     tilt: largest tilt about each sensor axis
-    shuffled: the order of the stations is random
-    bumped: number of stations whose reported pose is grossly wrong
-    wrong_edges: number of stations at an edge of the plate that is neither p nor q
+    shuffled: the order of the stops is random
+    bumped: number of stops whose reported pose is grossly wrong
+    wrong_edges: number of stops at an edge of the plate that is neither p nor q
     empty: there is no target
     convention_errors: keys of robot.CONVENTION_ERRORS, applied in order
     repeats: number of runs of the programme of stops
@@ -210,7 +210,7 @@ class Scenario:
     robot: RobotModel = field(default_factory=RobotModel)
     frame: str = 'standard'
     no_return: str = 'nan'
-    stations: tuple[int, int] = (9, 9)
+    stops: tuple[int, int] = (9, 9)
     motion: str = 'general'
     tilt: float = math.radians(30)
     shuffled: bool = True
@@ -239,7 +239,7 @@ def changed(base: Scenario, name: str, **changes: Any) -> Scenario:
 
 def one_of_each(plate: Scenario, wide: SensorModel) -> tuple[Scenario, ...]:
     """Return a scenario for each target: plate as given, sphere with a wide sensor, and others."""
-    one_group = replace(plate, stations=(14, 0))
+    one_group = replace(plate, stops=(14, 0))
     return (plate,
             replace(one_group, name='sphere', scene='sphere', target=SphereTarget(), sensor=wide,
                     tilt=math.radians(40)),
@@ -265,7 +265,7 @@ COARSE_PLATE = changed(PLATE, 'coarse', sensor=SLOW_BAG | {'columns': 256}, robo
 def swept(base: Scenario, name: str, columns: int = 640, rate: float = 50.0,
           poses: float = 250.0, **sensor: Any) -> Scenario:
     """Return a sweep over a target in place of stops, with profiles stamped 20 ms early."""
-    return changed(base, name, stations=(10, 10) if base.scene == 'plate' else (20, 0),
+    return changed(base, name, stops=(10, 10) if base.scene == 'plate' else (20, 0),
                    tilt=min(math.radians(24), base.tilt), sweep=Sweep(), robot={'rate': poses},
                    sensor={'columns': columns, 'rate': rate, 'delay': -0.02, 'rim_bias': 0.0,
                            **sensor})
@@ -274,7 +274,7 @@ def swept(base: Scenario, name: str, columns: int = 640, rate: float = 50.0,
 SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     *BASES,
     changed(WEDGE, 'groove', target={'concave': True}),
-    changed(PLATE, 'plate_5_5', stations=(5, 5)),
+    changed(PLATE, 'plate_5_5', stops=(5, 5)),
     changed(PLATE, 'plate_in_order', shuffled=False),
     # surroundings
     changed(PLATE, 'plate_in_air', target={'table': None}),
@@ -309,7 +309,7 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     changed(SPHERE, 'small_sphere', sensor=SMALL_BAG | {'columns': 640}, robot=FEW_POSES),
     changed(LINE, 'small_line', sensor=SLOW_BAG | {'columns': 640}, robot=FEW_POSES),
     changed(PLANE, 'small_plane', sensor=SLOW_BAG | {'columns': 640}, robot=FEW_POSES),
-    changed(SPHERE, 'small_arm', robot=replace(WRONG_ARM, rate=20.0), stations=(30, 0),
+    changed(SPHERE, 'small_arm', robot=replace(WRONG_ARM, rate=20.0), stops=(30, 0),
             sensor=SLOW_BAG | {'thinning': 20, 'columns': 320}),
     changed(COARSE_PLATE, 'small_one_orientation', motion='one_orientation'),
     changed(COARSE_PLATE, 'small_inverted_poses', convention_errors=('inverted',)),
@@ -375,7 +375,7 @@ FAULTS: dict[str, Scenario] = {s.name: s for s in (
       for error in (0.1, 0.2, 0.3, 1.0)),
     *each(BASELINES[1:], 'smooth 0.2 mm', robot=smooth(0.2 * MM)),
     changed(BASELINE, 'repeatability 1.3 times stated', stated=STATED_TOO_SMALL),
-    *(changed(BASELINE, f'6 poses x 4{word}', robot=error, stations=(3, 3), repeats=4)
+    *(changed(BASELINE, f'6 poses x 4{word}', robot=error, stops=(3, 3), repeats=4)
       for word, error in (('', {}), (', smooth 0.15 mm', smooth(0.15 * MM)),
                           (', joints 0.1 mm', {'geometry': 0.1 * MM}))),
     *(changed(BASELINE, f'robot scale {scale} %', robot={'scale': scale / 100})
@@ -385,9 +385,9 @@ FAULTS: dict[str, Scenario] = {s.name: s for s in (
         ('target.radius', SphereTarget().radius - wrong * MM),)) for wrong in (0.2, 0.3)),
     changed(BASELINE, 'size 0.3 mm off', wrong_edges=6, stated=(
         ('target.size', [PlateTarget().size[0] + 0.3 * MM, PlateTarget().size[1]]),)),
-    # few stations
-    changed(BASELINE, '3 + 3, one bad', stations=(3, 3), bumped=1),
-    changed(BASELINE, '4 + 3, two bad', stations=(4, 3), bumped=2),
-    changed(BASELINE, '4 + 4, one bad', stations=(4, 4), bumped=1),
+    # few stops
+    changed(BASELINE, '3 + 3, one bad', stops=(3, 3), bumped=1),
+    changed(BASELINE, '4 + 3, two bad', stops=(4, 3), bumped=2),
+    changed(BASELINE, '4 + 4, one bad', stops=(4, 4), bumped=1),
 )}
 """The cells of bench/physics.py; the first five have no fault."""

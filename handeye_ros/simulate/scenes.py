@@ -32,7 +32,7 @@ Features: TypeAlias = list[tuple[Feature, ...]]
 @dataclass(frozen=True)
 class Orientations:
     """
-    The variation of orientations between stations.
+    The variation of orientations between stops.
 
     shared: both edges are crossed with one nominal orientation, at 45 degrees to each
     axes: which tilts (about the sensor's x, y, z) vary; the others are drawn once, or are zero
@@ -58,7 +58,7 @@ MOTIONS = {
 @dataclass(frozen=True, eq=False)
 class Placements:
     """
-    Poses of the sensor at n stations.
+    Poses of the sensor at n stops.
 
     T_target_sensor: (n, 4, 4), standard sensor frame
     labels: of each the edge of the plate that is seen (p, q, p2, q2), else the name of the scene
@@ -176,9 +176,10 @@ def _lines(scenario: Scenario, start: Array, along: Array, length: Array, noise:
 # -- plate, line: a plate with edges
 
 
-# of the sensor; line along the edge's y
+# R_edge_sensor (3, 3): square to the face, the laser line along the edge frame's y, so across the
+# edge
 SENSOR_FACING = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
-END_MARGIN = 0.03  # m from the ends of an edge
+PLATE_END_MARGIN = 0.03  # m from the ends of an edge
 
 
 def edge_frames(target: PlateTarget) -> dict[str, Array]:
@@ -195,7 +196,7 @@ def edge_frames(target: PlateTarget) -> dict[str, Array]:
 def plate_stops(scenario: Scenario, rng: Generator) -> Placements:
     """Draw stops whose laser line crosses an edge inside the field of view."""
     target: PlateTarget = scenario.target
-    counts = scenario.stations
+    counts = scenario.stops
     labels = ['p'] * counts[0] + ['q'] * counts[1]
     for k in rng.permutation(len(labels))[:scenario.wrong_edges]:
         labels[k] += '2'
@@ -208,7 +209,7 @@ def plate_stops(scenario: Scenario, rng: Generator) -> Placements:
         nominal = np.array([frames[label[0]][:3, :3] for label in labels])
     edges = np.array([edge_frames(target)[label] for label in labels])
     lengths = np.array([target.size['q' in label] for label in labels])
-    along = END_MARGIN + fraction[:, 0] * (lengths - 2 * END_MARGIN)
+    along = PLATE_END_MARGIN + fraction[:, 0] * (lengths - 2 * PLATE_END_MARGIN)
     spots = edges[:, :3, 3] + edges[:, :3, 0] * along[:, None]
     groups = labels[:counts[0]], labels[counts[0]:]
     return seeing(scenario, rng, nominal @ SENSOR_FACING, spots, lift(points), groups)
@@ -251,7 +252,7 @@ def plate_solids(scenario: Scenario) -> tuple[Solid, ...]:
 def plane_stops(scenario: Scenario, rng: Generator) -> Placements:
     """Draw stops with the sensor aimed at the middle third of the plate."""
     target: PlateTarget = scenario.target
-    n = sum(scenario.stations)
+    n = sum(scenario.stops)
     third = (1 / 3, 2 / 3)
     in_face, points = np.split(_places(scenario, rng, n, 0.3, 0.3, third, third), [2], axis=1)
     spots = np.column_stack([in_face * target.size, np.zeros(n)])
@@ -271,7 +272,7 @@ def plane_features(scenario: Scenario, stops: Placements, rng: Generator) -> Fea
 # -- wedge
 
 
-MARGIN = 0.02  # from the ends of the edge (m)
+WEDGE_END_MARGIN = 0.02  # from the ends of the edge (m)
 WALL_THICKNESS = 0.02  # thickness of the legs of an angle (m)
 
 
@@ -285,9 +286,9 @@ def facing(target: WedgeTarget) -> Array:
 def wedge_stops(scenario: Scenario, rng: Generator) -> Placements:
     """Draw stops whose laser line crosses the edge in the middle half of the field of view."""
     target: WedgeTarget = scenario.target
-    n = sum(scenario.stations)
-    along, points = np.split(_places(
-        scenario, rng, n, 0.35, 0.3, (MARGIN, target.length - MARGIN)), [1], axis=1)
+    n = sum(scenario.stops)
+    ends = WEDGE_END_MARGIN, target.length - WEDGE_END_MARGIN
+    along, points = np.split(_places(scenario, rng, n, 0.35, 0.3, ends), [1], axis=1)
     spots = np.column_stack([along, np.zeros((n, 2))])
     return seeing(scenario, rng, facing(target), spots, lift(points), [['wedge'] * n])
 
@@ -326,7 +327,7 @@ ARC_POINTS = 12  # mean points that represent an arc
 def sphere_stops(scenario: Scenario, rng: Generator) -> Placements:
     """Draw stops whose laser plane cuts the ball within 0.6 radii of its centre."""
     target: SphereTarget = scenario.target
-    n = sum(scenario.stations)
+    n = sum(scenario.stops)
     radius, (near, far) = target.radius, scenario.sensor.range
     margin = 0.45 * scenario.sensor.half_width * near
     low = np.array([-margin, -0.6 * radius, near + 0.12 * (far - near)])
@@ -407,7 +408,7 @@ MANY_STOPS = 100  # stops at each edge
 
 def many_stops(scenario: Scenario) -> Placements:
     """Return many stops drawn like the scenario's own."""
-    first, second = scenario.stations
+    first, second = scenario.stops
     enlarged = replace(scenario, wrong_edges=0,
-                       stations=(MANY_STOPS * (first > 0), MANY_STOPS * (second > 0)))
+                       stops=(MANY_STOPS * (first > 0), MANY_STOPS * (second > 0)))
     return SCENES[scenario.scene].stops(enlarged, np.random.default_rng(0))

@@ -35,7 +35,7 @@ from handeye_ros.estimation.least_squares import (
     Rows,
 )
 from handeye_ros.frames import mount_frame, mount_poses
-from handeye_ros.published.cn105021139a import solve_motions
+from handeye_ros.published.wang2015 import solve_motions
 from handeye_ros.results.file_values import input_provenance
 from handeye_ros.tabulated.problem import Misreading, TableAnswer, TableProblem
 import numpy as np

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple, Self
 
 from handeye_ros import se3
-from handeye_ros.bags.bag import read as read_bag
+from handeye_ros.bags.recording import read as read_bag
 from handeye_ros.calibration import rms_by
 from handeye_ros.config import Config
 from handeye_ros.csv_tables import CsvTable, LENGTH, TableError
@@ -42,7 +42,9 @@ import numpy as np
 MIN_POINTS = {'arc': 6, 'line': 3, 'face_c': 3, 'face_d': 3, 'ball': 1}  # points in the file
 SWEPT_PARTS = ('swept_ball', 'swept_face_c', 'swept_face_d')
 PARTS = ('arc', 'line', 'face_c', 'face_d', *SWEPT_PARTS)  # the ball counts by its mean alone
-UNKNOWNS = 28  # number of unknowns in the fits to the points of these parts
+# number of unknowns in the fits to the points of these parts: circle of the arc, line, swept ball
+# with the way of the sweep, two planes, and the transform
+UNKNOWNS = 6 + 4 + 6 + 2 * 3 + 6
 MIN_FORWARD_SHARE = 0.9  # of the way along arc and line
 MAX_TURN = 0.35  # largest angle between the sweep (by the ball) and the line (rad)
 MAX_PART_RMS, MAX_ROW_RMS = 3.0, 10.0  # sigmas of the points of a part, of a row
@@ -157,11 +159,11 @@ class TrackerProblem(TableProblem):
         residuals = rms_by(np.repeat(np.arange(len(counts)), counts),
                            np.concatenate([distances[part] for part in PARTS]), len(counts))
         self.require_agreement(distances, residuals)
-        residual_rms, point_count = rms(residuals), sum(map(len, self.readings.parts.values()))
+        residual_rms = rms(residuals)
         return TableAnswer(
             answer.T_flange_sensor, self.covariance(answer.T_flange_sensor, distances),
             np.ones(len(residuals), dtype=bool), residuals, residual_rms,
-            residual_rms / (1 - UNKNOWNS / point_count),  # generalised cross-validation
+            residual_rms / (1 - UNKNOWNS / sum(counts)),  # generalised cross-validation
             target={'radius': answer.radius, 'face_angle': float(answer.angles[0])})
 
     def require_agreement(self, distances: Mapping[str, Array], residuals: Array) -> None:

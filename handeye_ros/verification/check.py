@@ -34,6 +34,7 @@ from handeye_ros.data import (
     Indices,
     Reject,
     rms,
+    ROBOT_POSITION_ERROR,
     Sample,
     TimedPose,
 )
@@ -70,6 +71,7 @@ MIN_EVIDENCE = 100.0
 SURE_CHANGE_SIGMAS = 4.0  # sigmas of a change of the time offset
 MIN_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
 MOVE_SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
+TYPICAL_SCALE = 1e-3  # m, one of these
 MOVE_TURN_LENGTH = 0.1  # m: a scale over it is that of a turn
 MAX_ITERATIONS = 6
 MAX_LOST_SHARE = 0.2  # of the stations: with edges far from those of the target
@@ -78,6 +80,7 @@ MAX_OF_SWEEP = 30  # samples of a sweep: neighbours share the errors of the robo
 UNSEEN_SHIFT = 0.01  # m: a shift that would show only from here on is called unseen
 NO_MOVE = np.zeros(6)
 MOVABLE = 'target', 'sensor'
+CAUSES = *MOVABLE, 'robot'
 MOVE_KEYS = {'shift': 'moved', 'turn': 'turned', 'smallest_shifts': 'shows', 'axes': 'axes'}
 ROBOT_CHANGED = ('the poses of the robot err otherwise than before (mastering, a joint, wear), '
                  'or repeat worse than noise.robot_* says: check the robot before the sensor')
@@ -116,7 +119,8 @@ class Check:
     odds: probability of each cause if something changed
     points_off: the largest error of points if the sensor is the cause, and its std (m)
     rms: RMS of the residuals (m)
-    left_out: numbers of the stops, of a sweep of the passes, with what contradicts the others
+    contradicting: numbers of the stops, of a sweep of the passes, with what contradicts the others
+        and is not used
     time_offset_changed: change of the time offset of a sweep, and its 1 sigma (s)
     stamps: of all samples (ns); they are written to no file
     """
@@ -132,7 +136,7 @@ class Check:
     sensor: Move
     points_off: float
     points_off_std: float
-    left_out: list[int]
+    contradicting: list[int]
     time_offset_changed: float = math.nan
     time_offset_changed_std: float = math.nan
     stamps: Sequence[int] = ()
@@ -187,55 +191,61 @@ def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Rej
         return GroupFit(prediction, prediction.residuals, np.hstack([prediction.errors, *moves]),
                         stops[station])
 
-    prediction, _, contradicting = fit_without_outliers(
+    prediction, _, dropped = fit_without_outliers(
         np.unique(problem.observations.station), compared_at)
 
     target, sensor = (_cause_of(prediction, name) for name in MOVABLE)
-    sentences = {'target': target.sentence, 'sensor': sensor.sentence, 'robot': ROBOT_CHANGED}
     log_likelihoods = [target.log_likelihood, sensor.log_likelihood,
                        _robot_log_likelihood(prediction)]
     log_evidence = _log_mean(log_likelihoods) - _log_likelihood(
         prediction.residuals, prediction.errors)
-    odds = dict(zip(sentences, softmax(log_likelihoods).tolist(), strict=True))
-
-    if log_evidence < math.log(MIN_EVIDENCE):
-        verdict, sentence = 'unchanged', (
+    odds = dict(zip(CAUSES, softmax(log_likelihoods).tolist(), strict=True))
+    off = rms(prediction.linear.residuals)
+    verdict, sentence = (
+        _verdict_of_change(target, sensor, odds, off) if log_evidence >= math.log(MIN_EVIDENCE)
+        else ('unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
             f'have shown from {_shifts_in_words(target.move, target_frame(config))} on, one of '
-            f'the sensor from {_shifts_in_words(sensor.move, mount_frame(config))} on')
-    else:
-        verdict, sentence = _verdict_and_sentence(sentences, odds)
-        if 'robot' in verdict and (off := rms(prediction.linear.residuals)) > MOVE_SCALES[-1]:
-            raise DataError(
-                f'this recording is off by {mm(off)} RMS from what the calibration has, which '
-                'neither a small move nor an error of the robot explains: check that the '
-                'calibration is of this sensor, robot and target, and that the target still '
-                'stands there; if it does not, calibrate again', code='other_cell')
+            f'the sensor from {_shifts_in_words(sensor.move, mount_frame(config))} on')))
 
-    stamps = pass_stamps or sorted([*(sample.stamp for sample in samples),
-                                    *(reject.stamp for reject in rejects)])
-    left_out = sorted({bisect_right(stamps, samples[k].stamp) for k in contradicting})
-    if left_out:
+    contradicting = _contradicting_numbers([samples[k].stamp for k in dropped], pass_stamps or [
+        *(sample.stamp for sample in samples), *(reject.stamp for reject in rejects)])
+    if contradicting:
         what = 'profiles of the passes' if pass_stamps else 'stops'
-        sentence += f'. Left out, as they contradict the others: {what} {left_out}'
-
+        sentence += f'. Left out, as they contradict the others: {what} {contradicting}'
     return Check(
-        samples[0].stamp, verdict, sentence, len(prediction.linear.problem.poses),
-        rms(prediction.linear.residuals), math.exp(min(log_evidence, 700.0)), odds, target.move,
-        sensor.move, sensor.displacement, sensor.std, left_out,
-        stamps=[sample.stamp for sample in samples])
+        samples[0].stamp, verdict, sentence, len(prediction.linear.problem.poses), off,
+        math.exp(min(log_evidence, 700.0)), odds, target.move, sensor.move, sensor.displacement,
+        sensor.std, contradicting, stamps=[sample.stamp for sample in samples])
 
 
-def _verdict_and_sentence(sentences: Mapping[str, str], odds: Mapping[str, float]
-                          ) -> tuple[str, str]:
+def _contradicting_numbers(dropped: Iterable[int], stamps: Iterable[int]) -> list[int]:
+    """
+    Return the numbers of the stops or passes that hold what was dropped.
+
+    dropped: its stamps; stamps: those of all stops or passes (ns).
+    """
+    in_order = sorted(stamps)
+    return sorted({bisect_right(in_order, stamp) for stamp in dropped})
+
+
+def _verdict_of_change(target: _Cause, sensor: _Cause, odds: Mapping[str, float], off: float
+                       ) -> tuple[str, str]:
     """
     Return the fewest causes that are together as probable as NAMED_FROM, and what follows.
 
-    sentences: what follows from each cause.
+    off: RMS of the residuals (m); raises DataError where they are of another cell.
     """
+    sentences = dict(zip(CAUSES, (target.sentence, sensor.sentence, ROBOT_CHANGED), strict=True))
     ranked = sorted(odds, key=odds.__getitem__, reverse=True)
     probability = np.cumsum([odds[name] for name in ranked])
     named = ranked[:int(np.searchsorted(probability, NAMED_FROM)) + 1]
+    if 'robot' in named and off > MOVE_SCALES[-1]:
+        raise DataError(
+            f'this recording is off by {mm(off)} RMS from what the calibration has, which '
+            'neither a small move nor an error of the robot explains: check that the '
+            'calibration is of this sensor, robot and target, and that the target still '
+            'stands there; if it does not, calibrate again', code='other_cell')
     sentence = '; or '.join(sentences[name] for name in named)
     if len(named) > 1:
         text = ', '.join(f'{name} {odds[name]:.0%}' for name in named)
@@ -282,7 +292,7 @@ class CalibratedCell(NamedTuple):
                 f'this version, as one of {", ".join(TARGETS)}, or measure a known object with '
                 '"handeye verify"') from error
         noise = replace(
-            configured, robot_smooth=found.get('robot_position_error', 0.0),
+            configured, robot_smooth=found.get(ROBOT_POSITION_ERROR, 0.0),
             distortion=found.get('distortion_error', configured.distortion),
             flatness=found.get('flatness_error', configured.flatness),
             line_bend=found.get(LINE_BEND, configured.line_bend))
@@ -462,9 +472,11 @@ def _smallest_shifts(prediction: _Prediction, name: str) -> tuple[list[float], l
     _, D, _ = prediction.undoing(name)
     A = prediction.errors  # a move that they explain as well does not show
     information = D.T @ (D - A @ np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T @ D))
-    occam = np.linalg.slogdet(np.eye(6) + information * _move_sigmas(1e-3) ** 2)[1]
-    # of the shift for the evidence, which takes several causes and scales; and with 95 %
-    sigmas = np.sqrt(2 * np.log(3 * len(MOVE_SCALES) * MIN_EVIDENCE) + occam) + ONE_SIDED_95
+    occam = np.linalg.slogdet(np.eye(6) + information * _move_sigmas(TYPICAL_SCALE) ** 2)[1]
+    # sigmas of a shift whose evidence reaches MIN_EVIDENCE after averaging over all causes and
+    # scales, of which one explains it; and so that it is found in 95 % of the cases
+    sigmas = ONE_SIDED_95 + np.sqrt(
+        2 * np.log(len(CAUSES) * len(MOVE_SCALES) * MIN_EVIDENCE) + occam)
     values, axes = np.linalg.eigh(information[:3, :3])
     sizes = (sigmas / np.sqrt(np.maximum(values, 1e-300)))[::-1]
     return np.where(sizes < UNSEEN_SHIFT, sizes, np.nan).tolist(), axes.T[::-1].tolist()
@@ -498,6 +510,7 @@ def plain_values(checks: Sequence[tuple[str, Check]], against: str) -> dict[str,
     contents = [{'input': recording, **asdict(result)} for recording, result in checks]
     for content in contents:
         del content['stamps']
+        content['left_out'] = content.pop('contradicting')
     for content, name in product(contents, MOVABLE):
         content |= {f'{name}_{MOVE_KEYS[key]}': value for key, value in content.pop(name).items()}
     return {'format': FORMAT, 'against': against, 'checks': contents}

@@ -65,11 +65,12 @@ MAX_SHIFT = 0.1  # m: no calibration error is larger
 ERROR_PRIOR_STDS = np.repeat([0.01, 0.1], 3)  # m, rad: of a calibration in use
 UNSEEN_CHANGE = 1e-6  # change of a value that no distance shows, per unit of an unknown
 MIN_STATIONS = 4  # of a recording
-FREE_STD = 1e6  # 1 sigma of an unknown that may have any value, beside that by which it shows
-# share of the others in what a group nearly determines alone: extrapolated
+# 1 sigma of an unknown without a prior, in units of the sigma by which the residuals show it
+FREE_STD = 1e6
+# a direction whose share left to the others is below this is determined by the group alone
 LEFT_BY_OTHERS_SHARE = 1e-3
-# without what differs of the distortion
-NOISE = NoiseModel(np.where(np.arange(5) == LOCAL_DISTORTION_INDEX, 0.0, 1.0))
+# noise.distortion is here, and of faces alone, what makes steep ones uncertain (`_covariance`)
+WITHOUT_LOCAL_DISTORTION = NoiseModel(np.where(np.arange(5) == LOCAL_DISTORTION_INDEX, 0.0, 1.0))
 MAX_OUTLIER_SHARE = 0.2  # of the groups: more are no outliers, but a disagreement
 
 Result = TypeVar('Result')
@@ -380,7 +381,7 @@ def _calibration_error(A: Array, b: Array, conditions: int, linear: Linearisatio
 
 def _covariance(linear: Linearisation, group: StationGroup) -> Array:
     """Return the covariance (stations, c, c) of noise and range errors of steep faces."""
-    total = total_covariance(linear, group, NOISE)
+    total = total_covariance(linear, group, WITHOUT_LOCAL_DISTORTION)
     for block in grazing(linear):
         columns = block.columns[group.rows] * block.largest_variance ** 0.5
         total += columns @ np.swapaxes(columns, 1, 2)
@@ -421,7 +422,9 @@ def _measured(shape: Shape, q: Array, J: Array, gain: Array, E: Array, calibrati
     is_length = np.array([quantity.unit == 'm' for quantity in shape.quantities])
     covariance[known, known] += is_length[known] * (certificate / COVERAGE_FACTOR) ** 2
     deviation, block = (values - nominal)[known], np.ix_(known, known)
-    whiten = np.linalg.inv(np.linalg.cholesky(covariance[block]))  # the smooth error is an error
+    # by sensor and single poses alone: the smooth error is one of e, whose derivatives are
+    # returned too
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance[block]))
     covariance += by_smooth @ by_smooth.T
     total = (covariance + by_calibration)[block]
     chi2 = float(deviation @ np.linalg.solve(total, deviation))

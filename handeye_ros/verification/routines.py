@@ -64,6 +64,7 @@ def planes(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
     recording = stations.recording_of_point
     blocks = count - len(artefact.lengths)
     block, face = np.divmod(np.arange(count), count // blocks)  # of each recording
+    is_square = count == blocks == 2  # two blocks of one face, without a height between them
     middles = np.array([p[recording == k].mean(axis=0) for k in range(count)])
     centred = p - middles[recording]
     sensors, frames = (stations.problem.poses @ X)[:, :3, 3], np.empty((blocks, 3, 3))
@@ -86,7 +87,7 @@ def planes(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
 
     def values(q: Array) -> Array:
         normals, heights = normals_and_heights(q)
-        if count == blocks == 2:
+        if is_square:
             across, along = np.linalg.norm(np.cross(*normals)), -(normals[0] @ normals[1])
             return np.array([np.arctan2(across, along)])
         in_base = (middles * normals).sum(axis=1) + heights
@@ -96,7 +97,7 @@ def planes(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
         Quantity(f'height of face {f} over face 0' + (f' of block {b + 1}' if blocks > 1 else ''),
                  nominal=length, characteristic='E')
         for b, f, length in zip(block[face > 0], face[face > 0], artefact.lengths, strict=True))
-    if count == blocks == 2:
+    if is_square:
         quantities = (Quantity('angle between the faces', nominal=np.pi / 2, unit='rad'),)
     return Shape(stations, np.zeros(2 * blocks + count), distance, values, quantities)
 
@@ -142,6 +143,7 @@ class Routine:
     form_symbol: the symbol of this scatter as a characteristic, see result_file.py
     edge_distances: into how many distances an edge point counts, two from a line or three from a
         point; 0: the points count as in a calibration
+    nominal_keys: the keys of the nominal values that the page asks for
     """
 
     name: str
@@ -152,6 +154,7 @@ class Routine:
     form_name: str = ''
     form_symbol: str = ''
     edge_distances: int = 0
+    nominal_keys: Sequence[str] = ()
 
     @property
     def in_passes(self) -> bool:
@@ -203,14 +206,16 @@ ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (
     Routine('plane', 'distances of points from a flat face', 'plane', {0: [1]}, planes,
             'flatness of face', 'F'),
     Routine('point', 'one point seen from everywhere: scatter, and bias of a touched one', 'line',
-            {0: [1]}, point, '3 sigma of the points along', edge_distances=3),
-    Routine('sphere', 'radius of a ball', 'sphere', {0: [1]}, spheres, 'form error of ball', 'PF'),
+            {0: [1]}, point, '3 sigma of the points along', edge_distances=3,
+            nominal_keys=['verify.reference']),
+    Routine('sphere', 'radius of a ball', 'sphere', {0: [1]}, spheres, 'form error of ball', 'PF',
+            nominal_keys=['verify.radius']),
     Routine('ball_bar', 'distance of two balls', 'sphere', {1: [2]}, spheres,
-            'form error of ball', 'PF'),
+            'form error of ball', 'PF', nominal_keys=['verify.radius', 'verify.lengths']),
     Routine('step', 'heights of parallel faces over the first, of one block to three', 'plane',
             # a block has one face more than heights
             {n: [n + blocks for blocks in (1, 2, 3) if n % blocks == 0 and n + blocks <= 12]
-             for n in range(1, 12)}, planes),
+             for n in range(1, 12)}, planes, nominal_keys=['verify.lengths']),
     Routine('square', 'angle between two faces, and their flatness', 'plane', {0: [2]},
             planes, 'flatness of face', 'F'),
     Routine('tooth', 'pitch and height of a tooth gauge, scanned in passes', '',

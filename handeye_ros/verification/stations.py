@@ -43,8 +43,10 @@ import numpy as np
 
 SWEEP_SAMPLES = 60  # samples of a sweep
 KNOWN_OFFSET_STD = 1e-3  # s: a time offset stated less exactly is none
-SAME_SURFACE_DISTANCE = 1.5e-3  # m: pieces this near to a plane are one surface, or
-FAR_RATIO = 4.0  # times the median distance of the stops' nearest pieces: the calibration is wrong
+SAME_SURFACE_DISTANCE = 1.5e-3  # m: pieces this near to a plane are one surface,
+# or within so many times the median distance of the nearest pieces: a wrong calibration spreads
+# them
+FAR_RATIO = 4.0
 MIN_SEEN_SHARE = 0.5  # of the stops must see the nearest surface
 TRIAL_COUNT = 300  # pairs of features that define a trial point, line or plane
 PASS_PROFILES, POINTS_OF_PROFILE = 12, 80  # of a pass that are used, and of each of them

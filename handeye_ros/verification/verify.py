@@ -15,7 +15,7 @@ import math
 
 from handeye_ros import output
 from handeye_ros.config import Config, VerifyConfig
-from handeye_ros.data import Calibration, Reject, Sample
+from handeye_ros.data import Calibration, Reject, ROBOT_POSITION_ERROR, Sample
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.least_squares import FALSE_ALARM
 from handeye_ros.frames import T_sensor_plane
@@ -125,7 +125,7 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
         raise InputError('two recordings hold the same stops: give one recording of each face, '
                          'ball or pass')
     X = calibration.T_flange_sensor @ T_sensor_plane(config)
-    smooth_std = float(calibration.target.get('robot_position_error', 0.0))
+    smooth_std = float(calibration.target.get(ROBOT_POSITION_ERROR, 0.0))
     (shape, fit), p, dropped = fit_without_outliers(
         np.unique(stations.group_of_point), lambda groups: fit_shape(
             routine.shape(stations.of_groups(groups), X, artefact), X,

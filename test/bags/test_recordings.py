@@ -9,9 +9,10 @@ from pathlib import Path
 import shutil
 import sqlite3
 
+from handeye_ros import read_bag
 from handeye_ros.arm import arm_of
-from handeye_ros.bags import bag, bag_write
-from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, RecordedMessage, TF_TYPE
+from handeye_ros.bags import writer
+from handeye_ros.bags.storage import CLOUD_TYPE, JOINTS_TYPE, RecordedMessage, TF_TYPE
 from handeye_ros.config import Config, ProfileConfig
 from handeye_ros.errors import DataError, InputError, UnwritableError
 from handeye_ros.results.truth import true_transform
@@ -58,12 +59,12 @@ SECOND = 10**9
 
 def refused(words, path, config=CONFIG, kind=InputError):
     with pytest.raises(kind, match=words):
-        bag.read(path, config)
+        read_bag(path, config)
 
 
 def read_whole(path):
     """Return a recording of which nothing is lost or changed, and nothing told."""
-    recording = bag.read(path, CONFIG)
+    recording = read_bag(path, CONFIG)
     assert_equal_recordings(recording)
     assert not recording.warnings
     return recording
@@ -92,7 +93,7 @@ def test_a_split_bag_is_read_and_so_is_one_with_a_file_missing(good_bag, tmp_pat
     target = split(good_bag, tmp_path / 'split')
     assert len(read_whole(target).inputs) == 11
     (target / 'split_4.mcap').unlink()
-    recording = bag.read(target, CONFIG)
+    recording = read_bag(target, CONFIG)
     assert len(recording.profiles) < len(PROFILES) and not recording.warnings
 
 
@@ -104,7 +105,7 @@ def test_the_bags_beside_the_code_hold_what_they_were_made_from(name):
                  else simulate(SCENARIOS[scenario], rng))
     T_true = simulated.T_flange_sensor if name == 'tracker' else simulated.truth.T_flange_sensor
     assert np.allclose(true_transform(BAGS / name), T_true, atol=1e-9)
-    recording = bag.read(BAGS / name, Config())
+    recording = read_bag(BAGS / name, Config())
     assert not recording.warnings
     for raw, expected in zip(recording.profiles, simulated.profiles, strict=True):
         stored, points = raw.read(), expected.points
@@ -130,7 +131,7 @@ def test_a_cut_mcap_gives_what_lies_before_the_cut(good_bag, tmp_path, layout, s
     file = rewrite(good_bag, tmp_path / 'cut.mcap', **options)
     whole = file.read_bytes()
     file.write_bytes(whole[:int(share * len(whole))])
-    recording = bag.read(file, CONFIG)
+    recording = read_bag(file, CONFIG)
     n, m = len(recording.profiles), len(recording.poses)
     assert_equal_recordings(recording, PROFILES[:n], POSES[:m])
     # all whole chunks before the cut, of up to five profiles
@@ -145,7 +146,7 @@ def test_a_damaged_chunk_is_left_out(good_bag, tmp_path, index=15):
                if (r.topic, r.log_time) == ('/profile', PROFILES[index].stamp))
     data[data.index(raw.data) + 1000] ^= 0xff
     file.write_bytes(data)
-    recording = bag.read(file, CONFIG)
+    recording = read_bag(file, CONFIG)
     assert 0 < len(PROFILES) - len(recording.profiles) <= 2
     assert PROFILES[index].stamp not in [p.stamp for p in recording.profiles]
     warning, = recording.warnings
@@ -165,7 +166,7 @@ def test_an_empty_chunk_is_no_damage(good_bag, tmp_path):
 
 def test_a_file_that_changes_after_it_was_read_is_told(good_bag, tmp_path):
     file = rewrite(good_bag, tmp_path / 'x.mcap')
-    recording = bag.read(file, CONFIG)
+    recording = read_bag(file, CONFIG)
     file.write_bytes(file.read_bytes()[:100])
     with pytest.raises(InputError, match='none of the 30 profiles .* can be used'):
         list(recording.profiles_of_returns())
@@ -174,15 +175,15 @@ def test_a_file_that_changes_after_it_was_read_is_told(good_bag, tmp_path):
 def test_another_recording_at_the_same_place_is_read_anew(tmp_path):
     for factor in (1.0, 2.0):
         profiles = [replace(p, points=p.points * factor) for p in PROFILES]
-        bag_write.write(tmp_path / 'bag', profiles, POSES, force=True)
-        assert_equal_recordings(bag.read(tmp_path / 'bag', CONFIG), profiles)
+        writer.write(tmp_path / 'bag', profiles, POSES, force=True)
+        assert_equal_recordings(read_bag(tmp_path / 'bag', CONFIG), profiles)
 
 
 @pytest.fixture(scope='module')
 def small(tmp_path_factory):
     """Return a folder of short recordings in all layouts."""
     folder = tmp_path_factory.mktemp('small')
-    bag_write.write(folder / 'good', PROFILES[:4], POSES[:8])
+    writer.write(folder / 'good', PROFILES[:4], POSES[:8])
     for layout, options in LAYOUTS_OF_MCAP.items():
         rewrite(folder / 'good', folder / layout, **options)
     return folder
@@ -203,7 +204,7 @@ def test_damage_anywhere_is_an_input_error_or_a_part_of_the_truth(
     file = small / 'damaged.mcap'
     file.write_bytes(content[:start + rest % (len(content) - start + 1)])
     try:
-        recording = bag.read(file, CONFIG)
+        recording = read_bag(file, CONFIG)
     except (InputError, DataError) as error:
         assert str(error)
     else:
@@ -226,7 +227,7 @@ def test_a_db3_of_a_killed_recorder_is_read_with_its_write_ahead_log(good_bag, t
         killed = tmp_path / 'killed'
         shutil.copytree(file.parent, killed)
     files = {path: path.read_bytes() for path in killed.iterdir() if path.suffix != '.db3-shm'}
-    assert len(bag.read(killed / 'copy.db3', CONFIG).poses) == 2 * len(POSES)
+    assert len(read_bag(killed / 'copy.db3', CONFIG).poses) == 2 * len(POSES)
     assert all(path.read_bytes() == content for path, content in files.items())
 
 
@@ -281,7 +282,7 @@ def test_slight_disorder_is_sorted(good_bag, tmp_path):
     order = np.arange(len(POSES)).reshape(-1, 2)[:, ::-1].ravel()
     stamps = {POSES[i].stamp: POSES[j].stamp for i, j in enumerate(order)}
     file = restamped_bag(good_bag, tmp_path, ['/flange_pose'], stamps.__getitem__)
-    assert [p.stamp for p in bag.read(file, CONFIG).poses] == [p.stamp for p in POSES]
+    assert [p.stamp for p in read_bag(file, CONFIG).poses] == [p.stamp for p in POSES]
 
 
 def test_two_runs_of_one_clock_one_after_the_other_are_refused(good_bag, tmp_path):
@@ -308,7 +309,7 @@ def test_a_few_wild_stamps_are_dropped_and_reported(good_bag, tmp_path, topic, w
     items = PROFILES if topic == '/profile' else POSES
     stamps = {item.stamp: item.stamp for item in items}
     stamps |= {items[i].stamp: wild + i for i in places}
-    recording = bag.read(restamped_bag(good_bag, tmp_path, [topic], stamps.__getitem__), CONFIG)
+    recording = read_bag(restamped_bag(good_bag, tmp_path, [topic], stamps.__getitem__), CONFIG)
     kept_messages = recording.profiles if topic == '/profile' else recording.poses
     inside = {p.stamp for p in kept_messages} - {wild + i for i in places}
     assert inside == {item.stamp for i, item in enumerate(items) if i not in places}
@@ -324,7 +325,7 @@ def test_missing_stamps_are_told_and_clocks_that_share_no_time_refused(good_bag,
     first = PROFILES[0].stamp
     for count, stamp_of in ((30, lambda _: 0), (1, lambda t: 0 if t == first else t)):
         (tmp_path / str(count)).mkdir()
-        recording = bag.read(restamped_bag(good_bag, tmp_path / str(count), ['/profile'],
+        recording = read_bag(restamped_bag(good_bag, tmp_path / str(count), ['/profile'],
                                            stamp_of), CONFIG)
         assert_equal_recordings(recording)
         assert f'{count} messages on /profile have no stamps' in recording.warnings[0]
@@ -356,12 +357,12 @@ def test_messages_that_cannot_be_used_are_counted_and_left_out(good_bag, tmp_pat
         third = raw.topic == '/profile' and raw.log_time == PROFILES[3].stamp
         return raw._replace(data=raw.data[:len(raw.data) // 2]) if third else raw
 
-    recording = bag.read(with_messages(good_bag, tmp_path, cut), CONFIG)
+    recording = read_bag(with_messages(good_bag, tmp_path, cut), CONFIG)
     assert_equal_recordings(recording, PROFILES[:3] + PROFILES[4:])
     assert recording.warnings[0].startswith(
         f'1 of {len(PROFILES)} messages on /profile were left out; the first: ')
     far = [replace(p, points=p.points * 1e3) if i in (5, 6) else p for i, p in enumerate(PROFILES)]
-    recording = bag.read(written(tmp_path, name='far', profiles=far), CONFIG)
+    recording = read_bag(written(tmp_path, name='far', profiles=far), CONFIG)
     assert [p.stamp for p in recording.profiles_of_returns()] == [
         p.stamp for p in PROFILES[:5] + PROFILES[7:]]
     assert recording.warnings[0].startswith(
@@ -380,19 +381,19 @@ def test_messages_that_cannot_be_used_are_counted_and_left_out(good_bag, tmp_pat
 
 def test_joint_states_of_another_device_are_no_fault_beside_those_of_the_arm(tmp_path):
     pytest.importorskip('pinocchio', reason='needs pinocchio')
-    bag_write.write(tmp_path / 'bag', PROFILES, (),
-                    joints=[(profile.stamp, np.zeros(6)) for profile in PROFILES])
+    writer.write(tmp_path / 'bag', PROFILES, (),
+                 joints=[(profile.stamp, np.zeros(6)) for profile in PROFILES])
     (_, messages), arm = scan(tmp_path / 'bag'), arm_of(robot.URDF)
     assert [raw.log_time for raw in messages] == sorted(raw.log_time for raw in messages)
-    data = bag_write.to_cdr(new(JOINTS_TYPE, header(START, ''), ['gripper'], np.zeros(1),
-                                np.zeros(0), np.zeros(0)))
+    data = writer.to_cdr(new(JOINTS_TYPE, header(START, ''), ['gripper'], np.zeros(1),
+                             np.zeros(0), np.zeros(0)))
     clouds = [raw for raw in messages if raw.message_type == CLOUD_TYPE]
     others = [raw._replace(data=data) for raw in messages if raw not in clouds]
-    both = bag.read(rewrite(tmp_path / 'bag', tmp_path / 'both.mcap',
+    both = read_bag(rewrite(tmp_path / 'bag', tmp_path / 'both.mcap',
                             [*messages, *others, *others]), CONFIG, arm=arm)
     assert (len(both.poses), both.warnings) == (len(PROFILES), [])
     with pytest.raises(InputError, match='none of the 30 .*; the joints with values are gripper'):
-        bag.read(rewrite(tmp_path / 'bag', tmp_path / 'others.mcap', [*clouds, *others]), CONFIG,
+        read_bag(rewrite(tmp_path / 'bag', tmp_path / 'others.mcap', [*clouds, *others]), CONFIG,
                  arm=arm)
 
 
@@ -407,7 +408,7 @@ def test_messages_of_another_frame_are_strays_and_many_are_refused(tmp_path, kin
                  for i, item in enumerate(items)]
         path = written(tmp_path, name=name, **{f'{kind}s': mixed})
         if name in ('first', 'last'):
-            recording = bag.read(path, CONFIG)
+            recording = read_bag(path, CONFIG)
             kept_stamps = [item.stamp for i, item in enumerate(items) if i not in others]
             assert [item.stamp for item in getattr(recording, f'{kind}s')] == kept_stamps
             assert recording.warnings == [
@@ -441,7 +442,7 @@ def test_poses_are_read_from_a_chain_of_transforms(good_bag, tmp_path):
               for i, stamp in enumerate(STAMPS)]
     # sent after the motion, as by a node that starts late
     static = [(STAMPS[-1] + 1, [transform(0, 'tool', 'flange', (0.1, 0, 0))])]
-    poses = bag.read(tf_bag(good_bag, tmp_path, moving, static), Config(pose_source='tf')).poses
+    poses = read_bag(tf_bag(good_bag, tmp_path, moving, static), Config(pose_source='tf')).poses
     assert [p.stamp for p in poses] == STAMPS
     np.testing.assert_allclose([p.translation for p in poses],
                                [[0.01 * i, 0.1, 0.5] for i in range(1500)], atol=1e-12)
@@ -483,20 +484,20 @@ def test_every_layout_unit_and_axes_is_read(tmp_path, layout, unit, axes):
     missing[5:9] = np.nan
     profiles[3] = replace(profiles[3], points=missing)
     file = with_layout(written(tmp_path, profiles, config=config), tmp_path, POINTS[layout])
-    assert_equal_recordings(bag.read(file, config), profiles)
+    assert_equal_recordings(read_bag(file, config), profiles)
 
 
 def test_an_existing_bag_is_replaced_only_when_asked(good_bag, tmp_path, monkeypatch):
     with pytest.raises(InputError, match='is there already'):
-        bag_write.write(good_bag, PROFILES[:3], POSES)
+        writer.write(good_bag, PROFILES[:3], POSES)
     with monkeypatch.context() as patch:
         patch.chdir(good_bag)
         with pytest.raises(InputError, match='is the current folder, which is not replaced'):
-            bag_write.write(Path(), PROFILES[:3], POSES, force=True)
-    assert_equal_recordings(bag.read(good_bag, CONFIG))
-    bag_write.write(good_bag, PROFILES[:3], POSES, force=True,
-                    texts={'truth.yaml': 'seed: 7'})
-    assert_equal_recordings(bag.read(good_bag, CONFIG), PROFILES[:3])
+            writer.write(Path(), PROFILES[:3], POSES, force=True)
+    assert_equal_recordings(read_bag(good_bag, CONFIG))
+    writer.write(good_bag, PROFILES[:3], POSES, force=True,
+                 texts={'truth.yaml': 'seed: 7'})
+    assert_equal_recordings(read_bag(good_bag, CONFIG), PROFILES[:3])
     assert yaml.safe_load((good_bag / 'truth.yaml').read_text()) == {'seed': 7}
     assert [p.name for p in tmp_path.iterdir()] == ['good']
 
@@ -510,7 +511,7 @@ def test_what_is_no_bag_is_never_replaced(tmp_path, monkeypatch):
                                ('', InputError, 'is no bag, so it is not replaced'),
                                ('mine/file/bag', UnwritableError, 'cannot write')):
         with pytest.raises(kind, match=words):
-            bag_write.write(tmp_path / place, PROFILES, POSES, force=True)
+            writer.write(tmp_path / place, PROFILES, POSES, force=True)
     assert [p.name for p in tmp_path.iterdir()] == ['mine']
 
 
@@ -520,5 +521,5 @@ def test_nothing_is_left_behind_by_a_write_that_fails(tmp_path):
         raise OSError(28, 'No space left on device')
 
     with pytest.raises(UnwritableError, match='No space left on device; free some space$'):
-        bag_write.write(tmp_path / 'bag', breaking(), POSES)
+        writer.write(tmp_path / 'bag', breaking(), POSES)
     assert list(tmp_path.iterdir()) == []

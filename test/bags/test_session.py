@@ -11,8 +11,7 @@ import resource
 import shutil
 
 from command import assert_refused, handeye, run_python, succeeds
-from handeye_ros.bags.bag import read
-from handeye_ros.bags.bag_write import write
+from handeye_ros.bags.recording import read
 from handeye_ros.bags.session_files import (
     files_of,
     is_session,
@@ -20,6 +19,7 @@ from handeye_ros.bags.session_files import (
     SessionFiles,
     sessions_in,
 )
+from handeye_ros.bags.writer import write
 from handeye_ros.config import Config, with_values
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node.folders import OutputFolders, settings_and_session

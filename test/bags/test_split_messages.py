@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
-from handeye_ros.bags import bag
-from handeye_ros.bags.bag_write import pose_cdr
+from handeye_ros import read_bag
 from handeye_ros.bags.messages import profile_count, ProfileReader, profiles_of
-from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE, RecordedMessage
+from handeye_ros.bags.storage import CLOUD_TYPE, POSE_TYPE, RecordedMessage
+from handeye_ros.bags.writer import pose_cdr
 from handeye_ros.config import Config, ProfileConfig, SamplingConfig
 from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import InputError, UnusableMessageError
@@ -110,14 +110,14 @@ def test_a_bag_of_batches_is_read_row_by_row(good_bag, tmp_path) -> None:
     raws += [RecordedMessage('/flange_pose', POSE_TYPE, p.stamp, pose_cdr(p)) for p in stands]
     file = rewrite(good_bag, tmp_path / 'batches.mcap', raws)
     config = Config(profile=ProfileConfig(period=0.01))
-    recording = bag.read(file, config)
+    recording = read_bag(file, config)
     assert [p.stamp for p in recording.profiles] == [START + i * 10 * MS for i in range(100)]
     np.testing.assert_allclose([p.read().points[0, 1] for p in recording.profiles],
                                0.2 + 1e-5 * np.arange(100), rtol=1e-6)
     assert [p.stamp for p in recording.profiles_of_returns()] == [
         p.stamp for p in recording.profiles]
     with pytest.raises(InputError, match='several profiles, .*: set profile.period'):
-        list(bag.read(file, Config()).profiles_of_returns())
+        list(read_bag(file, Config()).profiles_of_returns())
     one = rewrite(good_bag, tmp_path / 'one.mcap', [raws[0], *raws[20:]])
     with pytest.raises(InputError, match='several profiles, .*: set profile.period'):
-        bag.read(one, Config())
+        read_bag(one, Config())

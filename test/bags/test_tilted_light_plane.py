@@ -10,9 +10,9 @@ from pathlib import Path
 from command import ROOT
 from handeye_ros import config as configs
 from handeye_ros import pipeline
-from handeye_ros.bags.bag import read
 from handeye_ros.bags.messages import field_view
-from handeye_ros.bags.reader import CLOUD_TYPE, RecordedMessage
+from handeye_ros.bags.recording import read
+from handeye_ros.bags.storage import CLOUD_TYPE, RecordedMessage
 from handeye_ros.errors import HandeyeError
 from live_sessions import computed, fed, new
 import numpy as np

@@ -63,7 +63,7 @@ def test_clocks_are_not_blamed_for_what_else_is_wrong() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(('scenario', 'seed'), [
-    (replace(FAULTS['wedge, joints and links 1 mm'], stations=(100, 0)), 1),
+    (replace(FAULTS['wedge, joints and links 1 mm'], stops=(100, 0)), 1),
     (FAULTS['4 + 3, two bad'], 16)], ids=['one stop that ends early', 'few samples, two wrong'])
 def test_clocks_are_not_blamed_for_few_wrong_stops(scenario: Scenario, seed: int) -> None:
     recording = simulated(scenario, seed)
@@ -87,7 +87,7 @@ def test_to_compare_clocks_each_stored_stop_is_read_once() -> None:
 @pytest.mark.filterwarnings('error')
 def test_the_clocks_of_one_stop_are_not_blamed() -> None:
     recording = at_20_hz('plate')
-    end = recording.truth.stations[0].end
+    end = recording.truth.stops[0].end
     session = pipeline.gather([p for p in recording.profiles if p.stamp < end],
                               [p for p in recording.poses if p.stamp < end], recording.config)
     assert len(session.stops) == 1
@@ -109,10 +109,10 @@ def test_clocks_are_compared_in_the_order_of_time_not_of_stop_numbers() -> None:
 def test_clocks_are_not_blamed_for_profiles_that_shake_in_stops() -> None:
     """They rest for shorter than the robot, but neither earlier nor later."""
     recording = at_20_hz('plate')
-    rng, stations = np.random.default_rng(0), recording.truth.stations
+    rng, stops = np.random.default_rng(0), recording.truth.stops
 
     def shaken(profile: Profile) -> Profile:
-        for k, at in enumerate(stations):
+        for k, at in enumerate(stops):
             share = (profile.stamp - at.start) / (at.end - at.start)
             if 0 <= share <= 1 and (share < 0.4 if k % 3 else share > 0.6):
                 return replace(profile, points=profile.points + [0, rng.normal(0, 1e-3)])

@@ -79,7 +79,7 @@ def test_one_orientation_per_edge_is_one_axis(where: str, frame: str) -> None:
     error = refusal(plate_cell)
     assert error.code == 'one_axis'
     poses = plate_cell.problem.poses
-    on_edge_p = [s.label == 'p' for s in plate_cell.truth.stations]
+    on_edge_p = [s.label == 'p' for s in plate_cell.truth.stops]
     between = poses[on_edge_p.index(True), :3, :3].T @ poses[on_edge_p.index(False), :3, :3]
     turn = se3.log_rotation(between)
     assert_names(str(error), turn / np.linalg.norm(turn), frame)

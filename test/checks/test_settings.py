@@ -74,7 +74,7 @@ def test_a_wedge_beside_a_block_is_answered(monkeypatch: pytest.MonkeyPatch, see
     monkeypatch.setitem(scenes.SCENES, 'beside', replace(
         scenes.SCENES['wedge'], solids=beside_another))
     scenario = replace(FAULTS['wedge'], scene='beside', stated=(('target.type', 'wedge'),),
-                       no_return='omit', stations=(18, 0))
+                       no_return='omit', stops=(18, 0))
     recording = simulated(scenario, seed)
     assert squared_error(recording.calibrate(), recording.truth) < ONE_IN_20
 
@@ -99,7 +99,7 @@ def test_right_settings_are_not_blamed() -> None:
 @pytest.mark.thorough
 def test_stops_read_again_are_of_the_whole_recording() -> None:
     """Of many some are read; the first stops of this plate show one edge only: they fit a line."""
-    scenario = replace(SCENARIOS['plate_in_order'], stations=(45, 10))
+    scenario = replace(SCENARIOS['plate_in_order'], stops=(45, 10))
     with pytest.raises(DataError, match='set target.type to plate$'):
         recorded(scenario, rate=8.0).calibrate(target__type='sphere', target__size=())
 

@@ -172,7 +172,7 @@ def test_a_scale_is_no_move_of_a_few_samples() -> None:
 @pytest.mark.parametrize(('target', 'count', 'seed'), [('plate', 9, 1), ('line', 11, 9)])
 def test_one_wrong_pose_is_no_scale(target: str, count: int, seed: int) -> None:
     """Though a scale would explain that pose by chance."""
-    scenario, rng = replace(SCENARIOS[target], stations=(count, 0)), np.random.default_rng(
+    scenario, rng = replace(SCENARIOS[target], stops=(count, 0)), np.random.default_rng(
         [seed, count])
     samples, truth = simulate_samples(scenario, rng)
     wrong, step, turn = int(rng.integers(count)), rng.normal(size=3), rng.normal(size=3)

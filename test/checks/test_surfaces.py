@@ -34,7 +34,7 @@ def barred(scenario: Scenario) -> tuple[Solid, ...]:
 def test_ends_of_the_floor_that_scatter_are_no_edges(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the wrong sign the floor between rail and plate is a face, off by centimetres."""
     monkeypatch.setitem(scenes.SCENES, 'railed', replace(scenes.SCENES['plate'], solids=railed))
-    scenario = replace(SCENARIOS['plate'], stations=(14, 14), scene='railed')
+    scenario = replace(SCENARIOS['plate'], stops=(14, 14), scene='railed')
     recording = simulated(scenario, 1, target__type='plate')
     config = with_flipped_range(recording.config)
     with pytest.raises(DataError, match='at several heights .* check profile.range_sign'):

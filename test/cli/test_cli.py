@@ -15,8 +15,7 @@ import sys
 
 from calibrations import equal
 from command import assert_refused, handeye, PATIENCE, PLATE, ROOT, running, succeeds
-from handeye_ros import __version__, pipeline, se3
-from handeye_ros.bags import bag
+from handeye_ros import __version__, pipeline, read_bag, se3
 from handeye_ros.config import Config, load
 from handeye_ros.data import ClockEstimate
 from handeye_ros.results import calibration_file
@@ -36,7 +35,7 @@ def test_simulate_writes_the_same_bag_with_its_truth_for_the_same_seed(tmp_path)
     assert str(path) in run.stdout
     assert sorted(p.name for p in path.iterdir()) == ['metadata.yaml', 'plate.mcap', 'truth.yaml']
     before = (path / 'truth.yaml').read_bytes()
-    truth, first = yaml.safe_load(before), bag.read(path, Config())
+    truth, first = yaml.safe_load(before), read_bag(path, Config())
     assert (truth['scenario'], truth['seed'], truth['noise']['sensor']) == ('small_plate', 3, 3e-5)
     assert 'simulate small_plate --seed 3' in truth['made_by']
     assert f'{len(first.profiles)} profiles, {len(first.poses)} poses' in run.stdout
@@ -46,7 +45,7 @@ def test_simulate_writes_the_same_bag_with_its_truth_for_the_same_seed(tmp_path)
     assert (path / 'truth.yaml').read_bytes() == before
     succeeds('simulate', 'small_plate', path, '--seed', 3, '--force', cwd=tmp_path)
     assert (path / 'truth.yaml').read_bytes() == before
-    for one, other in zip(first.profiles, bag.read(path, Config()).profiles, strict=True):
+    for one, other in zip(first.profiles, read_bag(path, Config()).profiles, strict=True):
         assert one.stamp == other.stamp
         np.testing.assert_array_equal(one.read().points, other.read().points)
 
@@ -78,7 +77,7 @@ def test_solve_writes_what_the_library_answers(tmp_path):
     calibration = calibration_file.read_calibration(file)
 
     config = replace(load(PLATE), name='mine')
-    recording = bag.read(BAG, config)
+    recording = read_bag(BAG, config)
     expected = pipeline.calibrate(recording.profiles, recording.poses, config)
     provenance = calibration.provenance
     assert equal(replace(expected, provenance=provenance), calibration)

@@ -121,7 +121,7 @@ def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
 
 @pytest.mark.parametrize('target', ['plate', 'wedge'])
 def test_a_station_that_may_be_wrong_adds_what_freeing_its_pose_changes(target: str) -> None:
-    start = solved(cell(replace(SCENARIOS[target], stations=(10, 10)), 0).problem)
+    start = solved(cell(replace(SCENARIOS[target], stops=(10, 10)), 0).problem)
     solution = with_possibly_wrong_station(map_solution(start.problem, start.estimate))
     as_set = posterior_at(solution.problem, solution.estimate, NoiseModel())
     A, r, station = as_set.jacobian, as_set.prefit_residuals, as_set.problem.observations.station

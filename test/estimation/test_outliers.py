@@ -102,13 +102,13 @@ def test_edges_of_the_plate_that_are_not_ours_do_no_harm(seed: int) -> None:
     assert plate_cell.error(calibration.T_flange_sensor) < 9e-5
     reports = {r.stamp: r for r in calibration.samples}
     sides = set()
-    for station, sample in zip(plate_cell.truth.stations, plate_cell.samples, strict=True):
+    for stop, sample in zip(plate_cell.truth.stops, plate_cell.samples, strict=True):
         report = reports[sample.stamp]
-        if station.label.endswith('2'):
+        if stop.label.endswith('2'):
             assert report.edge == '' and report.reason, 'told, though its face may be used'
         else:
             assert report.used and report.edge in ('p', 'q')
-            sides.add((station.label, report.edge))
+            sides.add((stop.label, report.edge))
     assert len(sides) == 2, 'one name for each edge'
 
 
@@ -117,8 +117,8 @@ def test_all_four_edges_are_used_when_the_size_is_known() -> None:
     with_size = cell('wrong_edges', 1, target__size=[0.2, 0.15])
     without_size = cell('wrong_edges', 1)
     calibration = with_size.solve()
-    stations = with_size.truth.stations
-    labels = {s.stamp: t.label for s, t in zip(with_size.samples, stations, strict=True)}
+    stops = with_size.truth.stops
+    labels = {s.stamp: t.label for s, t in zip(with_size.samples, stops, strict=True)}
     used = {(labels[r.stamp], r.edge) for r in calibration.samples}
     assert all(edge for _, edge in used) and len(used) == len(set(labels.values()))
     # the noise is estimated in both
@@ -154,7 +154,7 @@ def test_few_with_wrong_ones_are_refused(name: str, stations: tuple[int, int], w
                                          ) -> None:
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        few_samples = cell(replace(SCENARIOS[name], stations=stations), seed)
+        few_samples = cell(replace(SCENARIOS[name], stops=stations), seed)
         chosen = rng.permutation(len(few_samples.samples))[:wrong_count]
         samples = [wrong(s, rng) if k in chosen else s for k, s in enumerate(few_samples.samples)]
         with pytest.raises(DataError):
@@ -163,7 +163,7 @@ def test_few_with_wrong_ones_are_refused(name: str, stations: tuple[int, int], w
 
 @pytest.mark.thorough
 def test_what_is_left_after_dropping_must_judge() -> None:
-    plane_cell = cell(replace(SCENARIOS['plane'], stations=(7, 0)), 0)
+    plane_cell = cell(replace(SCENARIOS['plane'], stops=(7, 0)), 0)
     samples = [wrong(s, np.random.default_rng(1)) if i == 3 else s
                for i, s in enumerate(plane_cell.samples)]
     with pytest.raises(DataError, match='take more'):
@@ -172,7 +172,7 @@ def test_what_is_left_after_dropping_must_judge() -> None:
 
 @pytest.mark.parametrize('seed', range(3))
 def test_one_wrong_of_ten_stands_out_from_a_poor_robot(seed: int) -> None:
-    plate_cell = cell(replace(SCENARIOS['plate'], stations=(5, 5)), seed)
+    plate_cell = cell(replace(SCENARIOS['plate'], stops=(5, 5)), seed)
     rng = np.random.default_rng(seed)
     samples = [wrong(s, rng) if i == seed else s for i, s in enumerate(plate_cell.samples)]
     calibration = plate_cell.solve(samples)
@@ -186,7 +186,7 @@ def test_one_wrong_of_ten_stands_out_from_a_poor_robot(seed: int) -> None:
 
 def test_no_station_of_a_poor_robot_is_taken_for_wrong() -> None:
     poor = replace(SCENARIOS['plate'].robot, systematic=(3e-4, 1e-3))
-    plate_cell = cell(replace(SCENARIOS['plate'], stations=(5, 5), robot=poor), 0,
+    plate_cell = cell(replace(SCENARIOS['plate'], stops=(5, 5), robot=poor), 0,
                       noise__robot_smooth=1.5e-4)
     assert plate_cell.solve().quality.samples_rejected == 0
 
@@ -194,7 +194,7 @@ def test_no_station_of_a_poor_robot_is_taken_for_wrong() -> None:
 def test_a_possibly_wrong_station_counts_only_among_few() -> None:
     shares = []
     for stations in ((3, 3), (9, 9)):
-        plate_cell = cell(replace(SCENARIOS['plate'], stations=stations), 0)
+        plate_cell = cell(replace(SCENARIOS['plate'], stops=stations), 0)
         solution = refined_solution(solved(plate_cell.problem))
         added = solution.added_covariances[ONE_WRONG]
         shares.append((np.diag(added) / np.diag(solution.transform_covariance)).max())

@@ -31,7 +31,7 @@ from handeye_ros.simulate.scenario import SensorModel
 import numpy as np
 import pytest
 
-MANY = replace(SCENARIOS['plate'], stations=(24, 24))
+MANY = replace(SCENARIOS['plate'], stops=(24, 24))
 ALL_BLOCKS = {key: flatten(Config())[key.replace('__', '.')] for key in NO_DOUBTS}
 
 
@@ -118,7 +118,7 @@ def test_a_scale_of_the_sensor_changes_residuals_as_stretched_points_do(target: 
 
 @pytest.mark.thorough
 def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
-    scenario = replace(SCENARIOS['sphere'], stations=(1000, 1000))
+    scenario = replace(SCENARIOS['sphere'], stops=(1000, 1000))
     samples, truth = simulate_samples(scenario, np.random.default_rng(0))
     config = settings_of(scenario)
     solution = pipeline.answer_samples(samples, (), config).require_solution()

@@ -67,7 +67,7 @@ def frozen(sample: Sample) -> Sample:
 
 
 def test_of_very_many_stations_all_count_though_some_tell_the_noise() -> None:
-    plate_cell = cell(replace(SCENARIOS['plate'], stations=(250, 250)), noise__robot_smooth=1e-4)
+    plate_cell = cell(replace(SCENARIOS['plate'], stops=(250, 250)), noise__robot_smooth=1e-4)
     first_solution = solved(plate_cell.problem)
     with_all, with_half = (map_solution(problem, first_solution.estimate) for problem in (
         first_solution.problem, first_solution.problem.subset(np.arange(0, 500, 2))))

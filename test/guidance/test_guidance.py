@@ -40,7 +40,7 @@ FEW = {'plate': (4, 4), 'line': (9, 0), 'plane': (8, 0), 'sphere': (7, 0), 'wedg
 @pytest.fixture(scope='module', params=FEW)
 def fitted(request: pytest.FixtureRequest) -> tuple[Cell, Solution]:
     """Return a cell with few samples of each target, and the fit to them."""
-    scenario = replace(SCENARIOS[request.param], stations=FEW[request.param])
+    scenario = replace(SCENARIOS[request.param], stops=FEW[request.param])
     simulated_cell = cell(scenario, 1)
     return simulated_cell, solved(simulated_cell.problem)
 
@@ -123,7 +123,7 @@ def test_it_is_the_same_in_another_base(fitted: tuple[Cell, Solution]) -> None:
 
 
 def test_eye_on_base_is_advised_too() -> None:
-    simulated_cell = cell(replace(SCENARIOS['eye_on_base'], stations=(4, 4)), 1)
+    simulated_cell = cell(replace(SCENARIOS['eye_on_base'], stops=(4, 4)), 1)
     advice = advice_for((simulated_cell, solved(simulated_cell.problem)))
     assert advice.next_pose
     T_first = simulated_cell.samples[0].T_base_flange
@@ -217,7 +217,7 @@ def test_the_view_holds_what_was_seen() -> None:
 
 
 def test_what_limits_is_named_with_its_key_and_is_enough() -> None:
-    plate_cell = cell(replace(SCENARIOS['plate'], stations=(15, 15)), 2)
+    plate_cell = cell(replace(SCENARIOS['plate'], stops=(15, 15)), 2)
     config = with_values(plate_cell.config, {'guidance.accuracy': 1e-5, 'noise.robot_scale': 3e-3},
                          'test')
     samples = plate_cell.samples

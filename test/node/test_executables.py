@@ -19,7 +19,7 @@ from command import PATIENCE, PLATE, ROOT, run_python, running  # noqa: E402, I1
 from geometry_msgs.msg import PoseStamped  # noqa: E402
 from handeye_ros import se3  # noqa: E402
 from handeye_ros.arm import arm_of  # noqa: E402
-from handeye_ros.bags.reader import RecordedMessage  # noqa: E402
+from handeye_ros.bags.storage import RecordedMessage  # noqa: E402
 from handeye_ros.errors import InputError  # noqa: E402
 from handeye_ros.node.main import ros  # noqa: E402
 from handeye_ros.results.calibration_file import write_calibration  # noqa: E402

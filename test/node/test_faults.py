@@ -13,7 +13,7 @@ from unittest.mock import MagicMock
 
 from cells import set_to
 from handeye_ros.bags.messages import message_of, stamp_and_frame
-from handeye_ros.bags.reader import CLOUD_TYPE
+from handeye_ros.bags.storage import CLOUD_TYPE
 from handeye_ros.config import Config
 import numpy as np
 import pytest

@@ -11,7 +11,7 @@ import re
 from cells import set_to, settings_of
 from command import ROOT
 from handeye_ros import pipeline
-from handeye_ros.bags.bag import read
+from handeye_ros.bags.recording import read
 from handeye_ros.config import Config
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node import live as lives

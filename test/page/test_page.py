@@ -92,7 +92,7 @@ def calibrated(browser: Any, tmp_path: Path) -> int:
     wait(browser, "document.getElementById('trouble').textContent.includes('no more profiles')",
          'the trouble of now')
     assert 'no more' not in press(browser, '#take', 'sample'), 'it stays when they come again'
-    press(browser, '[data-sample="5"]', 'sample 5 is left out')
+    press(browser, '[data-sample="5"]', 'sample 5 is excluded')
     wait(browser, "document.querySelectorAll('#samples .out').length === 1", 'its line')
     assert 'x, y, z = ' in press(browser, '#compute', 'laser in flange')
     saved = press(browser, '#save', 'wrote ')
@@ -109,8 +109,8 @@ def calibrated(browser: Any, tmp_path: Path) -> int:
     quality = calibration.quality
     assert rows[6:] == [['residual', f'{1e3 * quality.residual_rms:.3f}', '', 'mm'],
                         ['left out', f'{1e3 * quality.holdout_rms:.3f}', '', 'mm'],
-                        ['stations used', str(quality.samples_used), '', '']]
-    press(browser, '[data-sample="5"]', 'sample 5 is back')
+                        ['samples used', str(quality.samples_used), '', '']]
+    press(browser, '[data-sample="5"]', 'sample 5 is included')
     anew = ("[...document.querySelectorAll('#figures tbody tr')].at(-1).cells[1].textContent "
             f"=== '{quality.samples_used + 1}'")  # it is soon computed again by itself
     wait(browser, "document.getElementById('answer-state').textContent.startsWith('outdated')"
@@ -133,7 +133,7 @@ def undone(browser: Any, count: int) -> None:
     refused = json.loads(browser.execute_async_script(
         "fetch('act/remove_last_sample', {method: 'POST', body: '{\"number\": 1}',"
         "headers: {'Content-Type': 'application/json'}}).then(r => r.text()).then(arguments[0])"))
-    assert not refused['success'] and 'the last sample is' in refused['message']
+    assert not refused['success'] and 'is the last now' in refused['message']
     assert browser.execute_script(f'return {LINES}') == count
     click(browser, '#undo')
     press(browser, '#yes', 'removed sample')

@@ -12,8 +12,7 @@ from operator import itemgetter
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import SingularError, TooFewError
-from handeye_ros.published import chen2023, jing2020, wu2017, zheng2018
-from handeye_ros.published import cn105021139a as patent
+from handeye_ros.published import chen2023, jing2020, wang2015, wu2017, zheng2018
 from handeye_ros.simulate.tables import points_in_two_frames
 import numpy as np
 import pytest
@@ -80,8 +79,8 @@ def test_four_points_in_one_plane_are_left_out() -> None:
 
 
 RADIUS = 0.03
-CAMERA = patent.Camera(np.array([[2400.0, 0.0, 640.0], [0.0, 2390.0, 512.0], [0.0, 0.0, 1.0]]),
-                       np.array([np.cos(0.45), 0.0, np.sin(0.45), 0.18 * np.sin(0.45)]))
+CAMERA = wang2015.Camera(np.array([[2400.0, 0.0, 640.0], [0.0, 2390.0, 512.0], [0.0, 0.0, 1.0]]),
+                         np.array([np.cos(0.45), 0.0, np.sin(0.45), 0.18 * np.sin(0.45)]))
 
 
 def project(points: Array) -> Array:
@@ -90,15 +89,15 @@ def project(points: Array) -> Array:
     return np.asarray(image[:, :2] / image[:, 2:])
 
 
-def view_of(T_camera_target: Array) -> patent.View:
+def view_of(T_camera_target: Array) -> wang2015.View:
     """Return the image of the target: the ends of its diameters, its centre and the stripe."""
     marks = RADIUS * np.array([[-1.0, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, 0]])
     along = np.cross(CAMERA.light_plane[:3], T_camera_target[:3, 2])
     stripe = T_camera_target[:3, 3] + np.linspace(-RADIUS, RADIUS, 40)[:, None] * along
-    return patent.View(project(se3.apply(T_camera_target, marks)), project(stripe))
+    return wang2015.View(project(se3.apply(T_camera_target, marks)), project(stripe))
 
 
-def cell_of(seed: int, count: int = 3) -> tuple[Array, Array, tuple[patent.View, ...], Array]:
+def cell_of(seed: int, count: int = 3) -> tuple[Array, Array, tuple[wang2015.View, ...], Array]:
     """Return T_flange_camera, poses, views and T_camera_target; the laser crosses the centre."""
     rng = np.random.default_rng(seed)
     X = se3.transform(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-0.15, 0.15, 3))
@@ -114,20 +113,20 @@ def cell_of(seed: int, count: int = 3) -> tuple[Array, Array, tuple[patent.View,
 def test_the_patent_finds_the_truth_without_noise(seed: int, count: int) -> None:
     X, poses, views, targets = cell_of(seed, count)
     for view, target in zip(views, targets, strict=True):
-        assert np.abs(se3.difference(patent.target_pose(view, CAMERA), target)).max() < 1e-9
-    T_flange_camera = patent.solve(poses, views, CAMERA)
+        assert np.abs(se3.difference(wang2015.target_pose(view, CAMERA), target)).max() < 1e-9
+    T_flange_camera = wang2015.solve(poses, views, CAMERA)
     assert np.abs(se3.difference(T_flange_camera, X)).max() < 1e-6
 
 
 def test_views_without_the_centre_are_refused() -> None:
     _, _, (view, *_), _ = cell_of(1)
     ray = np.linalg.solve(CAMERA.matrix, np.append(view.points[4], 1.0))
-    edge_on = patent.Camera(CAMERA.matrix, np.append(np.cross(ray, [0.0, 1.0, 0.0]), 0.1))
+    edge_on = wang2015.Camera(CAMERA.matrix, np.append(np.cross(ray, [0.0, 1.0, 0.0]), 0.1))
     for seen, camera, words in (
-            (patent.View(view.points, view.stripe + 12.0), CAMERA, 'misses the centre by'),
+            (wang2015.View(view.points, view.stripe + 12.0), CAMERA, 'misses the centre by'),
             (view, edge_on, 'along the light plane')):
         with pytest.raises(SingularError, match=words):
-            patent.target_centre(seen, camera)
+            wang2015.target_centre(seen, camera)
 
 
 def test_turns_about_one_axis_are_refused() -> None:
@@ -136,6 +135,6 @@ def test_turns_about_one_axis_are_refused() -> None:
               for a in (0.0, 0.4, 0.9)]
     poses = se3.inverse(np.array(turned)) @ se3.inverse(X)
     with pytest.raises(SingularError, match='one axis only'):
-        patent.solve_motions(*patent.motions(poses, np.array(turned)))
+        wang2015.solve_motions(*wang2015.motions(poses, np.array(turned)))
     with pytest.raises(TooFewError, match='at least 3 views, got 2'):
-        patent.solve(poses[:2], views[:2], CAMERA)
+        wang2015.solve(poses[:2], views[:2], CAMERA)

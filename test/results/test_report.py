@@ -11,7 +11,7 @@ from typing import Any
 
 from command import chromium, handeye, PLATE, ROOT, succeeds
 from handeye_ros import config, se3
-from handeye_ros.bags.bag import read
+from handeye_ros.bags.recording import read
 from handeye_ros.data import Calibration
 from handeye_ros.results import calibration_file, report
 from handeye_ros.results.report import SolvedRecording, std_of_points, verdict

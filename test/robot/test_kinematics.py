@@ -11,7 +11,7 @@ from cells import ONE_IN_1000, squared_error
 from command import assert_refused, bench_of, handeye, ROOT, succeeds
 from handeye_ros import pipeline, se3
 from handeye_ros.arm import ALL_KINDS, arm_of, corrected_urdf, read_arm, read_urdf
-from handeye_ros.bags.bag import read
+from handeye_ros.bags.recording import read
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem
@@ -259,11 +259,11 @@ def test_two_recordings_give_one_answer(recorded):
     """Also with other axes of the profile: the features are those of its plane."""
     arm, session, recording, config = recorded
     config = replace(config, profile=replace(config.profile, axes=('y', 'z')))
-    source = sources.source_of(session, recording, arm, config)
-    from_two, from_one = (sources.solve_sources(parts, arm) for parts in (
+    source = sources.arm_samples_of(session, recording, arm, config)
+    from_two, from_one = (sources.solve_samples(parts, arm) for parts in (
         [every_other(source, 0), every_other(source, 1)], [source]))
-    assert from_two.outcome.arm.error_kinds == ALL_KINDS
-    assert from_two.outcome.chosen.left_out_rms < 6e-5
+    assert from_two.selection.arm.error_kinds == ALL_KINDS
+    assert from_two.selection.chosen.left_out_rms < 6e-5
     assert from_two.calibration.quality.samples_used == len(source.samples)
     assert squared_error(from_two.calibration, from_one.calibration) < 6
 
@@ -273,7 +273,7 @@ def test_stops_without_joint_values_are_counted(recorded):
     most = len(recording.poses) * 6 // 10
     recording = replace(recording, poses=recording.poses[:most], joints=recording.joints[:most])
     with pytest.raises(HandeyeError, match='11 of 30 samples have no joint values'):
-        sources.source_of(session, recording, arm, config)
+        sources.arm_samples_of(session, recording, arm, config)
 
 
 @pytest.mark.parametrize(('setting', 'words'), [
@@ -291,16 +291,16 @@ def test_a_urdf_of_another_robot_is_refused(recorded):
         joint, origin=se3.transform(joint.origin[:3, :3], 1.1 * joint.origin[:3, 3]))
         for joint in arm.joints))
     with pytest.raises(HandeyeError, match='the URDF is of another robot'):
-        sources.solve_sources([sources.source_of(session, recording, longer, config)], longer)
+        sources.solve_samples([sources.arm_samples_of(session, recording, longer, config)], longer)
 
 
 def test_a_solve_with_a_corrected_arm_carries_its_uncertainty(tmp_path):
     stated, rng, scenario = arm_of(simulated_arm.URDF), np.random.default_rng(1), SCENARIOS[
         'sphere']
-    scenario = replace(scenario, stations=(30, 0), tilt=0.6, robot=replace(
+    scenario = replace(scenario, stops=(30, 0), tilt=0.6, robot=replace(
         scenario.robot, geometry=1e-9, systematic=(0.0, 0.0)))
     samples, truth = simulate_samples(scenario, rng)
-    real = np.array([station.T_base_flange for station in truth.stations])
+    real = np.array([stop.T_base_flange for stop in truth.stops])
     arm = replace(with_errors(stated, rng), configurations=simulated_arm.inverse(real))
     q = arm.inverse(real)
     np.testing.assert_allclose(arm.forward(q), real, atol=1e-9)
@@ -308,7 +308,7 @@ def test_a_solve_with_a_corrected_arm_carries_its_uncertainty(tmp_path):
     method = target_for(config)
     problem = Problem(method, stated.forward(q), method.observe(samples), config)
     measured = sources.ArmSamples(Session(config), samples, problem, q)
-    answer = sources.solve_sources([measured], stated)
+    answer = sources.solve_samples([measured], stated)
     answer.save(simulated_arm.URDF, tmp_path, ())
     corrected = [replace(s, T_base_flange=T) for s, T in zip(
         samples, read_arm(tmp_path).forward(q), strict=True)]

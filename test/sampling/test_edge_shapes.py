@@ -73,13 +73,13 @@ def test_simulated_ends_are_at_the_edge(values: dict[str, Any], worst: float) ->
         recording = recorded(scenario, seed, rate=6.0)
         session = pipeline.gather(recording.profiles, recording.poses, recording.config)
         samples, truth = with_common_edge_shape(session.samples), recording.truth
-        for station in truth.stations:
-            sample, = (s for s in samples if station.start <= s.stamp <= station.end)
+        for stop in truth.stops:
+            sample, = (s for s in samples if stop.start <= s.stamp <= stop.end)
             edge, = (f for f in sample.features if isinstance(f, EdgePoint))
             x, z = edge.point + edge.to_lowest  # of the wall, wherever the laser crosses it
-            in_target = se3.apply(se3.inverse(truth.T_base_target) @ station.T_base_flange
+            in_target = se3.apply(se3.inverse(truth.T_base_target) @ stop.T_base_flange
                                   @ truth.T_flange_sensor, np.array([[x, 0.0, z]]))[0]
-            away.append(in_target[1 if station.label == 'p' else 0])
+            away.append(in_target[1 if stop.label == 'p' else 0])
             std.append(np.hypot(edge.std, edge.shape_std))
     z = np.array(away) / std
     assert np.sqrt(np.mean(np.square(away))) < worst

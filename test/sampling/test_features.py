@@ -109,11 +109,11 @@ def test_simulated_edges_are_as_near_to_the_truth_as_they_say(name: str) -> None
         recording = recorded(name, seed)
         session = pipeline.gather(recording.profiles, recording.poses, recording.config)
         mirror = np.array([-1.0 if name == 'plate_x_reversed' else 1.0, 1.0])
-        for station in recording.truth.stations:
-            sample, = (s for s in session.samples if station.start <= s.stamp <= station.end)
+        for stop in recording.truth.stops:
+            sample, = (s for s in session.samples if stop.start <= s.stamp <= stop.end)
             edges = [f for f in sample.features if isinstance(f, EdgePoint)]
-            away = min((station.point * mirror - e.point for e in edges), key=np.linalg.norm)
-            edge = min(edges, key=lambda e: np.linalg.norm(station.point * mirror - e.point))
+            away = min((stop.point * mirror - e.point for e in edges), key=np.linalg.norm)
+            edge = min(edges, key=lambda e: np.linalg.norm(stop.point * mirror - e.point))
             normal = np.array([-edge.direction[1], edge.direction[0]])
             along.append(away @ edge.direction / edge.std)
             across.append(away @ normal / edge.std_across)

@@ -107,7 +107,7 @@ def test_a_rest_during_a_sweep_is_one_pass() -> None:
 def sweep(target: str, offset: float, **values: object) -> Scenario:
     base = SCENARIOS[target]
     two_edges = base.scene == 'plate'
-    return replace(base, stations=(8, 8) if two_edges else (16, 0),
+    return replace(base, stops=(8, 8) if two_edges else (16, 0),
                    tilt=math.radians(24 if target == 'wedge' else 20),  # the light is lost
                    sensor=replace(base.sensor, columns=320, delay=-offset),
                    sweep=Sweep(**{'knot': 1.2} | values))  # type: ignore[arg-type]

@@ -8,7 +8,7 @@ import tracemalloc
 
 from command import assert_refused, handeye, succeeds
 from handeye_ros import se3
-from handeye_ros.bags import bag_write
+from handeye_ros.bags import writer
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Profile, TimedPose
 from handeye_ros.errors import DataError, InputError
@@ -221,7 +221,7 @@ def test_of_an_ascii_cloud_without_points_numpy_does_not_warn(tmp_path):
 def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
     beside = replace(plane_profile(0), points=np.empty((0, 2)))  # the part
-    bag_write.write(tmp_path / 'bag', [beside, *plane_profiles(101)[1:]], moving(101))
+    writer.write(tmp_path / 'bag', [beside, *plane_profiles(101)[1:]], moving(101))
     bag = with_layout(tmp_path / 'bag', tmp_path, POINTS['scancontrol'])
     run = succeeds('scan', bag, '--calibration', 'calibration.yaml', '--out', 'c.ply',
                    '--std', '--range', '-1m', 'inf', '--voxel', '0um', cwd=tmp_path)
@@ -239,7 +239,7 @@ def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
 @pytest.mark.once
 def test_the_verb_refuses_in_words(tmp_path):
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
-    bag_write.write(tmp_path / 'bag', plane_profiles(10), moving(10))
+    writer.write(tmp_path / 'bag', plane_profiles(10), moving(10))
     for words, code, sentence in (
             (('c.xyz',), 2, '.ply or .pcd'),
             (('c.ply', '--set', 'profile_topic=a'), 2, 'no topic /a'),

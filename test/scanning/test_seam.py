@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from calibrations import calibration_at
 from command import assert_refused, handeye, succeeds
 from handeye_ros import se3
-from handeye_ros.bags import bag_write
+from handeye_ros.bags import writer
 from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.results.calibration_file import write_calibration
@@ -404,7 +404,7 @@ def test_the_verb_on_a_recording(tmp_path):
         profiles.append(Profile(START + k * PERIOD, 'laser', np.column_stack([x, z])))
         poses.append(TimedPose(START + k * PERIOD, np.array([0.0, 3e-4 * k, 0.2]),
                                np.array([1.0, 0.0, 0.0, 0.0])))
-    bag_write.write(tmp_path / 'bag', profiles, poses)
+    writer.write(tmp_path / 'bag', profiles, poses)
     write_calibration(calibration_at(np.eye(4)), tmp_path / 'c.yaml')
     succeeds('seam', 'bag', '--calibration', 'c.yaml', cwd=tmp_path)
     rows = np.genfromtxt(tmp_path / 'out/seam/seam.csv', delimiter=',', names=True)

@@ -15,7 +15,7 @@ from handeye_ros.simulate import (
     settings,
     simulate,
     simulate_samples,
-    TrueStation,
+    TrueStop,
     Truth,
 )
 from handeye_ros.simulate.sensor import lift
@@ -42,8 +42,8 @@ def test_every_scenario_makes_an_ordered_recording_samples_and_settings(name: st
     assert config.profile.axes == recording.profiles[0].axes
     samples, truth = simulate_samples(SCENARIOS[name], np.random.default_rng(0))
     assert all(sample.features for sample in samples)
-    assert {len(samples), len(truth.stations), len(recording.truth.stations)} == {
-        sum(SCENARIOS[name].stations)}
+    assert {len(samples), len(truth.stops), len(recording.truth.stops)} == {
+        sum(SCENARIOS[name].stops)}
 
 
 def test_lost_points_are_marked_as_the_driver_does() -> None:
@@ -59,18 +59,18 @@ def test_lost_points_are_marked_as_the_driver_does() -> None:
     assert len(points['plate_omit']) == np.count_nonzero(~lost)
 
 
-def test_the_stations_fill_the_field_of_view_in_an_order_as_asked() -> None:
+def test_the_stops_fill_the_field_of_view_in_an_order_as_asked() -> None:
     _, truth = simulate_samples(SCENARIOS['plate'], np.random.default_rng(6))
-    x, z = np.array([station.point for station in truth.stations]).T
+    x, z = np.array([stop.point for stop in truth.stops]).T
     assert x.min() < -7e-3 and x.max() > 7e-3 and np.abs(x).max() < 0.02
     assert 0.160 < z.min() < 0.166 and 0.184 < z.max() < 0.190
-    assert [s.label for s in truth.stations] != sorted(s.label for s in truth.stations)
+    assert [s.label for s in truth.stops] != sorted(s.label for s in truth.stops)
     _, truth = simulate_samples(SCENARIOS['plate_in_order'], np.random.default_rng(6))
-    assert [s.label for s in truth.stations] == ['p'] * 9 + ['q'] * 9
+    assert [s.label for s in truth.stops] == ['p'] * 9 + ['q'] * 9
 
 
-def T_target_sensor(station: TrueStation, truth: Truth) -> Array:
-    return se3.inverse(truth.T_base_target) @ station.T_base_flange @ truth.T_flange_sensor
+def T_target_sensor(stop: TrueStop, truth: Truth) -> Array:
+    return se3.inverse(truth.T_base_target) @ stop.T_base_flange @ truth.T_flange_sensor
 
 
 def of_face(face: FaceLine, T: Array, axis: int) -> list[float]:
@@ -86,8 +86,8 @@ def test_lines_and_edges_have_the_noise_that_they_state(name: str) -> None:
     pulls = []
     for seed in range(50):
         samples, truth = simulate_samples(SCENARIOS[name], np.random.default_rng(seed))
-        for sample, station in zip(samples, truth.stations, strict=True):
-            T = T_target_sensor(station, truth)
+        for sample, stop in zip(samples, truth.stops, strict=True):
+            T = T_target_sensor(stop, truth)
             face, *others = sample.features
             if name == 'wedge':  # which face is which, its normal tells
                 pulls += [min((of_face(f, T, axis) for axis in (1, 2)),
@@ -98,7 +98,7 @@ def test_lines_and_edges_have_the_noise_that_they_state(name: str) -> None:
                 assert isinstance(edge, EdgePoint)
                 away, normal = edge.point - face.centre, edge.direction[::-1] * [-1, 1]
                 assert abs(away @ normal) < 1e-12 and away @ edge.direction > face.spread
-                error = edge.point - station.point
+                error = edge.point - stop.point
                 pulls[-1] += [error @ edge.direction / edge.std, error @ normal / edge.std_across]
     assert np.allclose(np.std(pulls, axis=0), 1, atol=0.09)
     assert np.allclose(np.mean(pulls, axis=0), 0, atol=0.12)
@@ -108,10 +108,10 @@ def test_arcs_have_the_noise_that_they_state() -> None:
     pulls, raw = [], []
     for seed in range(20):
         samples, truth = simulate_samples(SCENARIOS['sphere'], np.random.default_rng(seed))
-        for sample, station in zip(samples, truth.stations, strict=True):
+        for sample, stop in zip(samples, truth.stops, strict=True):
             arc, = sample.features
             assert isinstance(arc, Arc)
-            points = se3.apply(T_target_sensor(station, truth), lift(arc.points))
+            points = se3.apply(T_target_sensor(stop, truth), lift(arc.points))
             radial = np.linalg.norm(points, axis=1) - 0.04
             pulls.append(radial / (arc.radius / 0.04) / arc.std)
             raw.append(np.linalg.norm(arc.measured - arc.centre, axis=1) - arc.radius)

@@ -97,7 +97,7 @@ def test_the_distortion_is_smooth_and_of_the_stated_size() -> None:
 def pose_errors(name: str, seed: int) -> Array:
     _, truth = simulate_samples(SCENARIOS[name], np.random.default_rng(seed))
     return np.array([se3.difference(s.T_base_flange_reported, s.T_base_flange)
-                     for s in truth.stations])
+                     for s in truth.stops])
 
 
 def test_the_robot_errs_as_stated() -> None:
@@ -109,7 +109,7 @@ def test_the_robot_errs_as_stated() -> None:
     errors = np.concatenate(recordings).reshape(-1, 2, 3)
     rms = np.sqrt((errors**2).sum(axis=2).mean(axis=0))
     assert rms == pytest.approx([1.5e-4, math.radians(0.02)], rel=0.15)
-    # each direction of the error is shared by the stations of a recording, in part
+    # each direction of the error is shared by the stops of a recording, in part
     shared = [np.linalg.norm(recording_errors.mean(axis=0)[:3]) for recording_errors in recordings]
     assert np.mean(shared) > 4e-5
     assert (np.linalg.norm(pose_errors('bumped', 12)[:, :3], axis=1) > 1e-3).sum() == 1

@@ -3,9 +3,9 @@
 """Small recordings, and bags of every form made of them."""
 from __future__ import annotations
 
-from handeye_ros.bags import bag_write
+from handeye_ros.bags import writer
 from handeye_ros.bags.messages import DATATYPES, field_view
-from handeye_ros.bags.reader import CLOUD_TYPE, Reader
+from handeye_ros.bags.storage import CLOUD_TYPE, Reader
 from handeye_ros.config import Config
 from handeye_ros.data import Profile, TimedPose
 from mcap.writer import CompressionType, IndexType, Writer
@@ -84,7 +84,7 @@ TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 
 def written(folder, profiles=PROFILES, poses=POSES, config=CONFIG, name='bag'):
-    bag_write.write(folder / name, profiles, poses, config)
+    writer.write(folder / name, profiles, poses, config)
     return folder / name
 
 

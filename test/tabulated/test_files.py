@@ -13,9 +13,9 @@ from subprocess import CompletedProcess
 from calibrations import equal
 import command
 from command import assert_refused, ROOT
-from handeye_ros import se3, tabulated
-from handeye_ros.bags import bag, bag_write
-from handeye_ros.cli.tools import write_simulated
+from handeye_ros import read_bag, se3, tabulated
+from handeye_ros.bags import writer
+from handeye_ros.cli.recordings import write_simulated
 from handeye_ros.compare import compare_files
 from handeye_ros.config import load, with_assignments, with_values
 from handeye_ros.csv_tables import CsvTable
@@ -107,7 +107,7 @@ def test_solve_answers_near_the_truth_and_says_how_near(name, handeye, tmp_path)
 def test_without_noise_all_find_the_truth(name: str, handeye: Run, tmp_path: Path) -> None:
     cell, folder = EXACT[name](np.random.default_rng(3)), tmp_path / 'exact'
     if cell.profiles:
-        bag_write.write(folder, cell.profiles, cell.poses, texts=cell.tables, dtype='f8')
+        writer.write(folder, cell.profiles, cell.poses, texts=cell.tables, dtype='f8')
     else:
         folder.mkdir()
         (folder / TABLES[target_of(name)]).write_text(next(iter(cell.tables.values())))
@@ -164,7 +164,7 @@ def test_the_samples_of_the_tracker_are_its_rows_and_the_profiles(tmp_path: Path
     swept = {sample.stamp for sample in calibration.samples if sample.edge.startswith('swept')}
     assert kinds.count('swept_ball') > 20 < kinds.count('swept_face_c')
     config = read.config
-    assert swept <= {profile.stamp for profile in bag.read(tmp_path / 'cell', config).profiles}
+    assert swept <= {profile.stamp for profile in read_bag(tmp_path / 'cell', config).profiles}
     turned = with_values(config, {'profile.axes': ['y', 'z'], 'tracker.direction': [-1, 0, 0]},
                          'test')
     T_turned = calibrate_table(replace(read, config=turned)).T_flange_sensor

@@ -41,7 +41,7 @@ def test_a_bar_of_which_both_edges_are_in_sight(width: float, use_face: bool) ->
 def test_stations_at_another_edge_are_left_out() -> None:
     line_cell = cell(replace(LINE, wrong_edges=2), 4)
     calibration = line_cell.solve()
-    wrong_stamps = {s.start for s in line_cell.truth.stations if s.label == 'p2'}
+    wrong_stamps = {s.start for s in line_cell.truth.stops if s.label == 'p2'}
     assert {report.stamp for report in calibration.samples if not report.used} == wrong_stamps
     assert line_cell.error(calibration.T_flange_sensor) < 3e-4
 
@@ -87,7 +87,7 @@ def corner_samples(seed, only_open, count=24):
     Which face is in sight changes, and so does the side. only_open: stations without the corner.
     """
     rng = np.random.default_rng(seed)
-    wide = replace(SCENARIOS['wedge'], sensor=SCENARIOS['sphere'].sensor, stations=(count, 0))
+    wide = replace(SCENARIOS['wedge'], sensor=SCENARIOS['sphere'].sensor, stops=(count, 0))
     line_cell, samples = cell(wide, seed, target__type='line'), []
     for k, sample in enumerate(line_cell.samples):
         a, b = sample.features if rng.random() < 0.5 else sample.features[::-1]
@@ -118,7 +118,7 @@ def test_solved_as_a_plate_it_says_that_no_sample_shows_the_other_edge() -> None
 @pytest.mark.parametrize('use_face', [True, False])
 def test_an_end_on_the_other_side_of_the_face_is_no_edge(use_face: bool) -> None:
     """The other ends do not lie on one line."""
-    line_cell = cell(replace(SCENARIOS['line'], stations=(9, 0)), 0, target__use_face=use_face)
+    line_cell = cell(replace(SCENARIOS['line'], stops=(9, 0)), 0, target__use_face=use_face)
     rng, samples = np.random.default_rng(5), []
     for sample in line_cell.samples:
         edge = next(f for f in sample.features if isinstance(f, EdgePoint))

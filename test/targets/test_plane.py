@@ -53,7 +53,7 @@ def test_one_surface_is_chosen_where_others_lie_beside(values: dict[str, float])
 @pytest.mark.parametrize('seed', range(4))
 def test_a_plane_through_two_near_surfaces_is_no_answer(seed: int) -> None:
     """Of 24 stations some see only a table 3 mm below, and half of the others see it too."""
-    plane_cell = cell(replace(PLANE, stations=(24, 0)), seed, noise__robot_smooth=3e-4)
+    plane_cell = cell(replace(PLANE, stops=(24, 0)), seed, noise__robot_smooth=3e-4)
     rng = np.random.default_rng(seed)
     samples = []
     for sample in plane_cell.samples:

@@ -105,8 +105,8 @@ def test_the_table_of_the_document_has_every_motion_and_target() -> None:
 def test_a_motion_shows_what_is_stated(motion: str, name: str, rank: int, unknowns: int) -> None:
     """By the derivatives by all unknowns, each column scaled to length 1."""
     target = name.split()[0]
-    stations = (20, 20) if target == 'plate' else (40, 0)
-    scenario = replace(SCENARIOS[target], motion=ROWS[motion], stations=stations)
+    stops = (20, 20) if target == 'plate' else (40, 0)
+    scenario = replace(SCENARIOS[target], motion=ROWS[motion], stops=stops)
     simulated_cell = exact_cell(scenario, target__use_face=name == 'line with its face')
     problem, estimate = simulated_cell.problem, at_truth(simulated_cell)
     p = problem.points_in_base(estimate.X)

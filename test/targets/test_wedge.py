@@ -124,7 +124,7 @@ def stepped(scenario: Scenario) -> tuple[Solid, ...]:
 @pytest.mark.parametrize('seed', [3, 5])
 def test_a_step_along_the_edge_is_no_edge(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(scenes.SCENES, 'stepped', replace(scenes.SCENES['wedge'], solids=stepped))
-    recording = recorded(replace(SCENARIOS['wedge'], scene='stepped', stations=(18, 0),
+    recording = recorded(replace(SCENARIOS['wedge'], scene='stepped', stops=(18, 0),
                                  stated=(('target.type', 'wedge'),)), seed)
     calibration = recording.calibrate()
     assert recording.error(calibration.T_flange_sensor) < 3e-4

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from command import handeye, succeeds
 from handeye_ros import pipeline, se3
-from handeye_ros.bags import bag_write
+from handeye_ros.bags import writer
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Reject
 from handeye_ros.errors import DataError, InputError
@@ -76,10 +76,10 @@ def test_a_stop_that_is_left_out_has_its_number_among_all_stops(calibrated):
     samples[8] = replace(samples[8], T_base_flange=wrong)
     others = [Reject(sample.stamp, 'no edge') for sample in samples[:2]]
     known = CalibratedCell.of_calibration(calibration, config)
-    assert check(samples[2:], known, others).left_out == [9]
+    assert check(samples[2:], known, others).contradicting == [9]
     passes = [sample.stamp for sample in samples[::4]]  # of a sweep, with four profiles in each
     check_result = check(samples[2:], known, others, passes)
-    assert check_result.left_out == [3]
+    assert check_result.contradicting == [3]
     assert check_result.sentence.endswith('profiles of the passes [3]')
 
 
@@ -151,7 +151,7 @@ def test_a_stop_that_contradicts_the_others_is_left_out(calibrated):
     T_off = se3.perturb(samples[2].T_base_flange, np.array([0, 0, 1e-3, 0, 0, 0]))
     samples[2] = replace(samples[2], T_base_flange=T_off)
     check_result = check(samples, CalibratedCell.of_calibration(calibration, config))
-    assert (check_result.verdict, check_result.left_out) == ('unchanged', [3])
+    assert (check_result.verdict, check_result.contradicting) == ('unchanged', [3])
     assert check_result.stations == 7
     assert check_result.sentence.endswith('stops [3]')
 
@@ -160,7 +160,7 @@ def test_a_stop_that_contradicts_the_others_is_left_out(calibrated):
 def test_faces_seen_at_grazing_incidence_are_no_change(calibrated):
     config = calibrated['wedge'].config  # the simulated sensor errs in range where light grazes
     for seed in (21, 22):
-        scenario = replace(SCENARIOS['wedge'], stations=(26, 0))
+        scenario = replace(SCENARIOS['wedge'], stops=(26, 0))
         recording = simulate(scenario, np.random.default_rng(seed))
         samples = pipeline.gather(recording.profiles, recording.poses, config).samples
         calibration = pipeline.solve(samples[:18], [], config, 'laser')
@@ -168,7 +168,7 @@ def test_faces_seen_at_grazing_incidence_are_no_change(calibrated):
             check_result = check(
                 checked_samples, CalibratedCell.of_calibration(calibration, config))
             assert check_result.verdict == 'unchanged', check_result.sentence
-            assert check_result.left_out == [], check_result.sentence
+            assert check_result.contradicting == [], check_result.sentence
 
 
 @pytest.mark.parametrize('fault', [
@@ -205,9 +205,9 @@ def test_what_cannot_be_checked_is_refused(calibrated):
 
 @pytest.mark.thorough
 def test_the_verb_on_recordings(tmp_path):
-    scenario = replace(SCENARIOS['small_plate'], stations=(6, 6))
+    scenario = replace(SCENARIOS['small_plate'], stops=(6, 6))
     recording = simulate(scenario, np.random.default_rng(5))
-    bag_write.write(tmp_path / 'today', recording.profiles, recording.poses)
+    writer.write(tmp_path / 'today', recording.profiles, recording.poses)
     succeeds('solve', 'today', '--out', '.', cwd=tmp_path)
     calibration = read_calibration(tmp_path / 'calibration.yaml')
     T = se3.perturb(calibration.T_flange_sensor, np.full(6, 3e-3))
@@ -220,7 +220,7 @@ def test_the_verb_on_recordings(tmp_path):
     run = handeye('check', 'today', 'today', '--against', 'moved.yaml', cwd=tmp_path)
     assert run.returncode == 1, run.stderr
     assert 'UNCHANGED' not in run.stdout
-    bag_write.write(tmp_path / 'before', recording.profiles, [
+    writer.write(tmp_path / 'before', recording.profiles, [
         replace(p, translation=p.translation + [0, 0, 2e-3]) for p in recording.poses])
     run = handeye('check', 'before', 'today', '--against', 'calibration.yaml', cwd=tmp_path)
     assert run.returncode == 1 and ': UNCHANGED' in run.stdout, run.stderr

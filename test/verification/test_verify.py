@@ -62,7 +62,7 @@ def test_of_a_block_on_a_surface_plate_the_nearest_surface_is_taken():
     rng = np.random.default_rng(1)
     X, T, passes = bench.sensor_on_flange(rng), bench.draw_pose(rng), []
     for size, table, z in (((0.2, 0.15), None, 0.0), ((0.03, 0.009), 0.025, 0.025)):
-        scenario = replace(SCENARIOS['plane'], stations=(20, 0), tilt=bench.TILT,
+        scenario = replace(SCENARIOS['plane'], stops=(20, 0), tilt=bench.TILT,
                            target=PlateTarget(size, table=table, clutter=None))
         place = T @ se3.transform(np.eye(3), np.array([0, 0, z]))
         passes.append(bench.take(scenario, X, place, SCENES['plane'].stops(scenario, rng), rng))

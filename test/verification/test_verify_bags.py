@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros import pipeline, se3
-from handeye_ros.bags import bag_write
+from handeye_ros.bags import writer
 from handeye_ros.cli import command
 from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import ClockEstimate
@@ -60,7 +60,7 @@ def test_a_routine_passes_the_right_calibration_and_fails_a_wrong_one(tmp_path, 
     artefact = bench.RENDERED[name](rng)
     bags = [tmp_path / f'bag_{k}' for k in range(len(artefact.passes))]
     for bag, part in zip(bags, artefact.passes, strict=True):
-        bag_write.write(bag, part.profiles, part.poses)
+        writer.write(bag, part.profiles, part.poses)
     X = se3.perturb(artefact.T_flange_sensor, bench.STD * rng.normal(size=6))
     results = []
     for T, exit_code in ((X, 0), (se3.perturb(X, WRONG), 1)):
@@ -108,7 +108,7 @@ def test_files_of_no_verification_are_refused(tmp_path, text, words):
 def sweep(target, calibrated, knot, delay, **values):
     """Return the samples of a sweep in which the profiles come late, calibration and settings."""
     base, routine = SCENARIOS[target], ROUTINES[target]
-    scenario = replace(base, stations=(8, 0), sweep=Sweep(knot=knot), **values,
+    scenario = replace(base, stops=(8, 0), sweep=Sweep(knot=knot), **values,
                        sensor=replace(base.sensor, columns=320, delay=delay))
     recording = simulate(scenario, np.random.default_rng(5))
     config = routine.settings(with_values(Config(), settings(scenario) | {

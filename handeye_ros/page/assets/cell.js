@@ -10,8 +10,7 @@ const NAMES = {
   'verify.routine': 'What is measured', 'verify.radius': 'Radius / m',
   'verify.lengths': 'Nominal lengths / m', 'verify.reference': 'Touched point x, y, z / m',
   'verify.tolerance': 'Largest error that passes / m' };
-const NOMINAL = { sphere: ['verify.radius'], ball_bar: ['verify.radius', 'verify.lengths'],
-  step: ['verify.lengths'], point: ['verify.reference'] };
+let nominalKeys = {};  // which of these each routine needs
 const written = value => (Array.isArray(value) ? `[${value.join(', ')}]` : String(value));
 
 function setting({ key, value, description, choices }) {
@@ -41,7 +40,8 @@ async function readCell() {
     say((await answer.json()).message, false);
     return;
   }
-  const { settings, sessions, previous } = await answer.json();
+  const { settings, nominal_keys, sessions, previous } = await answer.json();
+  nominalKeys = nominal_keys;
   const edited = Object.entries(valuesOf('verify-form'));
   const parts = verify => settings.filter(s => NAMES[s.key] && s.key.startsWith('verify.') === verify);
   $('cell-form').replaceChildren(...parts(false).map(s => {
@@ -68,7 +68,7 @@ async function readCell() {
 // Only what the routine needs is asked for.
 function showNominal() {
   const needed = ['verify.routine', 'verify.tolerance',
-    ...(NOMINAL[$('set-verify.routine').value] || [])];
+    ...(nominalKeys[$('set-verify.routine').value] || [])];
   for (const made of $('verify-form').children) made.hidden = !needed.includes(made.dataset.key);
 }
 

@@ -253,7 +253,7 @@ function sample(s, state, largest) {
   const { line, number, edge, tilt, time, fill, figure, why, button } = lines.get(key);
   line.className = s.excluded ? 'out' : '';
   number.textContent = s.number;
-  edge.textContent = !s.taken ? 'no sample' : s.excluded ? 'left out' :
+  edge.textContent = !s.taken ? 'no sample' : s.excluded ? 'excluded' :
     !s.believed ? 'not used' : state.edges[s.number] ? `edge ${state.edges[s.number]}` :
       'used';
   edge.className = s.taken && s.believed || s.excluded ? 'what' : 'what bad';
@@ -270,18 +270,18 @@ function sample(s, state, largest) {
   s.taken && !s.believed && !s.excluded ? 'the fit does not use it: it contradicts the others' : '']
     .filter(Boolean).join('; ');
   button.hidden = !s.taken;
-  button.textContent = s.excluded ? 'Bring back' : 'Leave out';
+  button.textContent = s.excluded ? 'Include' : 'Exclude';
   button.dataset.sample = s.number;
   button.setAttribute('aria-label', button.textContent + ' ' + s.number);
-  button.onclick = () => ask('exclude', { number: s.number, out: !s.excluded }, button);
+  button.onclick = () => ask('exclude', { number: s.number, excluded: !s.excluded }, button);
   return line;
 }
 
 // Return the angle of the viewing direction to that of the first sample (rad), null if unknown.
 function tiltOf(s, { scene }) {
-  const own = scene.known && scene.stations.find(({ number }) => number === s.number);
+  const own = scene.known && scene.samples.find(({ number }) => number === s.number);
   if (!own) return null;
-  const [a, b] = [own, scene.stations[0]].map(({ T }) => column(T, 2));
+  const [a, b] = [own, scene.samples[0]].map(({ T }) => column(T, 2));
   return Math.acos(Math.min(1, a[0] * b[0] + a[1] * b[1] + a[2] * b[2]));
 }
 
@@ -317,7 +317,7 @@ function showAnswer(c, rows) {
   text('saved', c.saved ? `saved in ${c.saved}` : '');
   $('figures').hidden = $('files').hidden = !rows.length;
   const quality = rows.length ? [['residual', mm(c.residual_rms), '', 'mm'],
-    ['left out', mm(c.holdout_rms), '', 'mm'], ['stations used', String(c.used), '', '']] : [];
+    ['left out', mm(c.holdout_rms), '', 'mm'], ['samples used', String(c.used), '', '']] : [];
   $('figures').tBodies[0].replaceChildren(...rows.concat(quality).map(([name, value, std, unit]) => {
     const made = document.createElement('tr');
     made.id = 'answer-' + name.replace(' ', '-');

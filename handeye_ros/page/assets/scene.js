@@ -36,8 +36,8 @@ function reachOf(T, scene) {
 // state: scene, samples (by number: used, out or unused), profile, and the words of the aim
 function drawScene(canvas, scene, samples, profile, words) {
   const made = board(canvas), { pen, width, height } = made;
-  if (!scene.known && (scene.move || !scene.stations.length)) return drawMove(made, scene);
-  const points = [...scene.stations.map(s => column(s.T, 3)), ...scene.edges.flat(),
+  if (!scene.known && (scene.move || !scene.samples.length)) return drawMove(made, scene);
+  const points = [...scene.samples.map(s => column(s.T, 3)), ...scene.edges.flat(),
     ...scene.outline.flat(), ...scene.spots];
   if (scene.known && scene.live) points.push(...reachOf(scene.live, scene));
   if (scene.known && scene.next) points.push(...reachOf(scene.next, scene));
@@ -65,7 +65,7 @@ function drawScene(canvas, scene, samples, profile, words) {
     drawing.words(column(scene.live, 3), 'now', 'text', 'bold');
   }
   const ahead = scene.range_sign * 0.02;
-  for (const { number, T } of scene.stations) {
+  for (const { number, T } of scene.samples) {
     const kind = samples.get(number) || 'used', name = kind === 'used' ? 'main' : 'bad';
     if (scene.known) drawing.line([column(T, 3), at(T, [0, 0, ahead])], name, 2);
     drawing.mark(column(T, 3), name, kind, String(number));

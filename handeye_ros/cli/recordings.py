@@ -1,8 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The other verbs: errors of the arm; many recordings; publish and simulate a recording."""
+"""The verbs about recordings: one command on many of them; publish one, and simulate one."""
 from collections import Counter
-from dataclasses import replace
 from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
@@ -13,17 +12,10 @@ from handeye_ros.cli.common import (
     app,
     Assignments,
     Bag,
-    collect_samples,
     ConfigFile,
     configuration,
-    file_option,
-    folder_option,
     INTERRUPTED_EXIT_CODE,
-    is_table,
     progress_bar,
-    read_bag_shown,
-    show,
-    warn,
 )
 from handeye_ros.errors import NoRosError, UnknownNameError
 from handeye_ros.words import count_of
@@ -34,56 +26,6 @@ if TYPE_CHECKING:
 
 PREFORM_FILE = 'preform.ply'
 BatchVerb = StrEnum('BatchVerb', ['solve', 'verify', 'check', 'compare'])  # that batch runs
-
-
-@app.command()
-def kinematics(
-    sources: Annotated[list[Path], typer.Argument(metavar='SOURCE...', help=(
-        'Bags with profiles and joint values, or sessions, each with the target at another place; '
-        'or a table of joint values and measured points (CSV). State the target, as in --set '
-        'target.type=sphere.'))],
-    urdf: Annotated[Path, file_option(help='The URDF of the robot.')],
-    base: Annotated[str, typer.Option(help='Link of its base; default: the root.')] = '',
-    flange: Annotated[str, typer.Option(
-        help='Link of the sensor; default: tool0, flange, or the last.')] = '',
-    config: ConfigFile = None,
-    assignments: Assignments = [],
-    out: Annotated[Path, folder_option(
-        help='For corrected.urdf, kinematics.yaml, calibration.yaml.')] = Path('out/kinematics'),
-) -> None:
-    """Estimate the errors of the arm, with the transform."""
-    tables = [*filter(is_table, sources)]
-    if tables and len(sources) > 1:
-        raise typer.BadParameter('give one table only; its column "target" names the points')
-    if len({path.resolve() for path in sources}) < len(sources):
-        raise typer.BadParameter('give each source once: it would count twice')
-    settings = configuration(config, assignments)
-    from handeye_ros.arm import read_urdf
-    from handeye_ros.bags.session_files import is_session, read_session
-    from handeye_ros.results.file_values import input_provenance
-    from handeye_ros.robot.arm_answer import table
-    from handeye_ros.robot.sources import solve_sources, solve_table, source_of
-    text, arm = read_urdf(urdf, base, flange)
-    if tables:
-        with progress_bar('solving'):
-            answer = solve_table(tables[0], arm, settings,
-                                 [*map(input_provenance, (*tables, urdf))])
-    else:
-        measured = []
-        for path in sources:
-            stored = read_session(path) if is_session(path) else None
-            read_with = replace(configuration(
-                config, assignments, stored.config if stored else None), kinematics='')
-            recording = read_bag_shown(path, read_with, arm)
-            measured.append(source_of(
-                stored.session(read_with) if stored else collect_samples(recording, read_with),
-                recording, arm, read_with,
-                [{'path': str(path.absolute())}] if stored else recording.inputs))
-        with progress_bar('solving'):
-            answer = solve_sources(measured, arm, [input_provenance(urdf)])
-    warn(*answer.warnings)
-    show(table(answer))
-    typer.echo(answer.save(text, out, settings.save.formats))
 
 
 def run_verb(arguments: list[str]) -> int:
@@ -193,7 +135,7 @@ def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> 
     Returns its content in words. force: whether an existing folder is replaced; without it
     InputError is raised. Raises UnwritableError where the folder cannot be written.
     """
-    from handeye_ros.bags import bag_write
+    from handeye_ros.bags import writer
     from handeye_ros.output import yaml_text
     from handeye_ros.results.truth import TRUTH_NAME
     from handeye_ros.scanning.cloud import write_cloud
@@ -217,21 +159,21 @@ def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> 
         def write_recordings(new_folder: Path) -> None:
             new_folder.mkdir()
             for part, messages in recordings.items():
-                bag_write.write(new_folder / part, messages.profiles, messages.poses, texts=texts)
+                writer.write(new_folder / part, messages.profiles, messages.poses, texts=texts)
             cloud = artefacts.preform_cloud(np.random.default_rng(seed))
             rows = unstructured_to_structured(cloud.points,
                                               np.dtype([(axis, '<f4') for axis in 'xyz']))
             write_cloud(new_folder / PREFORM_FILE, [rows], 'frame base, metres')
 
-        bag_write.write_folder(folder, texts, write_recordings, force)
+        writer.write_folder(folder, texts, write_recordings, force)
         return ', '.join([*recordings, PREFORM_FILE])
     scenario = SCENARIOS.get(name) or FAULTS.get(name)
     simulated = simulate(scenario, rng) if scenario else FILE_SCENES[name](rng)
     texts = {**simulated.tables, TRUTH_NAME: yaml_text({**origin, **simulated.true_values})}
     if not simulated.profiles:
-        bag_write.write_folder(folder, texts, force=force)
+        writer.write_folder(folder, texts, force=force)
         return ', '.join(simulated.tables)
-    bag_write.write(folder, simulated.profiles, simulated.poses, texts=texts, force=force,
-                    joints=simulated.joints if isinstance(simulated, Simulated) else ())
+    writer.write(folder, simulated.profiles, simulated.poses, texts=texts, force=force,
+                 joints=simulated.joints if isinstance(simulated, Simulated) else ())
     return ', '.join([f'{len(simulated.profiles)} profiles', f'{len(simulated.poses)} poses',
                       *simulated.tables])

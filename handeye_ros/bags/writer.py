@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 
 from handeye_ros import se3
 from handeye_ros.bags.messages import DATATYPES, typestore
-from handeye_ros.bags.reader import (
+from handeye_ros.bags.storage import (
     by_log_time,
     CLOUD_TYPE,
     full_name,
@@ -56,7 +56,7 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
     config: names the topics, and the unit of the coordinates in the messages
     texts: the contents of other files in the folder, by name
     force: whether a bag that is there is replaced
-    joints: stamps (ns) and values (k,) of the joints joint_1, joint_2 and so on (rad)
+    joints: stamps (ns) and values (k,) of the joints joint_1, joint_2 and so on (rad or m)
     dtype: the type of the coordinates, f4 or f8
 
     Raises InputError if the path exists and may not be replaced, and UnwritableError if it cannot
@@ -252,9 +252,10 @@ def write_folder(path: Path, texts: Mapping[str, str],
     """
     Write a folder of recordings or measured values, completely or not at all.
 
-    A hidden folder beside the final one is filled and then renamed. texts: of files, by name;
-    fill: makes the folder, with all its other files; force: an existing recording is replaced.
-    Raises InputError if the path exists and may not be replaced, UnwritableError.
+    A hidden folder beside the final one is filled and then renamed. If the process is killed
+    between the two renames that replace a recording, both are in the hidden folder. texts: of
+    files, by name; fill: makes the folder, with all its other files; force: an existing recording
+    is replaced. Raises InputError if the path exists and may not be replaced, UnwritableError.
     """
     path = path.resolve()
     with write_errors_for(path):

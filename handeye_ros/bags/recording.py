@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Reads profiles and poses from a rosbag2 recording; bag_write.py writes them.
+Reads profiles and poses from a rosbag2 recording; writer.py writes them.
 
 The profiles may be larger than the memory: of each its stamp is kept, and its place in the file,
 from which it is read again when a stop uses it. Poses are kept, as is /tf while it is read.
@@ -19,7 +19,7 @@ from typing import Any
 from handeye_ros.arm import Arm
 from handeye_ros.bags.messages import ProfileReader, profiles_of, returns_of
 from handeye_ros.bags.poses import ArmPose, OtherJointsError, pose_topics
-from handeye_ros.bags.reader import CLOUD_TYPE, full_name, Reader, RecordedMessage, TF_TYPE
+from handeye_ros.bags.storage import CLOUD_TYPE, full_name, Reader, RecordedMessage, TF_TYPE
 from handeye_ros.bags.transforms import FlangeFollower
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, RawProfile, TimedPose

@@ -5,7 +5,8 @@ CN105021139A (Wang, Li, Liu 2015): circle target with two diameters, line laser 
 
 The image shows a circle's orthogonal diameters AB and CD, its centre O, and the laser stripe
 through O. Harmonic conjugates give the vanishing points of AB and CD, these the rotation of the
-target; the light plane gives the depth of O; two motions of the robot give A X = X B.
+target; the light plane gives the depth of O; two motions of the robot give A X = X B. The package
+itself uses only this last half, `motions` and `solve_motions`, of poses from anywhere.
 
 What is wrong in print, and what is done here:
 
