@@ -13,6 +13,7 @@ const mine = new Set();  // samples that this browser has taken,
 const answers = new Set();  // and what the node said of them
 let refused = null;  // the situation after a refusal that the footer tells, null without one
 let isRefusal = false;  // whether the next state is that situation
+let tellsAnswer = false;  // whether the footer tells an answer, which may be withdrawn
 
 function text(id, value) {
   if (shown[id] !== value) {
@@ -40,7 +41,7 @@ function show(state) {
   if (latest && latest.session.path && latest.session.path !== state.session.path) { mine.clear(); answers.clear(); }
   if (state.attempt && answers.has(state.attempt.text)) mine.add(state.attempt.number);
   if (latest && latest.calibration.state !== 'withdrawn' && state.calibration.state === 'withdrawn' &&
-      $('message').className === 'good') say('');
+      tellsAnswer) say('');
   latest = state;
   heard = Date.now();
   if (isRefusal) [refused, isRefusal] = [situation(state), false];
@@ -86,6 +87,7 @@ function say(words, good = true) {
   $('message').className = good ? 'good' : 'bad';
   refused = null;
   isRefusal = !good;
+  tellsAnswer = false;
 }
 
 function showNow(state) {
@@ -337,6 +339,7 @@ async function ask(name, values, button) {
     ({ success, message } = await answer.json());
   } catch (error) { /* the message says it */ }
   say(message, success);
+  tellsAnswer = success && ['compute_calibration', 'save_calibration'].includes(name);
   button.disabled = false;
   if (success && name === 'take_sample') answers.add(message);
   return success;
