@@ -258,6 +258,7 @@ def test_a_start_at_another_plate_is_not_the_last(monkeypatch: pytest.MonkeyPatc
     assert next(aside, None) is None, 'the first start was aside'
 
 
+@pytest.mark.thorough
 def test_profiles_in_gaps_between_the_poses_do_not_pull_the_time_offset() -> None:
     recording = simulate(sweep('sphere', 0.02), np.random.default_rng(0))
     t_0, cuts = recording.poses[0].stamp, np.cumsum(np.random.default_rng(100).uniform(0.8, 2, 40))
