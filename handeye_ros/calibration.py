@@ -41,7 +41,8 @@ MAX_POINTS = 200_000  # measured points of which residuals are computed
 MAX_FOLDS = 20  # of the left-out residuals
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
              'crosses the edge at too small an angle')
-SURE_SIGMAS, NOTED_SIGMAS = 4.0, 3.0  # of a bend or a drift, and of a measure, to note them
+# of a bend or a drift to note it, and of a scale to refuse it; of a measure to note it
+SURE_SIGMAS, NOTED_SIGMAS = 4.0, 3.0
 MIN_BEND = 3e-5  # m, told
 LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
 

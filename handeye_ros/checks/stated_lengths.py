@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from handeye_ros.calibration import block_estimates, BlockEstimate, NOTED_SIGMAS
+from handeye_ros.calibration import block_estimates, BlockEstimate, SURE_SIGMAS
 from handeye_ros.checks.hypotheses import explain_problem, Explanation, Hypothesis
 from handeye_ros.checks.moved import possible_move, require_no_sure_move
 from handeye_ros.errors import DataError
@@ -128,8 +128,8 @@ def require_one_scale(solution: Solution) -> None:
     Raises DataError: scale, or moved where the evidence for a move is decisive.
     """
     scale = block_estimates(solution.report_posterior).get('robot_scale')
-    if scale and abs(scale.sigmas_off_stated) > NOTED_SIGMAS and abs(scale.value) > max(
-            MIN_SCALE_ERROR, NOTED_SIGMAS * scale.std):
+    if scale and abs(scale.sigmas_off_stated) > SURE_SIGMAS and abs(scale.value) > max(
+            MIN_SCALE_ERROR, SURE_SIGMAS * scale.std):
         require_no_sure_move(possible_move(solution))
         raise _scale_refusal(abs(scale.value), scale.std)
 
