@@ -107,20 +107,22 @@ def _heights_over_plane(stops: NDArray[np.object_], config: Config
         return np.full(len(stops), np.nan), [], 0
     estimate = fit.solutions[0].estimate
     poses = mount_poses(np.array([stop.sample.T_base_flange for stop in stops]), config)
-    T_target_plane = inverse(estimate.state.reshape(4, 4)) @ poses @ estimate.X
+    T_target_sensor_plane = inverse(estimate.T_base_target) @ poses @ estimate.X
     at_edge = np.array([_face_heights(stop.sample, T)[0]
-                        for stop, T in zip(stops, T_target_plane, strict=True)])
-    shown = [_face_heights(result, T) for result, T in zip(results, T_target_plane, strict=True)]
+                        for stop, T in zip(stops, T_target_sensor_plane, strict=True)])
+    shown = [_face_heights(result, T) for result, T in zip(
+        results, T_target_sensor_plane, strict=True)]
     return at_edge, shown, len(fit.left_out_squares)
 
 
-def _face_heights(result: Sample | Reject, T_target_plane: Array) -> Array:
+def _face_heights(result: Sample | Reject, T_target_sensor_plane: Array) -> Array:
     """Return the heights (m) of faces over a plane, towards the sensor; NaN if not parallel."""
-    by_x, _, by_z, offset = T_target_plane[2] * np.sign(T_target_plane[2, 3])
+    by_x, _, by_z, offset = T_target_sensor_plane[2] * np.sign(T_target_sensor_plane[2, 3])
     return np.array([
         by_x * face.centre[0] + by_z * face.centre[1] + offset
         if abs(by_x * face.direction[0] + by_z * face.direction[1]) < MAX_INCLINATION
-        else np.nan for face in getattr(result, 'features', ()) if isinstance(face, FaceLine)])
+        else np.nan for face in (result.features if isinstance(result, Sample) else ())
+        if isinstance(face, FaceLine)])
 
 
 def _levels(heights: Array) -> list[tuple[float, NDArray[np.bool_]]]:

@@ -247,7 +247,7 @@ def test_a_start_at_another_plate_is_not_the_last(monkeypatch: pytest.MonkeyPatc
 
     def first_aside(self: Plate, *problem: Any) -> Iterator[Estimate]:
         for start in starts(self, *problem):
-            T = start.state[:16].reshape(4, 4).copy()
+            T = start.T_base_target.copy()
             T[:3, 3] += next(aside, 0.0) * T[:3, 0]
             yield replace(start, state=np.append(T, start.state[16:]))
     monkeypatch.setattr(Plate, 'starts', first_aside)
