@@ -18,8 +18,8 @@ from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import blocks_at
 from handeye_ros.estimation.problem import Estimate, linearise
 from handeye_ros.results.truth import errors_against
+from handeye_ros.sampling.interpolation import interpolate
 from handeye_ros.sampling.stops import StopFinder
-from handeye_ros.sampling.stream import interpolate
 from handeye_ros.sampling.sweep import with_estimated_clocks
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate import Scenario, SCENARIOS, simulate
