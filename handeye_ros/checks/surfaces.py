@@ -13,7 +13,7 @@ the table: the target is at the height whose stops agree on it as configured.
 """
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from handeye_ros.checks.hypotheses import explain_samples, stops_to_explain
 from handeye_ros.checks.settings import with_correction, with_few_profiles
@@ -75,20 +75,29 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
         # only wrong axes or a wrong sign make the ground beneath a face
         if np.nanmedian(above) > 0 and _agree_on_target(stops[is_at_level], config):
             raise OtherSurfaceError(stops[~is_at_level], _surface_in_words(above))
-    if several and refusal.code in ('misfit', 'edges'):
-        listed = '; '.join(
-            f'{(level - np.nanmin(at_edge)) * 1e3:.1f} mm: {_numbers(stops[is_at_level])}'
-            for level, is_at_level in levels)
-        why = f'they show edges at several heights ({listed}), as of a clamp or a second plate'
-    elif agreeing and refusal.code == 'misfit':
-        why = ('the ends of their faces lie on another object, such as a clamp or a second plate, '
-               'the target moved in its plane or is not as target.type and target.size state, '
-               'or poses or clocks are wrong along this plane')
-    else:
-        return
-    raise DataError(
-        f'{agreeing} of {len(stops)} stops agree on one plane, but not on the edges of the '
-        f'target: {why}: {ADVICE}', code='surface')
+    heights = [(level - np.nanmin(at_edge), stops[is_at_level]) for level, is_at_level in levels]
+    if why := _unnamed_surface(heights if several else [], agreeing, refusal.code):
+        raise DataError(
+            f'{agreeing} of {len(stops)} stops agree on one plane, but not on the edges of the '
+            f'target: {why}: {ADVICE}', code='surface')
+
+
+def _unnamed_surface(heights: Sequence[tuple[float, NDArray[np.object_]]], agreeing: int,
+                     code: str) -> str:
+    """
+    Return in words what stops may show of which no part agrees on the target, '' if unknown.
+
+    heights: over the lowest edge (m), each with the stops that show an edge there, none if only
+    one has several stops; agreeing: how many stops agree on a plane; code: of the refusal.
+    """
+    if heights and code in ('misfit', 'edges'):
+        listed = '; '.join(f'{height * 1e3:.1f} mm: {_numbers(at)}' for height, at in heights)
+        return f'they show edges at several heights ({listed}), as of a clamp or a second plate'
+    if agreeing and code == 'misfit':
+        return ('the ends of their faces lie on another object, such as a clamp or a second '
+                'plate, the target moved in its plane or is not as target.type and target.size '
+                'state, or poses or clocks are wrong along this plane')
+    return ''
 
 
 def _heights_over_plane(stops: NDArray[np.object_], config: Config
