@@ -37,7 +37,7 @@ from handeye_ros.targets.starts import (
 import numpy as np
 
 EDGE_Y, EDGE_Z = 1, 2
-LINE_SOLUTIONS = 24  # of a grid of directions, that are tried
+LINE_SOLUTIONS = 24  # that are tried, of those over a grid of directions
 SAME_FACE = 0.25  # rad: largest angle between the faces of two stations about the edge
 # of ends, by Observations.ending: 0 no end, 1 corner, 2 step, 3 nothing beyond
 END_GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in ENDINGS)])

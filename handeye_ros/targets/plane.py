@@ -31,7 +31,7 @@ from handeye_ros.targets.starts import (
 )
 import numpy as np
 
-PLANE_SOLUTIONS = 10  # of a grid of directions, that are tried
+PLANE_SOLUTIONS = 10  # that are tried, of those over a grid of directions
 SAME_ANGLE = 0.05  # rad: angles to the plane that differ by less are the same
 
 

@@ -20,7 +20,7 @@ is the smallest. It states
 - raw_points, where its features hold the measured points that their means stand for
 - half_turn_misfit, where half a turn about another place than a point may change its views least
 - alike_views_in_words, where views that are too much alike leave something undetermined
-- describe_strays, where it can say on what else unused edges lie
+- describe_strays, where it can say how far from its own the unused edges lie
 - blocks and feature_errors, where it has other systematic errors than those of faces
 
 Here are its observations, and the systematic errors that targets of faces have in common: set-back

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 ROTATION_COUNT = 1200
-SPHERE_SOLUTIONS = 16  # of random rotations of the sensor, that are tried
+SPHERE_SOLUTIONS = 16  # that are tried, of those with random rotations of the sensor
 START_RADIUS_RATIO = 1.05  # an unknown radius over that of the largest circle
 MIDDLE_WEIGHT = 1e-9  # weight of a centre at the middle of the poses (regularisation)
 
