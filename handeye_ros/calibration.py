@@ -210,7 +210,7 @@ def measured_points(used: Sequence[Sample], problem: Problem) -> MeasuredPoints:
     """
     obs = problem.observations
     bounds = np.searchsorted(obs.station, np.arange(len(used) + 1))
-    parts = [problem.target.measured(sample, obs.points[first:last], obs.kind[first:last])
+    parts = [problem.target.raw_points(sample, obs.points[first:last], obs.kind[first:last])
              for sample, first, last in zip(used, bounds[:-1], bounds[1:], strict=True)]
     station = np.repeat(np.arange(len(used)), [len(kind) for _, kind in parts])
     points, kind = map(np.concatenate, zip(*parts, strict=True))
@@ -223,8 +223,8 @@ class BlockEstimate:
     """
     The first parameter of a block of nuisance parameters: its value and 1 sigma.
 
-    sigmas_off_stated: of the value from the data alone, without the prior, with the stated one, in
-    sigmas of both; significance: of the value from the data alone, in its sigmas.
+    sigmas_off_stated: how far the data alone, without the prior, put the value from the stated
+    one, over the root of both variances; significance: the value from the data alone, in sigmas.
     """
 
     value: float

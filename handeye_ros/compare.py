@@ -158,7 +158,7 @@ def _ball(stations: ComparedStations) -> tuple[Array, Array]:
             for feature in sample.features if isinstance(feature, Arc)]
     poses = stations.problem.poses[[i for i, _ in arcs]]
     T_plane_base = se3.inverse(poses @ stations.estimate.X)
-    T_base_sphere = stations.estimate.state[:16].reshape(4, 4)
+    T_base_sphere = stations.estimate.T_base_target
     centre = se3.apply(T_plane_base, T_base_sphere[None, :3, 3])[:, 0]
     return poses, jing2020.ball_centres(
         np.array([arc.centre for _, arc in arcs]), np.array([arc.radius for _, arc in arcs]),

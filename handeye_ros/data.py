@@ -52,6 +52,11 @@ def evenly_spaced(items: Sequence[T], most: int) -> list[T]:
     return [items[i] for i in even_indices(len(items), most)]
 
 
+def has_return(points: Array) -> NDArray[np.bool_]:
+    """Return which of points (n, 2) are finite."""
+    return np.asarray(np.isfinite(points).all(axis=1))
+
+
 def column_order(x: Array, is_return: NDArray[np.bool_]) -> Indices | slice:
     """
     Return the columns of a profile in order along its line, as indices into its columns.
@@ -388,7 +393,8 @@ class Reject:
     """
     A stop, or a profile of a pass, that gave no sample, and why.
 
-    stamp: that of its first profile (ns)
+    stamp: of a stop its own, that of its first pose; of a profile, or where features were found,
+        that of the sample (ns)
     reason: a sentence for the user
     final: whether the reason holds whatever the profiles show, as of a stop that is excluded or
         cannot be evaluated again
@@ -402,12 +408,13 @@ class Reject:
 @dataclass(frozen=True)
 class SampleReport:
     """
-    What became of a sample: its residual, or the reason for which it was not used.
+    What became of a sample: its residual, and why it was not used, or not all of it.
 
     stamp: of the sample (ns); of a table the number of its row
     used: whether the answer uses it
     edge: kinds of the target's edges that it shows, as p, q; of a table the kind of its row
     residual: RMS (m)
+    reason: why it was not used, or not all of it; '' otherwise
     """
 
     stamp: int

@@ -55,7 +55,6 @@ from handeye_ros.data import (
     TimedPose,
 )
 from handeye_ros.errors import DataError, InputError, require_type
-from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.search import refined_solution, robust_solution
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_frame, mount_poses_of
@@ -63,6 +62,7 @@ from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import with_estimated_clocks
 from handeye_ros.targets.profile_target import ProfileTarget
+from handeye_ros.threads import single_threaded
 import numpy as np
 
 

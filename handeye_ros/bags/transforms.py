@@ -15,7 +15,8 @@ from collections.abc import Mapping, Sequence
 
 from handeye_ros import se3
 from handeye_ros.data import Array, NS, TimedPose
-from handeye_ros.sampling.stream import by_stamp, interpolate, Stream
+from handeye_ros.sampling.interpolation import interpolate
+from handeye_ros.sampling.stream import by_stamp, Stream
 import numpy as np
 
 STILL = 1e-5  # m, rad: a link that moves less between two transforms stands

@@ -22,7 +22,7 @@ from handeye_ros.checks.hypotheses import (
     stops_to_explain,
 )
 from handeye_ros.config import Config, with_values
-from handeye_ros.data import Array, CLOCK_DRIFT, NS, Profile, Sample
+from handeye_ros.data import Array, CLOCK_DRIFT, has_return, NS, Profile, Sample
 from handeye_ros.errors import BadValueError, DataError, FeatureError
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.sampling.features import combined_features
@@ -145,7 +145,7 @@ def _changes(profiles: Sequence[Profile]) -> Array:
                             for points in (a, b))
         return float(np.quantile(np.abs(range_a - range_b), 0.8))
 
-    shown = [profile.points[np.isfinite(profile.points).all(axis=1)] for profile in profiles]
+    shown = [profile.points[has_return(profile.points)] for profile in profiles]
     return np.array([change(a, b) for a, b in zip(shown[:-1], shown[1:], strict=True)])
 
 

@@ -45,8 +45,8 @@ from numpy.typing import NDArray
 
 SENSOR, TARGET = range(2)  # a body that moves: an index of derivatives, levers, Bayes factors
 POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
-CHANGE_POINTS_TRIED = 160  # of a small move, most of them, before it is examined
-FIRST_TRIED = 100  # change points to begin with, times the number of stations
+CHANGE_POINTS_TRIED = 160  # most change points of the screen (step 1)
+FIRST_TRIED = 100  # FIRST_TRIED / n change points go on to step 2
 MOVE_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 TIME_STD = 0.01  # of the times that may be wrong instead, 1 sigma (s)
 SIZE_FACTORS = (1.0, 0.25)  # factors on MOVE_STD, of equal prior probability
@@ -166,7 +166,7 @@ def with_possible_move(solution: Solution) -> tuple[Solution, str]:
         POSSIBLE_MOVE: cover(covariance, with_move) - covariance}), move.in_words()
 
 
-def possible_move(solution: Solution) -> _Move | None:
+def possible_move(solution: Solution) -> Move | None:
     """Return the move that may have been, None also with all dropped stations at one end."""
     move = None if outliers_at_one_end(solution) else _likeliest_move(solution)
     if not move or move.evidence < WARNING_EVIDENCE or move.may_be_robot_error:
@@ -174,14 +174,14 @@ def possible_move(solution: Solution) -> _Move | None:
     return move if move.permutation_p_value < WARNING_P else None
 
 
-def require_no_sure_move(move: _Move | None) -> None:
+def require_no_sure_move(move: Move | None) -> None:
     """Raise DataError (moved) for a sure move (step 6 of "A small move" in estimator.md)."""
     if move and move.evidence > DECISIVE_EVIDENCE and move.permutation_p_value < REFUSAL_P:
         raise DataError(move.in_words(), code='moved')
 
 
 @dataclass(frozen=True, eq=False)
-class _Move:
+class Move:
     """
     A move of sensor or target before one of the stations that a solution uses.
 
@@ -207,7 +207,8 @@ class _Move:
             reported = self.solution.report_posterior
             alternatives.append(
                 with_noise_reestimated(reported, (_wrong_times(reported, near),)))
-        return min(other.deviance for other in alternatives) - self.moved.deviance
+        least = min(other.minus_2_log_marginal for other in alternatives)
+        return least - self.moved.minus_2_log_marginal
 
     @cached_property
     def displacement(self) -> Array:
@@ -255,7 +256,7 @@ class _Move:
                 'firmly, and take all samples again')
 
 
-def _likeliest_move(solution: Solution) -> _Move | None:
+def _likeliest_move(solution: Solution) -> Move | None:
     """
     Return the likeliest move, None where there is evidence against any or stations are few.
 
@@ -286,8 +287,8 @@ def _likeliest_move(solution: Solution) -> _Move | None:
             again = posterior_at(problem, solution.estimate, moved.noise)
             factors = _log_bayes_factors(again, all_change_points)[0, :, body]
             station = int(all_change_points[np.argmax(factors)])
-    (body, station), moved = min(tried.items(), key=lambda item: item[1].deviance)
-    return _Move(solution, body, station, moved, with_noise_reestimated(reported))
+    (body, station), moved = min(tried.items(), key=lambda item: item[1].minus_2_log_marginal)
+    return Move(solution, body, station, moved, with_noise_reestimated(reported))
 
 
 def _margin(solution: Solution) -> int:

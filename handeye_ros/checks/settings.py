@@ -62,11 +62,13 @@ def setting_hypotheses(session: Session, config: Config, baseline: Explanation
                 for solution in tried.solutions):
             certain[values] = tried
     for values, explanation in certain.items():
-        yield Hypothesis(explanation, settings_refusal(dict(values), baseline, explanation, [
+        other_types = [
             other for other_values, other in certain.items()
             if values[0][0] == TARGET_TYPE == other_values[0][0] and values[1:] == other_values[1:]
             and len(other.left_out_squares) >= len(explanation.left_out_squares)
-            and other.redundancy > explanation.redundancy]), len(values))
+            and other.redundancy > explanation.redundancy]
+        refusal = settings_refusal(dict(values), baseline, explanation, other_types)
+        yield Hypothesis(explanation, refusal, len(values))
 
 
 def settings_refusal(values: Mapping[str, str], baseline: Explanation, changed: Explanation,

@@ -13,7 +13,7 @@ the table: the target is at the height whose stops agree on it as configured.
 """
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from handeye_ros.checks.hypotheses import explain_samples, stops_to_explain
 from handeye_ros.checks.settings import with_correction, with_few_profiles
@@ -75,20 +75,29 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
         # only wrong axes or a wrong sign make the ground beneath a face
         if np.nanmedian(above) > 0 and _agree_on_target(stops[is_at_level], config):
             raise OtherSurfaceError(stops[~is_at_level], _surface_in_words(above))
-    if several and refusal.code in ('misfit', 'edges'):
-        listed = '; '.join(
-            f'{(level - np.nanmin(at_edge)) * 1e3:.1f} mm: {_numbers(stops[is_at_level])}'
-            for level, is_at_level in levels)
-        why = f'they show edges at several heights ({listed}), as of a clamp or a second plate'
-    elif agreeing and refusal.code == 'misfit':
-        why = ('the ends of their faces lie on another object, such as a clamp or a second plate, '
-               'the target moved in its plane or is not as target.type and target.size state, '
-               'or poses or clocks are wrong along this plane')
-    else:
-        return
-    raise DataError(
-        f'{agreeing} of {len(stops)} stops agree on one plane, but not on the edges of the '
-        f'target: {why}: {ADVICE}', code='surface')
+    heights = [(level - np.nanmin(at_edge), stops[is_at_level]) for level, is_at_level in levels]
+    if why := _unnamed_surface(heights if several else [], agreeing, refusal.code):
+        raise DataError(
+            f'{agreeing} of {len(stops)} stops agree on one plane, but not on the edges of the '
+            f'target: {why}: {ADVICE}', code='surface')
+
+
+def _unnamed_surface(heights: Sequence[tuple[float, NDArray[np.object_]]], agreeing: int,
+                     code: str) -> str:
+    """
+    Return in words what stops may show of which no part agrees on the target, '' if unknown.
+
+    heights: over the lowest edge (m), each with the stops that show an edge there, none if only
+    one has several stops; agreeing: how many stops agree on a plane; code: of the refusal.
+    """
+    if heights and code in ('misfit', 'edges'):
+        listed = '; '.join(f'{height * 1e3:.1f} mm: {_numbers(at)}' for height, at in heights)
+        return f'they show edges at several heights ({listed}), as of a clamp or a second plate'
+    if agreeing and code == 'misfit':
+        return ('the ends of their faces lie on another object, such as a clamp or a second '
+                'plate, the target moved in its plane or is not as target.type and target.size '
+                'state, or poses or clocks are wrong along this plane')
+    return ''
 
 
 def _heights_over_plane(stops: NDArray[np.object_], config: Config
@@ -107,20 +116,22 @@ def _heights_over_plane(stops: NDArray[np.object_], config: Config
         return np.full(len(stops), np.nan), [], 0
     estimate = fit.solutions[0].estimate
     poses = mount_poses(np.array([stop.sample.T_base_flange for stop in stops]), config)
-    T_target_plane = inverse(estimate.state.reshape(4, 4)) @ poses @ estimate.X
+    T_target_sensor_plane = inverse(estimate.T_base_target) @ poses @ estimate.X
     at_edge = np.array([_face_heights(stop.sample, T)[0]
-                        for stop, T in zip(stops, T_target_plane, strict=True)])
-    shown = [_face_heights(result, T) for result, T in zip(results, T_target_plane, strict=True)]
+                        for stop, T in zip(stops, T_target_sensor_plane, strict=True)])
+    shown = [_face_heights(result, T) for result, T in zip(
+        results, T_target_sensor_plane, strict=True)]
     return at_edge, shown, len(fit.left_out_squares)
 
 
-def _face_heights(result: Sample | Reject, T_target_plane: Array) -> Array:
+def _face_heights(result: Sample | Reject, T_target_sensor_plane: Array) -> Array:
     """Return the heights (m) of faces over a plane, towards the sensor; NaN if not parallel."""
-    by_x, _, by_z, offset = T_target_plane[2] * np.sign(T_target_plane[2, 3])
+    by_x, _, by_z, offset = T_target_sensor_plane[2] * np.sign(T_target_sensor_plane[2, 3])
     return np.array([
         by_x * face.centre[0] + by_z * face.centre[1] + offset
         if abs(by_x * face.direction[0] + by_z * face.direction[1]) < MAX_INCLINATION
-        else np.nan for face in getattr(result, 'features', ()) if isinstance(face, FaceLine)])
+        else np.nan for face in (result.features if isinstance(result, Sample) else ())
+        if isinstance(face, FaceLine)])
 
 
 def _levels(heights: Array) -> list[tuple[float, NDArray[np.bool_]]]:

@@ -31,7 +31,7 @@ def budget(solution: Solution) -> list[BudgetTerm]:
         C_xn = reported.covariance[:6, columns]
         parts[block.name] = C_xn * reported.prior_information[columns] @ C_xn.T
     shift = np.outer(solution.shift_for_report, solution.shift_for_report)
-    parts |= {'prior scales': shift, **solution.added_covariances}
+    parts |= {'prior widths': shift, **solution.added_covariances}
     parts['best-fit transform'] = (
         solution.transform_covariance - reported.covariance[:6, :6] - shift
         - sum(solution.added_covariances.values()))

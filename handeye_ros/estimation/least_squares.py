@@ -16,9 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, wraps
-from threading import Lock
-from typing import Any, Generic, ParamSpec, TypeAlias, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from handeye_ros.data import Array
 import numpy as np
@@ -28,8 +26,6 @@ from scipy.special import chdtrc, chdtri
 
 F = TypeVar('F')
 S = TypeVar('S')
-T = TypeVar('T')
-P = ParamSpec('P')
 
 ROUNDING_SHARE = 1e-9  # of the sum of squares; residuals are differences of large numbers
 TYPICAL_SHARE = 0.65  # of the items that a good answer must explain
@@ -378,37 +374,3 @@ def chi2_isf(probability: ArrayLike, freedom: ArrayLike) -> Array:
 def chi2_sf(value: ArrayLike, freedom: ArrayLike) -> Array:
     """Return the probability of chi-squared above a value; nan without degrees of freedom."""
     return np.where(np.asarray(freedom) > 0, chdtrc(freedom, value), np.nan)
-
-
-@cache
-def _controller() -> Any:
-    """Return the controller of the thread pools, None without threadpoolctl."""
-    try:
-        from threadpoolctl import ThreadpoolController
-    except ModuleNotFoundError:
-        return None
-    return ThreadpoolController()
-
-
-_limits_blas = Lock()  # held by the call that does
-
-
-def single_threaded(function: Callable[P, T]) -> Callable[P, T]:
-    """
-    Return the function, run with one BLAS thread.
-
-    A pool of threads makes products of small matrices several times slower. The limit is one of
-    the process: of calls at once only the first sets it, and when that returns, what was in force
-    before is so again, for the others too.
-    """
-    @wraps(function)
-    def limited(*args: P.args, **kwargs: P.kwargs) -> T:
-        controller = _controller()
-        if controller is None or not _limits_blas.acquire(blocking=False):
-            return function(*args, **kwargs)
-        try:
-            with controller.limit(limits=1):
-                return function(*args, **kwargs)
-        finally:
-            _limits_blas.release()
-    return limited

@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Covariances of the residuals, (3), whitening, and the scales tau of priors, (6).
+Covariances of the residuals, (3), whitening, and the prior widths tau, (6).
 
 Blocks are unknowns of the solution, common to all stations (see posterior.py). During the search
 distortion, smooth error and set-back count as independent errors of each station, and the others

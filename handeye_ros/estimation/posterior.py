@@ -36,6 +36,7 @@ from handeye_ros.estimation.noise import (
     whitening,
 )
 from handeye_ros.estimation.problem import Estimate, Linearisation, linearise, Problem
+from handeye_ros.frames import mount_poses
 import numpy as np
 from numpy.typing import NDArray
 
@@ -266,7 +267,7 @@ class Posterior:
         return float((total / len(self.linear.residuals)) ** 0.5)
 
     @property
-    def deviance(self) -> float:
+    def minus_2_log_marginal(self) -> float:
         """Return -2 log of the marginal likelihood, the prior of the noise factors included."""
         log_det_V = -2 * sum(float(np.log(np.einsum('nii->ni', root)).sum())
                              for root in self.whitening.roots)
@@ -290,8 +291,7 @@ class Posterior:
                 included = self.nuisance[columns] * (block.value is not None)
                 twists += block.std * np.einsum(
                     'nxk,nk->nx', block.twists, values[:, columns] - included)
-        corrected = se3.perturb(T, twists)
-        return corrected if problem.config.in_hand else se3.inverse(corrected)
+        return mount_poses(se3.perturb(T, twists), problem.config)
 
     def left_out_squares(self) -> tuple[Array, NDArray[np.intp]]:
         """

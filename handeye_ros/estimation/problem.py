@@ -18,7 +18,8 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.least_squares import rows_by_count
-from handeye_ros.estimation.target import Target
+from handeye_ros.estimation.target import Target, target_pose
+from handeye_ros.frames import mount_poses
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,7 +63,7 @@ class Observations:
     points: (m, 2) metres
     kind: (m,) index of the condition in the target's kinds
     error_factor: (m, 2, 2) factor L: the point's error is L @ e, e of unit covariance
-    feature: (m,) number of the feature in its profile
+    feature: (m,) number of the feature in its sample
     ending: (m,) how the face ends at an edge point (numbered from 1), 0 for other points; edge
         points have a variance factor of their own
     outward: (m, 2) unit vector out of the face
@@ -164,6 +165,11 @@ class Estimate:
     X: Array
     state: Array
 
+    @property
+    def T_base_target(self) -> Array:
+        """Return the pose (4, 4) of the target in the base."""
+        return target_pose(self.state)
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
@@ -230,7 +236,7 @@ class Problem:
     @cached_property
     def robot_poses(self) -> Array:
         """Return the poses (n, 4, 4) of the flange in the base, for either calibration type."""
-        return self.poses if self.config.in_hand else se3.inverse(self.poses)
+        return mount_poses(self.poses, self.config)
 
     @cached_property
     def smooth_error_basis(self) -> Array:
@@ -270,7 +276,7 @@ class Problem:
         if self.pose_model is None:
             return self
         poses, twists = self.pose_model.at(pose_parameters)
-        return replace(self, poses=poses if self.config.in_hand else se3.inverse(poses),
+        return replace(self, poses=mount_poses(poses, self.config),
                        pose_parameters=pose_parameters, pose_twists=twists)
 
     def subset(self, stations: NDArray[np.intp]) -> Problem:

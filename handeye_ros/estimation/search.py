@@ -11,7 +11,7 @@ explained. Then stations far from the fit are dropped at once, and others a few 
 first, (12): with the errors that stations share as noise of each (`without_outliers`), and again
 with all nuisance parameters (`refined_solution`).
 
-A *robust* fit is that of `refined_robustly`: all stations, the outliers among them, linearised
+A *robust* fit is that of `robust_fit`: all stations, the outliers among them, linearised
 there with the kinds as then assigned.
 """
 from __future__ import annotations
@@ -66,13 +66,14 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
 
     subsets: also start from random subsets of the stations if all together do not fit: slow, and
     left out where a poor fit answers the question too. start: the only start to use, if given.
+    Stations that are all alike have a solution too, with free directions.
     """
     starts = iter([start]) if start is not None else chain(
         problem.target.starts(problem, rng),
         subset_starts(problem, SUBSET_COUNT if subsets else 0, rng))
-    best = refined_robustly(problem, next(starts))
+    best = robust_fit(problem, next(starts))
     while not is_convincing(problem, best) and (following := next(starts, None)):
-        best = min(best, refined_robustly(problem, following),
+        best = min(best, robust_fit(problem, following),
                    key=partial(mean_log_square, problem))
     return without_outliers(problem, best)
 
@@ -82,7 +83,7 @@ def quick_solution(problem: Problem) -> Solution | None:
     with suppress(np.linalg.LinAlgError):  # no start
         for start in islice(problem.target.starts(problem, np.random.default_rng(SEED)), 2):
             with suppress(np.linalg.LinAlgError):  # from this start
-                robust = refined_robustly(problem, start)
+                robust = robust_fit(problem, start)
                 if typical_square(station_squares(problem, robust)) < MAX_SQUARE:
                     return without_outliers(problem, robust)
     return None
@@ -144,7 +145,7 @@ def refined_solution(agreed: Solution, config: Config | None = None) -> Solution
         lambda solution: solution.surely_wrong_places)
 
 
-def refined_robustly(problem: Problem, start: Estimate) -> Linearisation:
+def robust_fit(problem: Problem, start: Estimate) -> Linearisation:
     """
     Return the fit that graduated non-convexity reaches from a start, (11).
 

@@ -3,7 +3,7 @@
 """
 The solution: the stations that agree, the estimate from them, and the reported covariance.
 
-The estimate and its reported covariance have different prior scales tau: an error without evidence
+The estimate and its reported covariance have different prior widths tau: an error without evidence
 in the data must not move the estimate, but it may exist.
 """
 from __future__ import annotations

@@ -33,6 +33,11 @@ class Conditions:
     dg_dparameters: Array
 
 
+def target_pose(state: Array) -> Array:
+    """Return the pose (..., 4, 4) in the base of a target of a state (..., s)."""
+    return state[..., :16].reshape(*state.shape[:-1], 4, 4)
+
+
 class Target(ABC):
     """
     One target: what it shows, its conditions and its start; the solver is the same for all.
@@ -40,7 +45,8 @@ class Target(ABC):
     There are m observations of points p (..., m, 3) in the base, and k parameters of the target.
     Its state (..., 16 + j) is its pose (4, 4) in the base, followed by j measures.
 
-    kinds: names of the conditions
+    kinds: names of the conditions, first those on faces, which begin with face (face_kinds); that
+        of the edge parallel to edge p is p_far (notes_of)
     parameter_names: names of the parameters: of the pose, then of the measures
     pose_axes: which of x y z rx ry rz, along and about its own axes, are parameters; the others
         leave it the same
@@ -88,8 +94,8 @@ class Target(ABC):
     def observe(self, samples: Sequence[Sample]) -> Observations:
         """Return the conditions of the features of samples."""
 
-    def measured(self, sample: Sample, points: Array, kind: NDArray[np.intp]
-                 ) -> tuple[Array, NDArray[np.intp]]:
+    def raw_points(self, sample: Sample, points: Array, kind: NDArray[np.intp]
+                   ) -> tuple[Array, NDArray[np.intp]]:
         """Return all measured points (k, 2) and kinds for the used observations of a sample."""
         return points, kind
 
@@ -121,7 +127,7 @@ class Target(ABC):
     def conditions(self, p: Array, kind: NDArray[np.intp], state: Array, config: Config
                    ) -> Conditions:
         """Return what should vanish for points p (..., m, 3) of kinds (m,) in the base."""
-        T = state[..., :16].reshape(*state.shape[:-1], 4, 4)
+        T = target_pose(state)
         R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
         g, dg_dlocal, dg_dmeasures = self.local_conditions(offset @ R, kind, state[..., 16:])
         dg_dp, axes = dg_dlocal @ np.swapaxes(R, -1, -2), self.axes(R)
@@ -131,7 +137,7 @@ class Target(ABC):
 
     def retract(self, state: Array, delta: Array) -> Array:
         """Return the state after a step delta (..., k) in the parameters, m and rad."""
-        T = state[..., :16].reshape(*state.shape[:-1], 4, 4)
+        T = target_pose(state)
         twist, axes = np.zeros((*delta.shape[:-1], 6)), self.axes(T[..., :3, :3])
         twist[..., list(self.pose_axes)] = delta[..., :len(self.pose_axes)]
         step = axes[..., None, :, :] @ twist.reshape(*delta.shape[:-1], 2, 3, 1)
@@ -152,7 +158,7 @@ class Target(ABC):
         """
 
     def candidates(self, observations: Observations) -> NDArray[np.intp]:
-        """Return the number (m,) of the surface, pair of surfaces, or end in its profile."""
+        """Return the number (m,) of the surface, pair of surfaces, or end in its sample."""
         return observations.feature // self.face_count
 
     def shows_several(self, observations: Observations) -> bool:

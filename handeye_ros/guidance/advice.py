@@ -14,7 +14,6 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.blocks import LINE_BEND
 from handeye_ros.estimation.budget import budget, CORRECTED_ARM
-from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import direction_in_words, mount_frame
 from handeye_ros.guidance.candidates import Proposal, propose
@@ -27,6 +26,7 @@ from handeye_ros.guidance.view import (
 )
 from handeye_ros.pipeline import Answer
 from handeye_ros.se3 import mapped_std, worst_direction
+from handeye_ros.threads import single_threaded
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, Sample
+from handeye_ros.data import Arc, Array, has_return, Sample
 from handeye_ros.estimation.basis import grid_over
 from handeye_ros.targets.profile_target import ProfileTarget
 import numpy as np
@@ -101,7 +101,7 @@ def extremes(points: Array) -> Array:
 
     NaN rows are ignored.
     """
-    finite = points[np.isfinite(points).all(axis=1)]
+    finite = points[has_return(points)]
     farthest = (finite @ BORDER_NORMALS.T).argmax(axis=0).tolist() if len(finite) else []
     return finite[[*dict.fromkeys(farthest)]]
 
@@ -148,15 +148,15 @@ def seen_feature_noun(target: ProfileTarget) -> str:
     return 'edge' if target.edge_kinds else target.name
 
 
-def next_move(taken: int, target: ProfileTarget, config: Config, view: View) -> AdvisedMove:
+def next_move(sample_count: int, target: ProfileTarget, config: Config, view: View) -> AdvisedMove:
     """Return the move after a number of samples (at least one)."""
     is_round, two_edges = Arc in target.required_features, len(target.edge_kinds) > 1
     moves = SPHERE_MOVES if is_round else TWO_EDGES_MOVES if two_edges else OTHER_MOVES
-    turn, *shares, beside = moves[taken % len(moves)]
+    turn, *shares, beside = moves[sample_count % len(moves)]
     tilt = np.round(np.array(shares[:2]) * config.guidance.tilt, 3)
     inner = view.inner()
     place = inner.middle + shares[2:] * inner.size / 2
-    edge = taken // STATIONS_PER_EDGE % 2 if two_edges else 0
+    edge = sample_count // STATIONS_PER_EDGE % 2 if two_edges else 0
 
     largest = config.guidance.turn
     if not is_round:  # the line has to cross where parts of the target meet
@@ -164,7 +164,7 @@ def next_move(taken: int, target: ProfileTarget, config: Config, view: View) -> 
     angle = abs(turn) * max(largest - SPARE_TURN, 0.0)
     if edge:  # obliquely across the other one
         angle = min(np.pi / 2 - angle, config.guidance.turn)
-    mirror_sign = -1.0 if taken // len(moves) % 2 else 1.0  # every other time through the table
+    mirror_sign = -1.0 if sample_count // len(moves) % 2 else 1.0  # each other time through
     turn = float(np.copysign(angle, turn * mirror_sign))
     text = _move_in_words(target, config, turn, tilt, place, edge, beside)
     return AdvisedMove(text, turn, tilt, place, edge, float(beside))

@@ -63,9 +63,9 @@ from handeye_ros.node.verification import LiveVerification
 from handeye_ros.results.printed import sample_summary
 from handeye_ros.results.scene import StopSnapshot
 from handeye_ros.sampling.features import features_of, result_of
+from handeye_ros.sampling.interpolation import interpolate
 from handeye_ros.sampling.session import Session, silent_poses_error
 from handeye_ros.sampling.stops import Stop
-from handeye_ros.sampling.stream import interpolate
 from handeye_ros.words import count_of
 
 MAX_STOPS = 32  # waiting for evaluation: at most 7 MB each with 1280 points a profile

@@ -22,7 +22,7 @@ from geometry_msgs.msg import (
 )
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Calibration
+from handeye_ros.data import Calibration, has_return
 from handeye_ros.errors import INSTALL_TF2
 from handeye_ros.frames import mount_poses, target_frame
 from handeye_ros.node.live import LiveSession
@@ -279,7 +279,7 @@ def current_markers(current: StopSnapshot | None, calibration: Calibration | Non
     if current is None or calibration is None:
         return _markers([], config)
     T_fixed_sensor = current.T_fixed_mount @ calibration.T_flange_sensor
-    points = current.points[np.isfinite(current.points).all(axis=1)]
+    points = current.points[has_return(current.points)]
     return _markers([{'name': name, 'color': color, 'width': width,
                       'points': se3.apply(T_fixed_sensor, sensor_points(plane, config))}
                      for name, color, width, plane in (

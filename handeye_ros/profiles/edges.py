@@ -19,9 +19,9 @@ The sensor looks down on a face (===) that ends at its right:
     is lower       down in sight  own light does not reach
 
 The edge is where the plane of the face meets the plane of the wall below it. A wall in sight
-gives it as the crossing of two lines, whatever lies between them. Otherwise the plate ends at its
-last point before the drop. Beyond the straight piece its surface may go on in a *tail*: a rounded
-or bevelled end, or a wall.
+gives it as the crossing of two lines, whatever lies between them. Otherwise the plate ends about
+half a column beyond its last point before the drop. Beyond the straight piece its surface may go
+on in a *tail*: a rounded or bevelled end, or a wall.
 """
 from __future__ import annotations
 
@@ -31,11 +31,10 @@ from functools import cached_property
 import math
 
 from handeye_ros.config import Config
-from handeye_ros.data import Array, EdgePoint, Indices
+from handeye_ros.data import Array, EdgePoint, has_return, Indices
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.edge_rounding import fitted_bend
 from handeye_ros.profiles.segment import (
-    has_return,
     legendre_2,
     line_through,
     Segment,
@@ -72,7 +71,11 @@ class FaceEnd:
 
     @property
     def has_lost_columns(self) -> bool:
-        """Return whether columns of this profile lack a return; else its ends are unknown."""
+        """
+        Return whether columns of this profile lack a return.
+
+        A driver that leaves them out does not show where the view ends.
+        """
         return not self.is_return.all()
 
     @cached_property
@@ -148,6 +151,7 @@ class NoEdgeError(FeatureError):
 
 GAP_COLUMNS = 3  # missing returns beyond a face that make its end an edge
 VIEW_MARGIN = 1e-3  # smallest distance of an edge from the end of the view (m)
+AT_NEARER = 'at something nearer'  # how a face ends there
 
 
 def edge_at(end: FaceEnd) -> EdgePoint:
@@ -175,6 +179,9 @@ def edge_at(end: FaceEnd) -> EdgePoint:
     if next_surface:
         tail = tail[tail < next_surface.first]
     if next_surface and _meet_in_roof(end, next_surface, tail):
+        # a surface that turns away from the sensor leaves the face line over its whole length
+        if end.rise_of(next_surface.last) > 0:
+            raise NoEdgeError(AT_NEARER)
         _require_room(end)
         return _edge_at_roof(end, next_surface)
     ending = _ending(end, next_surface, tail)
@@ -245,12 +252,7 @@ ROOF_REACH = 8.0  # they meet when their ends are this many columns from the cro
 
 
 def _meet_in_roof(end: FaceEnd, other: Segment, tail: Indices) -> bool:
-    """
-    Return whether the lines of a face and of the next surface cross between them, at an angle.
-
-    Raises NoEdgeError where the other one rises to the sensor: a surface that turns away from it
-    leaves the line over its whole length.
-    """
+    """Return whether the lines of a face and of the next surface cross between, at an angle."""
     face, (origin, outwards, _) = end.segment, end.frame
     if abs(math.atan(face.slope) - math.atan(other.slope)) < ROOF_ANGLE:
         return False
@@ -259,12 +261,8 @@ def _meet_in_roof(end: FaceEnd, other: Segment, tail: Indices) -> bool:
     # a rounded or bevelled corner leaves room between the pieces, with points of its own
     has_tail = len(tail) > 0 and other.first - tail[-1] <= LOST_BETWEEN
     reach = max(ROOF_REACH * end.pitch, MAX_BEVEL if has_tail else 0.0)
-    if not (min(start, 0.0) - reach <= crossing <= max(start, 0.0) + reach
-            and abs(start) <= 2 * reach):
-        return False
-    if end.rise_of(other.last) > 0:
-        raise NoEdgeError('at something nearer')
-    return True
+    return bool(min(start, 0.0) - reach <= crossing <= max(start, 0.0) + reach
+                and abs(start) <= 2 * reach)
 
 
 def _edge_at_roof(end: FaceEnd, other: Segment) -> EdgePoint:
@@ -309,7 +307,7 @@ def _ending(end: FaceEnd, next_surface: Segment | None, tail: Indices) -> str:
         raise NoEdgeError('where its surface goes on at nearly the same height')
     if abs(end.points[start, 0] - end.points[end.segment.last, 0]) > SHADOW_SLOPE * rise:
         return 'gap'
-    raise NoEdgeError('at something nearer')
+    raise NoEdgeError(AT_NEARER)
 
 
 def smallest_step(end: FaceEnd, other: Segment) -> float:

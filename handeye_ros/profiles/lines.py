@@ -58,8 +58,8 @@ def line_of_bins(centre: Array, slope: float, spread: float, bins: Array, white_
     """
     Return the face line with the normal points that follow from means of points, its bins.
 
-    centre (2,), slope, spread: of the line; bins: (m, 2); white_var: the variance of each bin for
-    independent noise; most: of the normal points.
+    centre (2,), slope, spread: of the line; bins: (m, 2); white_var: the variance (m^2) of each
+    bin for independent noise; most: of the normal points.
     """
     direction = np.array([1.0, slope]) / math.hypot(1.0, slope)
     normal = np.array([-direction[1], direction[0]])
@@ -73,9 +73,9 @@ def line_of_bins(centre: Array, slope: float, spread: float, bins: Array, white_
                     points, np.sqrt(variance / size), bins)
 
 
-def bin_means(values: Array, bins: int) -> tuple[Array, Indices]:
+def bin_means(values: Array, bin_count: int) -> tuple[Array, Indices]:
     """Return the means (k, ...) of k equal bins of values (n, ...), and the sizes of the bins."""
-    first = np.arange(bins) * len(values) // bins
+    first = np.arange(bin_count) * len(values) // bin_count
     count = np.append(first[1:], len(values)) - first
     total = np.add.reduceat(values, first)
     return total / (count if values.ndim == 1 else count[:, None]), count
@@ -83,10 +83,10 @@ def bin_means(values: Array, bins: int) -> tuple[Array, Indices]:
 
 def variance_of_bins(bins: Array, white_var: float) -> float:
     """
-    Return the variance of the means (k,) of neighbouring bins of residuals.
+    Return the variance (m^2) of the means (k,) of neighbouring bins of residuals (m).
 
-    white_var: the variance for white noise; it is returned unless the bins scatter significantly
-    more.
+    white_var: the variance for white noise (m^2); it is returned unless the bins scatter
+    significantly more.
     """
     if len(bins) < MIN_BINS:
         return white_var
@@ -100,6 +100,6 @@ def variance_of_bins(bins: Array, white_var: float) -> float:
 
 
 def _variance_about_smooth(bins: Array) -> float:
-    """Return the variance of white noise with these second differences."""
+    """Return the variance (m^2) of white noise with the second differences of bins (k,)."""
     second = bins[:-2] - 2 * bins[1:-1] + bins[2:]
     return float(second @ second) / (6 * len(second))

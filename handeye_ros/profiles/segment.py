@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
-from handeye_ros.data import Array, Indices
+from handeye_ros.data import Array, has_return, Indices
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.ransac import dominant_line_inliers, MIN_LINE_WIDTH
 import numpy as np
-from numpy.typing import NDArray
 
 MAX_LINES = 5
 # largest step from one point of a line to its next, counted in points: a longer one splits it; and
@@ -32,6 +31,7 @@ CLUTTER_JUMPS = 0.1  # largest share of jumps from point to point in a profile w
 NEIGHBOURS_EACH_SIDE, MIN_NEIGHBOURS = 5, 4
 END_POINTS = 5  # points of a group whose mean shows a bent end
 ROUNDED_SIGMAS = 3.0
+SIGMAS_OF_FIFTH = 0.2533  # a fifth of normal deviates are smaller
 BENT_SHARE = 6  # a bent end has at most one part in so many of the points
 
 
@@ -81,21 +81,17 @@ def legendre_2(spreads: Any) -> Any:
 
 def noise_level(z: Array, configured: float) -> float:
     """
-    Return the range noise of consecutive valid points, bounded near the configured one.
+    Return the range noise (m, 1 sigma) of ranges z (n,) of consecutive valid points.
 
-    With a third of gross outliers a third of the second differences is still free of them.
+    It is a third to MAX_NOISE times the configured one, and that of fewer than 8 points. With a
+    third of gross outliers a third of the second differences is still free of them.
     """
     if len(z) < 8:
         return configured
     second = np.abs(z[2:] - 2 * z[1:-1] + z[:-2])
     rank = len(second) // 5
-    level = float(np.partition(second, rank)[rank]) / 0.2533 / 6 ** 0.5
+    level = float(np.partition(second, rank)[rank]) / SIGMAS_OF_FIFTH / 6 ** 0.5
     return min(max(level, configured / 3), MAX_NOISE * configured)
-
-
-def has_return(points: Array) -> NDArray[np.bool_]:
-    """Return which of points (n, 2) are finite."""
-    return np.asarray(np.isfinite(points).all(axis=1))
 
 
 def surface_columns(points: Array, noise: float) -> Indices:

@@ -36,12 +36,13 @@ REPORT_FILE = 'report.html'
 HISTORY_FOLDER = 'history'  # the folder of previous results, each in a folder named after the time
 MARKER_FRAME = 'handeye_target'  # our target has no frame in the robot's tree
 DIGITS_OF_UNIT = {'mm': 4, 'm': 7, 'deg': 5, 'rad': 8, '': 9}
-# By vendor: file, start of a comment, and what is typed at the pendant or put into a program.
+# By vendor: file, start of a comment, and what is typed at the pendant or put into a program; last
+# what is so for a sensor beside the robot, where that differs: it is no tool.
 PENDANTS = {
     'kuka': ('tool_kuka.dat', '; ', 'DECL FRAME SENSOR={{X {x},Y {y},Z {z},A {a},B {b},C {c}}}'),
     'fanuc': ('tool_fanuc.txt', '! ', 'X: {x} Y: {y} Z: {z} W: {w} P: {p} R: {r}'),
     'abb': ('tool_abb.mod', '! ', 'CONST pose sensor:=[[{xyz}],[{angles}]];'),
-    'ur': ('tool_ur.script', '# ', 'set_tcp(p[{xyz},{angles}])'),
+    'ur': ('tool_ur.script', '# ', 'set_tcp(p[{xyz},{angles}])', 'sensor = p[{xyz},{angles}]'),
     'staubli': ('tool_staubli.txt', '// ', '{{{x}, {y}, {z}, {rx}, {ry}, {rz}}}'),
     'yaskawa': ('tool_yaskawa.txt', '; ', '{xyz},{angles}'),
 }
@@ -57,11 +58,13 @@ def as_json(calibration: Calibration) -> str:
     return json.dumps(values, indent=2, default=np.ndarray.tolist) + '\n'
 
 
-def tool_frame(calibration: Calibration, vendor: str, comment_start: str, line: str) -> str:
+def tool_frame(calibration: Calibration, vendor: str, comment_start: str, lines: Sequence[str]
+               ) -> str:
     """
     Return the sensor's pose as named numbers, and as a line of a robot program.
 
-    comment_start: the start of a comment; line: with {xyz}, {angles}, and {x}, {a} and so on.
+    comment_start: the start of a comment; lines: with {xyz}, {angles}, and {x}, {a} and so on, the
+    second one for a sensor beside the robot.
     """
     notation, T = notation_of(vendor), calibration.T_flange_sensor
     angles = np.ravel(notation.to_numbers(Rotation.from_matrix(T[:3, :3])))
@@ -73,10 +76,9 @@ def tool_frame(calibration: Calibration, vendor: str, comment_start: str, line: 
     rows = [*preamble(calibration, f'{notation.title}.'), *(
         f'{name.upper():3} {text} {unit}'.rstrip()
         for name, text, unit in zip(names, texts, units, strict=True))]
+    line = lines[len(lines) > 1 and not config_of(calibration).in_hand]
     program = line.format(**dict(zip(names, texts, strict=True)), xyz=','.join(texts[:3]),
                           angles=','.join(texts[3:]))
-    if program.startswith('set_tcp(') and not config_of(calibration).in_hand:
-        program = f'sensor = {program.removeprefix("set_tcp(")[:-1]}'  # it is no tool of the robot
     return ''.join(f'{comment_start}{row}\n' for row in rows) + f'{program}\n'
 
 
@@ -138,8 +140,8 @@ FORMATS = {
         ('matrix', 'matrix.txt'))},
     'easy_handeye2': Format('{name}.calib', easy_handeye2),
     'json': Format('calibration.json', as_json),
-    **{vendor: Format(file, partial(tool_frame, vendor=vendor, comment_start=start, line=line))
-       for vendor, (file, start, line) in PENDANTS.items()},
+    **{vendor: Format(file, partial(tool_frame, vendor=vendor, comment_start=start, lines=lines))
+       for vendor, (file, start, *lines) in PENDANTS.items()},
 }
 
 

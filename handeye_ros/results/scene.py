@@ -13,7 +13,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Calibration, even_indices, Feature
+from handeye_ros.data import Array, Calibration, even_indices, Feature, has_return
 from handeye_ros.frames import mount_frame, T_sensor_plane, target_frame
 import numpy as np
 
@@ -46,7 +46,7 @@ class Agreement:
 @dataclass(frozen=True, eq=False)
 class StopSnapshot:
     """
-    A stop of the robot.
+    What the report and the page show of a stop: one profile, its features, whether it is used.
 
     number: counted from 1
     stamp: time of the stop (ns)
@@ -78,7 +78,7 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
 
     Each part has a name, a colour, a width (pixels), and a 'line' or 'points' (k, 3) in metres.
     """
-    X, used = calibration.T_flange_sensor, [stop for stop in stops if stop.used]
+    T_flange_sensor, used = calibration.T_flange_sensor, [stop for stop in stops if stop.used]
     parts = list[dict[str, Any]]()
 
     def draw(kind: str, name: str, color: str, width: float, points: Array) -> None:
@@ -90,17 +90,17 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
             draw('line', f'{mount_frame(config)} at each stop', FLANGE_COLOUR, 1.2,
                  np.array([T[:3, 3], T[:3, 3] + AXIS_LENGTH * axis]))
         draw('line', 'sensor at each stop', SENSOR_COLOUR, 1.2,
-             np.array([T[:3, 3], (T @ X)[:3, 3]]))
+             np.array([T[:3, 3], (T @ T_flange_sensor)[:3, 3]]))
     for stop in stops:
-        plane = stop.points[np.isfinite(stop.points).all(axis=1)]
+        plane = stop.points[has_return(stop.points)]
         plane = plane[even_indices(len(plane), MAX_POINTS)]
         name, color = (('laser line', LASER_COLOUR) if stop.used else
                        ('laser line, not used', UNUSED_COLOUR))
         draw('points', name, color, 2.0,
-             se3.apply(stop.T_fixed_mount @ X, sensor_points(plane, config)))
+             se3.apply(stop.T_fixed_mount @ T_flange_sensor, sensor_points(plane, config)))
     seen = np.concatenate([np.empty((0, 3)), *(
-        se3.apply(stop.T_fixed_mount @ X, sensor_points(feature_points(stop.features), config))
-        for stop in used)])
+        se3.apply(stop.T_fixed_mount @ T_flange_sensor,
+                  sensor_points(feature_points(stop.features), config)) for stop in used)])
     target = outline_of(calibration.target, config.target.size, seen)
     for outline in target.outline:
         draw('line', 'target', TARGET_COLOUR, 1.2, outline)
@@ -131,7 +131,7 @@ def profile_picture(points: Array, features: Iterable[Feature]) -> dict[str, Any
 
     points: (n, 2) metres, as many as there are pixels at most; features: found in it.
     """
-    points = points[np.isfinite(points).all(axis=1)]
+    points = points[has_return(points)]
     polylines = [feature.polyline for feature in features]
     return {'points': rounded(points[even_indices(len(points), MAX_OF_PROFILE)]),
             'lines': [rounded(line) for line in polylines if len(line) > 1],

@@ -23,7 +23,6 @@ from handeye_ros.arm import (
 )
 from handeye_ros.data import Array, Indices, rms
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.robot.estimate import (
     arm_covariance,
     ArmFit,
@@ -32,6 +31,7 @@ from handeye_ros.robot.estimate import (
     with_estimated_weights,
     without_bad_stops,
 )
+from handeye_ros.threads import single_threaded
 from handeye_ros.words import count_of, degrees, mm
 import numpy as np
 

@@ -35,8 +35,8 @@ from handeye_ros.data import (
 from handeye_ros.errors import FeatureError, UnusableMessageError
 from handeye_ros.profiles.arcs import distances_from_circle, fitted_arc
 from handeye_ros.profiles.lines import line_of_bins, with_line_errors
+from handeye_ros.sampling.interpolation import interpolate
 from handeye_ros.sampling.stops import decoded, Stop
-from handeye_ros.sampling.stream import interpolate
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.words import mm
 import numpy as np

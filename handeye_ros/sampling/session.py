@@ -82,7 +82,7 @@ class Session(Copyable):
         self._early_looks = 0  # how often early_stop has looked at the current stop
         self._unrequested_count = 0  # stops in manual mode
         self._expired_count = 0  # stops dropped while waiting for profiles
-        self._reach = 0.0  # of the last pose (m)
+        self._flange_distance = 0.0  # of the last pose (m)
         self._pose_stream: Stream[TimedPose] = Stream('pose', frames[0])
         self._profile_stream: Stream[AnyProfile] = Stream('profile', frames[1])
 
@@ -113,7 +113,7 @@ class Session(Copyable):
 
     def _take_poses(self, poses: Sequence[TimedPose]) -> None:
         for pose in poses:
-            self._reach = math.hypot(*pose.translation)
+            self._flange_distance = math.hypot(*pose.translation)
             stop = self._finder.add(pose)
             if stop and self.config.sampling.automatic:
                 self._waiting.append(stop)
@@ -133,7 +133,7 @@ class Session(Copyable):
     def take_completed(self) -> list[Stop]:
         """Return the stops that are over in both streams, each once, with their profiles."""
         if any(stream.step_back for stream in self._streams):
-            return self._before_setting_back()
+            return self._restart_after_step_back()
         # a sensor that is triggered once at each stop does not send the next profile soon
         now = self._pose_stream.latest
         self._profiles.add(self._profile_stream.release(now - REORDER_TIME, now + REORDER_TIME))
@@ -144,7 +144,7 @@ class Session(Copyable):
         self._profiles.keep(self._waiting[0].start if self._waiting else first, last, now)
         return stops
 
-    def _before_setting_back(self) -> list[Stop]:
+    def _restart_after_step_back(self) -> list[Stop]:
         """Continue after a clock was set back; return the stops from before."""
         stops = self._take_out(self._all_stops())
         self._finder = StopFinder(self.config.sampling)
@@ -181,7 +181,7 @@ class Session(Copyable):
         return [stop.with_profiles(self._profiles.items, self.config) for stop in not_returned]
 
     def is_done(self, stop: Stop) -> bool:
-        """Return whether a stop was already sampled, or is to be ignored."""
+        """Return whether a stop was already returned, or is marked so."""
         return stop.stamp in self._done
 
     def mark_done(self, stop: Stop) -> None:
@@ -222,9 +222,9 @@ class Session(Copyable):
             return DataError('all poses have the same stamp: the clock of their driver stands '
                              'still; with use_sim_time, /clock must be published',
                              code='late_poses')
-        if self._reach > MAX_FLANGE_DISTANCE:
-            return DataError(f'the flange is {self._reach:.0f} m from the base of the robot: the '
-                             'positions seem to be in mm; publish them in metres',
+        if self._flange_distance > MAX_FLANGE_DISTANCE:
+            return DataError(f'the flange is {self._flange_distance:.0f} m from the base of the '
+                             'robot: the positions seem to be in mm; publish them in metres',
                              code='position_unit')
         return None
 

@@ -29,7 +29,8 @@ from handeye_ros.data import (
     TimedPose,
 )
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.sampling.stream import by_stamp, Copyable, LAST_STAMP, poses_around
+from handeye_ros.sampling.interpolation import poses_around
+from handeye_ros.sampling.stream import by_stamp, Copyable, LAST_STAMP
 import numpy as np
 
 MOTION_TIME = 3 * NS // 10  # time over which the speed is averaged

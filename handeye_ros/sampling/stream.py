@@ -10,19 +10,17 @@ time.
 """
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Sequence
 from copy import copy
 from operator import attrgetter
 from typing import Generic, Self, TypeVar
 
-from handeye_ros import se3
-from handeye_ros.data import Array, NS, Profile, RawProfile, TimedPose
+from handeye_ros.data import NS, Profile, RawProfile, TimedPose
 from handeye_ros.errors import DataError, InputError
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 REORDER_TIME = NS  # a smaller step back is only a reordering in transit
 LAST_STAMP = 2 ** 63 - 1  # the largest (ns)
@@ -208,29 +206,3 @@ def _longest_rising(stamps: Sequence[int]) -> NDArray[np.bool_]:
         if indices[index] == wanted:
             rising[index], wanted = True, wanted - 1
     return rising
-
-
-def poses_around(poses: Sequence[TimedPose], stamps: Sequence[int]) -> list[TimedPose]:
-    """Return the poses next to each stamp, the first and the last: enough for interpolate."""
-    last = len(poses) - 1
-    indices = {0, last}
-    for stamp in stamps:
-        indices.add(max(bisect_right(poses, stamp, key=by_stamp) - 1, 0))
-        indices.add(min(bisect_left(poses, stamp, key=by_stamp), last))
-    return [poses[place] for place in sorted(indices)]
-
-
-def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:
-    """
-    Return the poses T_base_flange (n, 4, 4) at n stamps within the time of the given poses.
-
-    Linear in the translation, slerp in the rotation. Raises ValueError outside.
-    """
-    poses = poses_around(poses, stamps)
-    pose_times = np.array([pose.stamp - poses[0].stamp for pose in poses], dtype=float)
-    times = np.array([stamp - poses[0].stamp for stamp in stamps], dtype=float)
-    rotations = Rotation.from_quat([pose.quaternion for pose in poses])
-    translations = np.array([pose.translation for pose in poses])
-    return se3.transform(
-        Slerp(pose_times, rotations)(times).as_matrix(),
-        np.column_stack([np.interp(times, pose_times, axis) for axis in translations.T]))

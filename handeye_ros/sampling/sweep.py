@@ -70,7 +70,7 @@ from handeye_ros.estimation.search import (
     CONVINCING_SQUARE,
     is_convincing,
     mean_log_square,
-    refined_robustly,
+    robust_fit,
     station_squares,
 )
 from handeye_ros.sampling.stream import by_stamp
@@ -188,7 +188,9 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> SyncedSa
     Return samples of a moving robot with the poses at the most likely times.
 
     Of more than MAX_SAMPLES profiles of sweeps only so many remain, evenly chosen: the others are
-    neither samples of the answer nor rejects. Raises DataError where too few have poses.
+    neither samples of the answer nor rejects. Samples of stops keep their poses, and without
+    a moving robot all remain as they are. Raises DataError for profiles of less than MIN_SWEEP, or
+    where too few have poses.
     """
     if not any(sample.moving for sample in samples):
         return SyncedSamples(list(samples), [])
@@ -205,8 +207,8 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> SyncedSa
     start_values = start.problem.pose_parameters
     # profiles in gaps between the poses would pull the offset
     with_poses = np.flatnonzero(_flange_at(start_values, clocked, problem).inside)
-    fit = refined_robustly(problem.subset(with_poses).with_pose_parameters(start_values),
-                           start.estimate)
+    fit = robust_fit(problem.subset(with_poses).with_pose_parameters(start_values),
+                     start.estimate)
     # each sample gets the pose of its time
     clock_values = ClockValues(*fit.problem.pose_parameters.tolist())
     instants = _flange_at(clock_values, clocked, problem)
@@ -239,7 +241,7 @@ def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Linearisat
         clock_values[0] = offset * problem.config.time_offset_std
         shifted = problem.with_pose_parameters(clock_values)
         for start in islice(shifted.target.starts(shifted, rng), 3):
-            fits.append(refined_robustly(shifted, start))
+            fits.append(robust_fit(shifted, start))
             if is_convincing(problem, fits[-1]):
                 return fits[-1]
         if typical_square(station_squares(problem, min(fits, key=loss))) < CONVINCING_SQUARE:

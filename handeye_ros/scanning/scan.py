@@ -20,7 +20,7 @@ from itertools import compress, islice
 
 from handeye_ros import se3
 from handeye_ros.config import Config, NoiseConfig
-from handeye_ros.data import Array, Calibration, Profile, ROTATION_LAG
+from handeye_ros.data import Array, Calibration, has_return, Profile, ROTATION_LAG
 from handeye_ros.errors import BadValueError, DataError
 from handeye_ros.frames import mount_poses, target_frame, unit_vectors
 from handeye_ros.sampling.trajectory import Trajectory
@@ -156,7 +156,7 @@ class Scanner:
 
     def _within_limits(self, points: Array) -> NDArray[np.bool_]:
         """Return a mask (n,) of the points (n, 2) within the limits (m); count returns."""
-        is_return, z = np.isfinite(points).all(axis=1), points[:, 1]
+        is_return, z = has_return(points), points[:, 1]
         keep = is_return & (z >= self.options.nearest) & (z <= self.options.farthest)
         if self.options.incidence < np.pi / 2:  # only then: they take half of the time
             keep[keep] = _incidence(points[keep]) <= self.options.incidence

@@ -25,8 +25,8 @@ from handeye_ros.checks.refusals import (
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.results.truth import field_points, FIELD_TEXT
+from handeye_ros.threads import single_threaded
 from handeye_ros.words import degrees, mm
 import numpy as np
 from numpy.typing import NDArray

@@ -34,7 +34,7 @@ from handeye_ros.profiles.arcs import arc_features
 from handeye_ros.profiles.faces import face_pair_features
 from handeye_ros.published import jing2020
 from handeye_ros.results.file_values import input_provenance
-from handeye_ros.sampling.stream import interpolate
+from handeye_ros.sampling.interpolation import interpolate
 from handeye_ros.tabulated.problem import TableAnswer, TableProblem
 from handeye_ros.words import count_of, degrees, mm
 import numpy as np

@@ -25,6 +25,7 @@ from handeye_ros.estimation.problem import (
     UNUSED,
 )
 from handeye_ros.estimation.search import shortlisted
+from handeye_ros.estimation.target import target_pose
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.profile_target import FACE, ProfileTarget, xyz
 from handeye_ros.targets.starts import (
@@ -36,7 +37,7 @@ from handeye_ros.targets.starts import (
 import numpy as np
 
 EDGE_Y, EDGE_Z = 1, 2
-LINE_SOLUTIONS = 24  # solutions of the sweep that are tried
+LINE_SOLUTIONS = 24  # that are tried, of those over a grid of directions
 SAME_FACE = 0.25  # rad: largest angle between the faces of two stations about the edge
 # of ends, by Observations.ending: 0 no end, 1 corner, 2 step, 3 nothing beyond
 END_GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in ENDINGS)])
@@ -44,7 +45,7 @@ END_GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for 
 
 def _face_angles(observations: Observations, p: Array, state: Array) -> Array:
     """Return the angle (n,) of the face of each station about the line, from y (rad)."""
-    T, face = state.reshape(4, 4), observations.kind == FACE
+    T, face = target_pose(state), observations.kind == FACE
     local = ((p[face] - T[:3, 3]) @ T[:3, :3])[:, 1:]
     y, z = (np.bincount(observations.station[face], values, observations.station.max() + 1)
             for values in local.T)
@@ -69,7 +70,7 @@ def _with_face(problem: Problem, estimate: Estimate) -> Estimate:
     most_frequent = same_face[same_face.sum(axis=1).argmax()]
     turn = np.angle(faces[most_frequent].sum()) / 2
     T_turn = se3.transform(se3.exp_rotation(np.array([turn, 0.0, 0.0])), np.zeros(3))
-    return replace(estimate, state=(estimate.state.reshape(4, 4) @ T_turn).ravel())
+    return replace(estimate, state=(estimate.T_base_target @ T_turn).ravel())
 
 
 def problems_with_one_end(problem: Problem) -> Iterator[list[Problem]]:
@@ -107,7 +108,7 @@ class Line(ProfileTarget):
     unassigned_edge_kinds = (EDGE_Y, EDGE_Z)
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-        """Yield starts, best first, from a sweep of the direction of the line."""
+        """Yield starts, best first, from a grid of directions of the line."""
         target = problem.config.target
         without_face = replace(problem.config, target=replace(target, use_face=False))
         few = with_few_stations(replace(problem, config=without_face), rng)
@@ -129,7 +130,7 @@ class Line(ProfileTarget):
         the points of the face replace the z condition of the edge point. A station that shows
         another face (the edge of a block has two) takes part with its edge point alone.
         """
-        is_edge, T = observations.kind != FACE, state.reshape(4, 4)
+        is_edge, T = observations.kind != FACE, target_pose(state)
         distance = np.linalg.norm(((p - T[:3, 3]) @ T[:3, :3])[:, 1:], axis=1)
         nearest = np.full(observations.station.max() + 1, np.inf)
         np.minimum.at(nearest, observations.station[is_edge], distance[is_edge])
@@ -144,7 +145,7 @@ class Line(ProfileTarget):
 
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return a point of the line and its direction."""
-        T = state.reshape(4, 4)
+        T = target_pose(state)
         return {'point': xyz(T[:3, 3]), 'direction': T[:3, 0].tolist()}
 
 

@@ -18,19 +18,20 @@ from typing import Any
 from handeye_ros.data import Array
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import shortlisted
+from handeye_ros.estimation.target import target_pose
 from handeye_ros.profiles.faces import plane_features
 from handeye_ros.targets.profile_target import ProfileTarget
 from handeye_ros.targets.starts import (
     best_fitting_first,
     linear_solutions,
     lines_of_parts,
-    SWEPT_DIRECTIONS,
+    TRIED_DIRECTIONS,
     with_few_stations,
     with_one_candidate,
 )
 import numpy as np
 
-PLANE_SOLUTIONS = 10  # solutions of the sweep that are tried
+PLANE_SOLUTIONS = 10  # that are tried, of those over a grid of directions
 SAME_ANGLE = 0.05  # rad: angles to the plane that differ by less are the same
 
 
@@ -60,7 +61,7 @@ class Plane(ProfileTarget):
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts, best first; of few stations, which fit in many wrong ways, then all."""
         few = with_few_stations(replace(problem, target=PLANE), rng)
-        factors = (1, SWEPT_DIRECTIONS // PLANE_SOLUTIONS) if problem.needs_more_starts else (1,)
+        factors = (1, TRIED_DIRECTIONS // PLANE_SOLUTIONS) if problem.needs_more_starts else (1,)
         return best_fitting_first(few, (
             [start for choice in problems_with_one_surface(few) for start in shortlisted(
                 choice, linear_solutions(
@@ -70,7 +71,7 @@ class Plane(ProfileTarget):
     def alike_views_in_words(self, problem: Problem, estimate: Estimate) -> str:
         """Return in words that all samples see the plane at one angle, '' if they do not."""
         range_axes = problem.poses[:, :3, :3] @ estimate.X[:3, 2]
-        normal = estimate.state.reshape(4, 4)[:3, 2]
+        normal = estimate.T_base_target[:3, 2]
         angles = np.arccos(np.clip(np.abs(range_axes @ normal), 0.0, 1.0))
         if np.ptp(angles) > SAME_ANGLE:
             return ''
@@ -82,7 +83,7 @@ class Plane(ProfileTarget):
 
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the plane's normal and distance from the base."""
-        T = state.reshape(4, 4)
+        T = target_pose(state)
         return {'normal': T[:3, 2].tolist(), 'distance': float(T[:3, 2] @ T[:3, 3])}
 
 

@@ -23,6 +23,7 @@ from handeye_ros.estimation.problem import (
     Problem,
     UNUSED,
 )
+from handeye_ros.estimation.target import target_pose
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.plane import PLANE
 from handeye_ros.targets.profile_target import FACE, ProfileTarget
@@ -66,7 +67,7 @@ def _edge_points(observations: Observations, p: Array, state: Array
 
     Both along x and y of the target's frame.
     """
-    T, face = state[:16].reshape(4, 4), observations.kind == FACE
+    T, face = target_pose(state), observations.kind == FACE
     flat = ((p - T[:3, 3]) @ T[:3, :3])[:, :2]
     rows, n = np.flatnonzero(~face), observations.station[-1] + 1
     total = np.zeros((n, 2))
@@ -85,7 +86,7 @@ def _is_steep(edge: Edge, outward: Array, config: Config) -> NDArray[np.bool_]:
 
 def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> Estimate:
     """Return an estimate of the plate in an estimated plane."""
-    T = plane.state.reshape(4, 4)
+    T = plane.T_base_target
     looking = (problem.poses[:, :3, :3] @ plane.X[:3, 2]).mean(axis=0)
     if T[:3, 2] @ looking * problem.config.profile.range_sign > 0:  # z towards the sensor
         T = T @ np.diag([1.0, -1.0, -1.0, 1.0])
@@ -100,7 +101,7 @@ def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> 
 
 def _turned_around_corner(estimate: Estimate) -> Estimate:
     """Return the estimate with its corner taken for that at the other end of edge p."""
-    T, length = estimate.state[:16].reshape(4, 4), estimate.state[SIZE][0]
+    T, length = estimate.T_base_target, estimate.state[SIZE][0]
     turned = se3.transform(np.array([[0, 1.0, 0], [-1.0, 0, 0], [0, 0, 1.0]]),
                            np.array([0.0, length, 0.0]))
     return Estimate(estimate.X, np.append((T @ turned).ravel(), estimate.state[16:]))
@@ -207,7 +208,7 @@ class Plate(ProfileTarget):
 
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the target's pose and edge angle as plain values."""
-        return {'pose': se3.transform_values(state[:16].reshape(4, 4)),
+        return {'pose': se3.transform_values(target_pose(state)),
                 'edge_angle': float(state[ANGLE]), 'edge_angle_std': float(std[-1])}
 
     def describe_strays(self, observations: Observations, p: Array, state: Array, config: Config

@@ -14,6 +14,14 @@ is the smallest. It states
 - describe: what was estimated, as plain values
 - where they differ from those of ProfileTarget and Target: edge_kinds, unassigned_edge_kinds,
   min_samples, freed_measure, freed_lengths, face_count, several_in_view, lost_with_one_axis
+- edge_place, where another point than the edge point is on the edge
+- axes, where its moves are not along and about its own axes
+- retract and measures, where its parameters are not the entries of its state
+- raw_points, where its features hold the measured points that their means stand for
+- half_turn_misfit, where half a turn about another place than a point may change its views least
+- alike_views_in_words, where views that are too much alike leave something undetermined
+- describe_strays, where it can say how far from its own the unused edges lie
+- blocks and feature_errors, where it has other systematic errors than those of faces
 
 Here are its observations, and the systematic errors that targets of faces have in common: set-back
 of faces, shapes of edges, flatness, range at grazing incidence.
@@ -33,7 +41,7 @@ from handeye_ros.estimation.target import Target
 from handeye_ros.targets.starts import is_of_nearest_candidate
 import numpy as np
 
-FACE = 0  # the kind of a condition on a face, in every target that has them
+FACE = 0  # the kind of the conditions on the face, in every target that has only one
 # share of the RMS of each degree: the first are the largest
 FLATNESS_SHARES = {2: 0.8, 3: 0.5, 4: 0.3}
 

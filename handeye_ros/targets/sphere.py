@@ -20,6 +20,7 @@ from handeye_ros.estimation.problem import (
     Problem,
 )
 from handeye_ros.estimation.search import shortlisted
+from handeye_ros.estimation.target import target_pose
 from handeye_ros.profiles.arcs import arc_features, fit_circle
 from handeye_ros.targets.profile_target import ProfileTarget, xyz
 from handeye_ros.targets.starts import with_few_stations
@@ -28,14 +29,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 ROTATION_COUNT = 1200
-SPHERE_SOLUTIONS = 16  # solutions of the sweep that are tried
+SPHERE_SOLUTIONS = 16  # that are tried, of those with random rotations of the sensor
 START_RADIUS_RATIO = 1.05  # an unknown radius over that of the largest circle
 MIDDLE_WEIGHT = 1e-9  # weight of a centre at the middle of the poses (regularisation)
 
 
 def _linear_solutions(problem: Problem, rng: np.random.Generator) -> list[Estimate]:
     """
-    Return the best linear solutions over a sweep of rotations of the sensor.
+    Return the best linear solutions over random rotations of the sensor.
 
     For a given one the places of the sphere's centre c and of the sensor t are linear in the
     centres of the circles: axis . (c - a) - t, along the line and in range. Across the sensor
@@ -81,14 +82,14 @@ class Sphere(ProfileTarget):
         target = config.target
         return {'radius': (target.radius, target.radius_std)} if target.radius > 0 else {}
 
-    def measured(self, sample: Sample, points: Array, kind: NDArray[np.intp]
-                 ) -> tuple[Array, NDArray[np.intp]]:
+    def raw_points(self, sample: Sample, points: Array, kind: NDArray[np.intp]
+                   ) -> tuple[Array, NDArray[np.intp]]:
         """Return all raw points of the arcs of a sample."""
         points = np.concatenate([f.measured for f in sample.features if isinstance(f, Arc)])
         return points, np.zeros(len(points), dtype=np.intp)
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-        """Yield starts, best first, from a sweep of rotations of the sensor."""
+        """Yield starts, best first, from random rotations of the sensor."""
         few = with_few_stations(problem, rng)
         yield from shortlisted(few, _linear_solutions(few, rng))
 
@@ -98,8 +99,8 @@ class Sphere(ProfileTarget):
 
         An arc does not tell on which side of the sensor plane its centre lies.
         """
-        poses, T = linear.problem.poses @ linear.estimate.X, linear.estimate.state[:16]
-        from_sensor = T.reshape(4, 4)[:3, 3] - poses[:, :3, 3]
+        poses = linear.problem.poses @ linear.estimate.X
+        from_sensor = linear.estimate.T_base_target[:3, 3] - poses[:, :3, 3]
         centres = from_sensor[:, None] @ poses[:, :3, [0, 2]]  # in the sensor plane
         across = np.linalg.svd(centres[:, 0] - centres[:, 0].mean(axis=0))[1][-1]
         return 'on one line', float(across) / len(poses) ** 0.5
@@ -113,7 +114,7 @@ class Sphere(ProfileTarget):
 
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the sphere's centre and radius as plain values."""
-        return {'centre': xyz(state[:16].reshape(4, 4)[:3, 3]), 'radius': float(state[16]),
+        return {'centre': xyz(target_pose(state)[:3, 3]), 'radius': float(state[16]),
                 'radius_std': float(std[-1])}
 
 

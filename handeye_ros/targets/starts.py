@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-What the targets' starts share: few stations, one candidate of each profile, a linear sweep.
+What the targets' starts share: few stations, one candidate of each profile, a grid of directions.
 
 A candidate is a part of a profile that may be the target: a surface, a pair of faces, an end of a
 face. At most one candidate of a profile is.
@@ -23,7 +23,7 @@ START_STATIONS = 40  # more only take longer
 SAME_SURFACE = 3e-4  # m: largest distance between candidates of one surface
 FITTING_SHARE = 0.7  # of the stations that a start should fit
 SIMILAR_RATIO = 2.0  # to the best start's distance: up to it the given order decides
-SWEPT_DIRECTIONS = 400  # that a sweep tries
+TRIED_DIRECTIONS = 400  # for a line or the normal of a plane
 TINY = 1e-30  # m^2
 
 
@@ -139,7 +139,7 @@ def linear_solutions(problem: Problem, axes: list[int], across: slice, count: in
     W' (R (x r1 + z r3 + t) + a) = c, which is linear in r1, r3, t and c. The best solutions have
     small residuals, and r1 and r3 that are nearly orthonormal.
     """
-    frames = frames_over_directions(SWEPT_DIRECTIONS)[:, :, axes]
+    frames = frames_over_directions(TRIED_DIRECTIONS)[:, :, axes]
     T, W = problem.poses[problem.observations.station], frames[:, :, across]
     R, a, middle = T[:, :3, :3], T[:, :3, 3], problem.poses[:, :3, 3].mean(axis=0)
     x, z = problem.observations.points.T[:, :, None, None]

@@ -18,6 +18,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine
 from handeye_ros.estimation.problem import Estimate, Observations, Problem
+from handeye_ros.estimation.target import target_pose
 from handeye_ros.profiles.faces import face_pair_features
 from handeye_ros.targets.line import EDGE_Y, EDGE_Z, LINE, line_starts
 from handeye_ros.targets.profile_target import observations_at, ProfileTarget, xyz
@@ -83,7 +84,7 @@ def _starts(problem: Problem) -> list[Estimate]:
 
 def _with_faces(problem: Problem, edge: Estimate) -> Estimate:
     """Return the estimate with the turns of both faces fitted to the points."""
-    T = edge.state.reshape(4, 4).copy()
+    T = edge.T_base_target.copy()
     T[:3, :3] = se3.nearest_rotation(T[:3, :3])
     _, y, z = ((problem.points_in_base(edge.X) - T[:3, 3]) @ T[:3, :3]).T
     across = y + 1j * z  # the mean of all lies between the faces
@@ -141,7 +142,7 @@ class Wedge(ProfileTarget):
 
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the edge's point and direction, the faces' normals and their angle (rad)."""
-        T, turns = state[:16].reshape(4, 4), state[16:]
+        T, turns = target_pose(state), state[16:]
         normals = np.outer(np.cos(turns), T[:3, 1]) + np.outer(np.sin(turns), T[:3, 2])
         between = float(np.arccos(np.clip(normals[0] @ normals[1], -1.0, 1.0)))
         return {'point': xyz(T[:3, 3]), 'direction': T[:3, 0].tolist(),

@@ -24,6 +24,7 @@ from handeye_ros.data import (
     evenly_spaced,
     FaceLine,
     Feature,
+    has_return,
     Indices,
     Profile,
     ROTATION_LAG,
@@ -121,7 +122,7 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
         usable = np.flatnonzero(flange.inside)
         usable = usable[even_indices(len(usable), PASS_PROFILES)]
         for number, index in enumerate(usable.tolist(), len(stamps)):
-            valid = profiles[index].points[np.isfinite(profiles[index].points).all(axis=1)]
+            valid = profiles[index].points[has_return(profiles[index].points)]
             points = valid[even_indices(len(valid), POINTS_OF_PROFILE)]
             parts.append(observations_at(
                 number, points, 0, np.repeat(noise[None], len(points), axis=0), number))

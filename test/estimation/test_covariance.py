@@ -110,7 +110,7 @@ def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
     solution = solved(plate_cell.problem)
     moved = plate_cell.problem.poses.copy()
     sigma = plate_cell.config.noise.robot_translation
-    normal = solution.estimate.state[:16].reshape(4, 4)[:3, 2]
+    normal = solution.estimate.T_base_target[:3, 2]
     moved[3] = se3.perturb(moved[3], np.append(sigma * normal, np.zeros(3)))
     posterior = posterior_at(
         replace(solution.problem, poses=moved), solution.estimate, BLOCKS_AS_NOISE)

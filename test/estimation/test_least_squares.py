@@ -129,7 +129,7 @@ def test_a_scale_is_what_data_show(value: float, std: float, least: float, most:
 # In a process of its own: other tests load libraries with pools of their own, at any time.
 PROGRAM = r"""
 from threading import Event, Thread
-from handeye_ros.estimation.least_squares import single_threaded
+from handeye_ros.threads import single_threaded
 import handeye_ros.pipeline  # loads every library that a solve needs
 from threadpoolctl import threadpool_info
 

@@ -18,8 +18,8 @@ from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import blocks_at
 from handeye_ros.estimation.problem import Estimate, linearise
 from handeye_ros.results.truth import errors_against
+from handeye_ros.sampling.interpolation import interpolate
 from handeye_ros.sampling.stops import StopFinder
-from handeye_ros.sampling.stream import interpolate
 from handeye_ros.sampling.sweep import with_estimated_clocks
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate import Scenario, SCENARIOS, simulate
@@ -247,7 +247,7 @@ def test_a_start_at_another_plate_is_not_the_last(monkeypatch: pytest.MonkeyPatc
 
     def first_aside(self: Plate, *problem: Any) -> Iterator[Estimate]:
         for start in starts(self, *problem):
-            T = start.state[:16].reshape(4, 4).copy()
+            T = start.T_base_target.copy()
             T[:3, 3] += next(aside, 0.0) * T[:3, 0]
             yield replace(start, state=np.append(T, start.state[16:]))
     monkeypatch.setattr(Plate, 'starts', first_aside)
