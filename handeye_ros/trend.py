@@ -148,7 +148,7 @@ def since_when(entries: Sequence[TrendEntry]) -> str:
 def csv_text(entries: Sequence[TrendEntry]) -> str:
     """Return the trend as CSV, in metres and radians."""
     return output.csv_text(
-        ('recorded', 'path', *AXES, *(f'{axis}_std' for axis in AXES), 'p_first', 'p_before',
-         'residual'),
+        ('recorded', 'path', *AXES, *(f'{axis}_std' for axis in AXES), 'p_reference',
+         'p_before', 'residual'),
         ((entry.recorded, entry.path, *entry.difference, *entry.std, entry.p_reference,
           entry.p_before, entry.residual) for entry in entries))
