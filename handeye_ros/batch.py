@@ -45,7 +45,7 @@ WORD_KEYS = ('child_frame', 'target', 'routine', 'against', 'method', 'verdict',
 CRASH_EXIT_CODE = 70  # exit code of a job that ended in an error of the program (sysexits.h)
 # Of the page: a figure, its heading, its factor.
 RESULT_FIGURES = (
-    ('residual_rms', 'residual RMS [mm]', 1e3), ('holdout_rms', 'left out RMS [mm]', 1e3),
+    ('residual_rms', 'residual RMS [mm]', 1e3), ('holdout_rms', 'left-out RMS [mm]', 1e3),
     ('rms', 'RMS [mm]', 1e3), ('points_off', 'points off [mm]', 1e3),
     ('smallest_error', 'smallest error that shows [mm]', 1e3), ('seconds', 'time [s]', 1.0))
 LOCAL_DASK = {  # settings of Dask on this machine

@@ -183,10 +183,10 @@ def _require_same_robot(arm: Arm) -> None:
 
 
 def _notes(models: Sequence[Model], chosen: Model) -> Iterator[str]:
-    """Yield a sentence for stops that are left out, and for a richer model that is not used."""
+    """Yield a sentence for contradicting stops, and for a richer model that is not used."""
     richest = models[-1]
     if dropped := int((~richest.fit.used).sum()):
-        yield f'{dropped} of {len(richest.fit.used)} stops contradict the others and are left out'
+        yield f'{dropped} of {len(richest.fit.used)} stops contradict the others and are not used'
     if chosen is not richest:
         rich, simple = (' and '.join(model.fit.arm.error_kinds) for model in (richest, chosen))
         yield (f'the model with {rich} predicts left-out stops no better than '

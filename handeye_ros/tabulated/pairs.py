@@ -164,7 +164,7 @@ class PairedRows(TableProblem):
         residuals = _lengths(self.linearised(fit.state)[0])
         left_out = _lengths(np.asarray(np.linalg.solve(
             whiten[fit.used], fit.left_out[..., None])[..., 0]))
-        (residual_rms, angle_rms), (holdout_rms, holdout_angle_rms) = (
+        (residual_rms, angle_rms), (left_out_rms, left_out_angle_rms) = (
             np.sqrt((lengths ** 2).mean(axis=0)).tolist()
             for lengths in (residuals[fit.used], left_out))
         # The region that holds, by Fisher's F: the noise is from the residuals of the rows that
@@ -174,11 +174,11 @@ class PairedRows(TableProblem):
         target: dict[str, Any] = {'point_noise': float(variances[0]) ** 0.5}
         if len(fit.state) > 1:
             target = {'pose': se3.transform_values(fit.state[1]), 'residual_angle': angle_rms,
-                      'left_out_angle': holdout_angle_rms}
+                      'left_out_angle': left_out_angle_rms}
         return TableAnswer(
             fit.state[0], fit.covariance[:6, :6] * region / chi2_isf(1 - REGION_PROBABILITY, 6),
-            np.isin(np.arange(len(self)), fit.used), residuals[:, 0], residual_rms, holdout_rms,
-            angle_rms, target)
+            np.isin(np.arange(len(self)), fit.used), residuals[:, 0], residual_rms,
+            left_out_rms, angle_rms, target)
 
     def fit_with_variances(self, start: Array, variances: Array) -> tuple[RobustFit[Array], Array]:
         """

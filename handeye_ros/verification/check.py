@@ -212,7 +212,7 @@ def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Rej
         *(sample.stamp for sample in samples), *(reject.stamp for reject in rejects)])
     if contradicting:
         what = 'profiles of the passes' if pass_stamps else 'stops'
-        sentence += f'. Left out, as they contradict the others: {what} {contradicting}'
+        sentence += f'. Not used, as they contradict the others: {what} {contradicting}'
     return Check(
         samples[0].stamp, verdict, sentence, len(prediction.linear.problem.poses), off,
         math.exp(min(log_evidence, 700.0)), odds, target.move, sensor.move, sensor.displacement,

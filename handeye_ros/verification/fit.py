@@ -483,11 +483,10 @@ def covariance_root(C: Array) -> Array:
 def fit_without_outliers(groups: Indices, fit_groups: Callable[[Indices], GroupFit[Result]]
                          ) -> tuple[Result, dict[int, float], list[int]]:
     """
-    Return the fit of the groups that agree, the p-value of each group, and those left out.
+    Return the fit of the groups that agree, the p-value of each group, and the contradicting ones.
 
-    fit_groups: fits some of the groups. The p-value of a group left out is that of the last fit in
-    which it took part. None is left out where they would be too many, or where too few would be
-    left.
+    fit_groups: fits some of the groups. The p-value of a contradicting one is that of the last fit
+    in which it took part. All are used where these would be too many, or the others too few.
     """
     p_values, most = dict[int, float](), int(MAX_OUTLIER_SHARE * len(groups))
 

@@ -166,9 +166,9 @@ def verify_stops(routine: Routine, recordings: Sequence[Sequence[Sample | Reject
 def _station_results(stations: StationSet, used: StationSet, fit: ShapeFit,
                      p: Mapping[int, float], dropped: Sequence[int]) -> tuple[StationResult, ...]:
     """
-    Return the results of all stops or passes of which points are used, or were left out.
+    Return the results of all stops or passes that have points, or contradict the others.
 
-    used: the stations without those left out (dropped), as fitted; p: of each group.
+    used: the stations as fitted, without contradicting ones (dropped); p: of each group.
     """
     results = []
     groups, recordings = stations.group_of_pose, stations.recording_of_pose
@@ -286,7 +286,7 @@ def _point_findings(fit: ShapeFit, results: Sequence[StationResult], artefact: V
 
 def _notes(fit: ShapeFit, other_size: bool, results: Sequence[StationResult]) -> Iterator[str]:
     """Yield the sentences that qualify a verdict."""
-    yield from (f'{s.name} is left out: {s.reason}' for s in results if not s.used)
+    yield from (f'{s.name} is not used: {s.reason}' for s in results if not s.used)
     if fit.scatter.p < INCONSISTENT_P:
         yield ('the points disagree by more than calibration, noise.sensor and noise.robot_* '
                f'explain (p = {fit.scatter.p:.1g}): the calibration is worse than it claims, the '

@@ -222,7 +222,7 @@ def test_a_few_contradicting_stops_are_left_out_and_named():
     verification = assess('line', moved, calibration)
     assert verification.verdict == 'pass' and verification.stations == len(artefact.bags[0]) - 1
     assert [s.name for s in verification.per_station if not s.used] == ['stop 5 of recording 1']
-    assert verification.reasons[0].startswith('stop 5 of recording 1 is left out')
+    assert verification.reasons[0].startswith('stop 5 of recording 1 is not used')
     half = with_poses(artefact, {k: [*[6e-5 * (k - 6)] * 3, 0, 0, 0] for k in range(0, 14, 2)}
                       | {5: [2e-3, 2e-3, 2e-3, 0, 0, 0]})  # no outliers, but a disagreement
     with pytest.raises(DataError, match='not what "line" measures'):
