@@ -311,8 +311,8 @@ def test_what_cannot_be_verified_is_refused():
              '0 usable')):
         with pytest.raises(error, match=words):
             assess(name, artefact, calibration)
-    for name, lengths, bags, words in (('step', (0.1,), 1, 'needs 2 bags, and got 1'),
-                                       ('step', (0.1,) * 4, 4, '5 or 6 bags, and got 4'),
+    for name, lengths, bags, words in (('step', (0.1,), 1, 'needs 2 recordings, and got 1'),
+                                       ('step', (0.1,) * 4, 4, '5 or 6 recordings, and got 4'),
                                        ('cube', (), 1, 'no routine "cube"'),
                                        ('ball_bar', (), 2, r'1 length \(.*, and got 0')):
         with pytest.raises(InputError, match=words):
