@@ -113,7 +113,7 @@ class PairedRows(TableProblem):
         return len(self.seen)
 
     @property
-    def samples(self) -> list[tuple[int, str]]:
+    def sample_ids(self) -> list[tuple[int, str]]:
         return [(row, '') for row in range(1, len(self) + 1)]
 
     def subset(self, rows: Indices) -> Self:
@@ -244,7 +244,7 @@ def _lengths(differences: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PointPairs(PairedRows):
-    """The same points (n, 3) in the frame of the sensor and in the robot's base (Wu 2017)."""
+    """The same points (n, 3) in the frame of the sensor and the robot's base, as in Wu 2017."""
 
     name = 'points'
     calibration_types = ('eye_on_base',)
@@ -288,7 +288,7 @@ class PointPairs(PairedRows):
 @dataclass(frozen=True, eq=False)
 class PosePairs(PairedRows):
     """
-    Poses (n, 4, 4) at the same times (CN105021139A).
+    Poses (n, 4, 4) at the same times, as in CN105021139A.
 
     seen: T_camera_target; robot: of what carries the camera (the flange, or with eye_on_base the
     base) in what carries the target. State (2, 4, 4): X, of the camera in its mount, and Z, of the

@@ -74,7 +74,7 @@ class TableProblem(ABC):
 
     @property
     @abstractmethod
-    def samples(self) -> Sequence[tuple[int, str]]:
+    def sample_ids(self) -> Sequence[tuple[int, str]]:
         """Return the number of the row, or the stamp (ns), and the kind of each sample."""
 
     @abstractmethod
@@ -154,7 +154,7 @@ def calibrate_table(problem: TableProblem) -> Calibration:
         answer.X @ se3.inverse(problem.T_sensor_plane), answer.covariance, answer.residual_rms,
         answer.left_out_rms, answer.target,
         [report_of_row(number, kind, used, residual) for (number, kind), used, residual in zip(
-            problem.samples, answer.used, answer.residuals, strict=True)],
+            problem.sample_ids, answer.used, answer.residuals, strict=True)],
         {'inputs': list(problem.inputs), **warnings})
 
 
