@@ -60,8 +60,8 @@ from handeye_ros.verification.fit import (
     largest_displacement,
     ONE_SIDED_95,
     regularised_least_squares,
-    require_stations,
 )
+from handeye_ros.verification.station_set import require_stations
 from handeye_ros.words import mm
 import numpy as np
 from scipy.special import softmax

@@ -11,7 +11,8 @@ from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError
-from handeye_ros.verification.fit import Quantity, Shape, StationSet
+from handeye_ros.verification.fit import Quantity, Shape
+from handeye_ros.verification.station_set import StationSet
 from handeye_ros.verification.tooth_gauge import teeth
 import numpy as np
 

@@ -37,8 +37,8 @@ from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.profile_target import edge_error_factor, NO_OBSERVATIONS, observations_at
-from handeye_ros.verification.fit import MIN_STATIONS, StationSet
 from handeye_ros.verification.routines import Routine
+from handeye_ros.verification.station_set import MIN_STATIONS, StationSet
 import numpy as np
 
 SWEEP_SAMPLES = 60  # samples of a sweep

@@ -28,9 +28,9 @@ from handeye_ros.verification.fit import (
     Quantity,
     refit_shape,
     ShapeFit,
-    StationSet,
 )
 from handeye_ros.verification.routines import Routine
+from handeye_ros.verification.station_set import StationSet
 from handeye_ros.verification.stations import stations_of
 from handeye_ros.words import mm
 import numpy as np
