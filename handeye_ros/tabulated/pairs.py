@@ -35,7 +35,7 @@ from handeye_ros.estimation.least_squares import (
     Rows,
 )
 from handeye_ros.frames import mount_frame, mount_poses
-from handeye_ros.published.wang2015 import solve_motions
+from handeye_ros.published.park1994 import solve_motions
 from handeye_ros.results.file_values import input_provenance
 from handeye_ros.tabulated.problem import Misreading, TableAnswer, TableProblem
 import numpy as np
@@ -337,12 +337,7 @@ class PosePairs(PairedRows):
         require_rotations(self.robot, mount_frame(self.config), 'the position along it is free')
 
     def closed_form(self) -> Array:
-        """
-        Return X (4, 4) by pairs of poses, rotation first.
-
-        Park and Martin 1994 (IEEE Trans. Robotics and Automation 10:717), least squares
-        throughout.
-        """
+        """Return X (4, 4) by the closed form of Park and Martin 1994, of pairs of poses."""
         T, seen = self.robot, self.seen
         i, j = np.random.default_rng(SEED).integers(len(T), size=(2, PAIR_COUNT))
         A, B = se3.inverse(T[j]) @ T[i], seen[j] @ se3.inverse(seen[i])

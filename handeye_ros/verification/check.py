@@ -112,13 +112,15 @@ class Check:
     Result of a check.
 
     stamp: of the first sample (ns)
-    stations: number of the compared stations
     verdict: unchanged, or the causes: target, sensor (it moved, or the robot's base did that is
         fixed to the other), robot (its pose errors changed), clock, with "or" or "and"
+    sentence: the verdict for the user, with what to do
+    stations: number of the compared stations
+    rms: RMS of the residuals (m)
     evidence: how many times as likely the recording is with a change as without
     odds: probability of each cause if something changed
+    target, sensor: their likeliest moves
     points_off: the largest error of points if the sensor is the cause, and its std (m)
-    rms: RMS of the residuals (m)
     contradicting: numbers of the stops, of a sweep of the passes, with what contradicts the others
         and is not used
     time_offset_changed: change of the time offset of a sweep, and its 1 sigma (s)
