@@ -97,8 +97,7 @@ def _dated_below(folder: Path) -> tuple[list[tuple[str, str, Path, Calibration]]
             continue
         stamp = min((report.stamp for report in calibration.samples), default=0)
         created = str(calibration.provenance.get('created', ''))
-        recorded = output.iso_time(stamp) or created
-        found.append((recorded, created, path, calibration))
+        found.append((output.iso_time(stamp) or created, created, path, calibration))
     return sorted(found, key=itemgetter(0, 1)), warnings  # of one time by path
 
 

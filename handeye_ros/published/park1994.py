@@ -13,8 +13,6 @@ from handeye_ros.data import Array
 from handeye_ros.errors import require_count, SingularError
 import numpy as np
 
-NAME = 'A X = X B'
-
 MIN_SINGULAR = 1e-3
 """Two turns have one axis when the second singular value of their vectors is below (radians)."""
 
@@ -25,10 +23,10 @@ def solve_motions(A: Array, B: Array) -> Array:
 
     Raises TooFewError, SingularError.
     """
-    require_count(NAME, 2, 'motions', len(A))
+    require_count('A X = X B', 2, 'motions', len(A))
     a, b = se3.log_rotation(A[:, :3, :3]), se3.log_rotation(B[:, :3, :3])
     if np.linalg.svd(a, compute_uv=False)[1] < MIN_SINGULAR:
-        raise SingularError(NAME, 'the motions turn about one axis only; turn about another too')
+        raise SingularError('A X = X B', 'all motions turn about one axis only; add another one')
     R = se3.nearest_rotation(a.T @ b)
     M = (A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
     shift = (B[:, :3, 3] @ R.T - A[:, :3, 3]).ravel()

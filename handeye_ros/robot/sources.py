@@ -109,9 +109,8 @@ def arm_samples_of(session: Session, recording: Recording, arm: Arm, config: Con
     q = _joints_at(samples, recording, recording.joints)
     problem = replace(problem, poses=mount_poses(arm.forward(q), config))
     _require_within_limits(arm, recording.joints)
-    return ArmSamples(session, samples, problem, q,
-                      inputs, (*recording.warnings, *session.warnings,
-                               *_unmoved_notes(arm, recording.joints)))
+    return ArmSamples(session, samples, problem, q, inputs, (
+        *recording.warnings, *session.warnings, *_unmoved_notes(arm, recording.joints)))
 
 
 def _require_within_limits(arm: Arm, q: Array) -> None:

@@ -117,8 +117,7 @@ def find_seam(points: Array, widest: float = DEFAULT_WIDEST,
     sheets = sheets_of(points, up)
     if sheets.spacing > widest:
         raise DataError(f'no seam: the points are {sheets.spacing:.3g} m apart, if the cloud is '
-                        'in metres, more than its edges may be (--widest): give one in metres, or '
-                        'scan more densely')
+                        'in metres: give one in metres, or scan more densely')
     rough_seam = rough_seam_of(sheets, widest, up)
     if start is not None and np.argmin(np.linalg.norm(
             points[rough_seam.pairs[[0, -1], 0]] - start, axis=1)) == 1:

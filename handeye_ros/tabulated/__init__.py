@@ -7,7 +7,7 @@ from pathlib import Path
 
 from handeye_ros.config import Config
 from handeye_ros.errors import BadValueError, InputError
-from handeye_ros.tabulated.pairs import PairedRows, PointPairs, PosePairs
+from handeye_ros.tabulated.pairs import PointPairs, PosePairs
 from handeye_ros.tabulated.problem import TableProblem
 from handeye_ros.tabulated.tracker import TrackerProblem
 
@@ -24,8 +24,7 @@ def read(path: Path, config: Config) -> TableProblem:
     """
     name = config.target.type
     if name not in FILE_TARGETS:
-        fitting = [target for target, problem in FILE_TARGETS.items()
-                   if issubclass(problem, PairedRows)]  # a tracker's is the bag
+        fitting = PointPairs.name, PosePairs.name  # a tracker's file is the bag
         raise InputError(f'{path} is a table of measured values, and target.type {name} is not '
                          f'solved from one: set target.type to {" or ".join(fitting)}, as in '
                          f'--set target.type={fitting[0]}')

@@ -210,8 +210,10 @@ def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Rej
             f'have shown from {_shifts_in_words(target.move, target_frame(config))} on, one of '
             f'the sensor from {_shifts_in_words(sensor.move, mount_frame(config))} on')))
 
-    contradicting = _contradicting_numbers([samples[k].stamp for k in dropped], pass_stamps or [
+    # the numbers of the stops or passes that hold what was dropped
+    in_order = sorted(pass_stamps or [
         *(sample.stamp for sample in samples), *(reject.stamp for reject in rejects)])
+    contradicting = sorted({bisect_right(in_order, samples[k].stamp) for k in dropped})
     if contradicting:
         what = 'profiles of the passes' if pass_stamps else 'stops'
         sentence += f'. Not used, as they contradict the others: {what} {contradicting}'
@@ -219,16 +221,6 @@ def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Rej
         samples[0].stamp, verdict, sentence, len(prediction.linear.problem.poses), off,
         math.exp(min(log_evidence, 700.0)), odds, target.move, sensor.move, sensor.displacement,
         sensor.std, contradicting, stamps=[sample.stamp for sample in samples])
-
-
-def _contradicting_numbers(dropped: Iterable[int], stamps: Iterable[int]) -> list[int]:
-    """
-    Return the numbers of the stops or passes that hold what was dropped.
-
-    dropped: its stamps; stamps: those of all stops or passes (ns).
-    """
-    in_order = sorted(stamps)
-    return sorted({bisect_right(in_order, stamp) for stamp in dropped})
 
 
 def _verdict_of_change(target: _Cause, sensor: _Cause, odds: Mapping[str, float], off: float

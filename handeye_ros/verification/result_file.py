@@ -101,8 +101,7 @@ def reasons_and_figures(content: Mapping[str, Any]) -> str:
         figures.append(f'{name} {measured}'
                        + (f' ± {U} (k = {content["k"]:g}{claims})' if U else '')
                        + (f', nominal {nominal}, off by {deviation}' if nominal else ''))
-    surface = filter(None, [content['surface']])
-    return '; '.join((*content['reasons'], *surface, *figures))
+    return '; '.join(filter(None, (*content['reasons'], content['surface'], *figures)))
 
 
 def protocol_of(path: Path) -> str | None:
