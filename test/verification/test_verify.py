@@ -344,7 +344,7 @@ def test_passes_that_contradict_the_others_are_told():
     for measured_stations, named in (stations, False), (contradicting, True):
         verification = verify_stations(ROUTINES['tooth'], measured_stations, calibration)
         assert named == (verification.verdict != 'pass')
-        assert named == any(reason.startswith('stop 1 of recording 2 contradict the others')
+        assert named == any(reason.startswith('pass 1 of recording 2 contradict the others')
                             for reason in verification.reasons)
 
 
