@@ -29,7 +29,7 @@ from handeye_ros.compare import compare
 from handeye_ros.config import Config, with_values
 from handeye_ros.errors import DataError
 from handeye_ros.frames import mount_poses
-from handeye_ros.published import wang2015, wu2017
+from handeye_ros.published import park1994, wang2015, wu2017
 from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
 from handeye_ros.simulate.tables import (
     CAMERA_STDS,
@@ -114,7 +114,7 @@ class Poses:
         known, _ = poses.fit_with_variances(poses.state_of(poses.closed_form()), np.array(
             [camera + robot, camera_turn, robot_turn]))
         yield 'A X = X B, noise known', known.state[0]
-        yield 'CN105021139A', wang2015.solve_motions(*wang2015.motions(T, views))
+        yield 'CN105021139A', park1994.solve_motions(*wang2015.motions(T, views))
         for name in OPENCV if cv2 else ():
             try:
                 R, t = cv2.calibrateHandEye(

@@ -22,7 +22,7 @@ from handeye_ros import __version__
 from handeye_ros.bags.storage import SUFFIXES
 from handeye_ros.config import read_yaml
 from handeye_ros.csv_tables import CsvTable
-from handeye_ros.errors import InputError
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.output import csv_text, rendered, write_atomically
 from handeye_ros.se3 import AXES
 from handeye_ros.verification.routines import ROUTINES
@@ -35,7 +35,7 @@ RunVerb: TypeAlias = Callable[[list[str]], int]
 LIST_COLUMNS = {'bag', 'label', 'config', 'settings', 'args'}  # of a list
 JOB_FILE = 'job.json'  # in the folder of a job: what it was computed from, and its row
 OUTPUTS = {'solve': '', 'verify': 'verification.yaml', 'check': 'check.yaml',
-           'compare': 'comparison.yaml'}  # below --out, by verb
+           'compare': 'comparison.yaml'}  # below --out, by verb of BatchVerb
 # options and keys of these verbs that hold a path
 PATH_OPTIONS = ('--config', '--kinematics', '--calibration', '--against', '--protocol')
 PATH_KEYS = ('kinematics', 'verify.calibration', 'output_dir')
@@ -45,7 +45,7 @@ WORD_KEYS = ('child_frame', 'target', 'routine', 'against', 'method', 'verdict',
 CRASH_EXIT_CODE = 70  # exit code of a job that ended in an error of the program (sysexits.h)
 # Of the page: a figure, its heading, its factor.
 RESULT_FIGURES = (
-    ('residual_rms', 'residual RMS [mm]', 1e3), ('holdout_rms', 'left out RMS [mm]', 1e3),
+    ('residual_rms', 'residual RMS [mm]', 1e3), ('holdout_rms', 'left-out RMS [mm]', 1e3),
     ('rms', 'RMS [mm]', 1e3), ('points_off', 'points off [mm]', 1e3),
     ('smallest_error', 'smallest error that shows [mm]', 1e3), ('seconds', 'time [s]', 1.0))
 LOCAL_DASK = {  # settings of Dask on this machine
@@ -317,7 +317,8 @@ def outcome_of(row: JobRow) -> str:
     """Return the outcome of a job: pass, warning, its verdict, unusable, refused or crashed."""
     if row['exit_code'] == 0:
         return 'warning' if row.get('warnings') else 'pass'
-    return {1: row.get('verdict'), 2: 'unusable', 3: 'refused'}.get(row['exit_code']) or 'crashed'
+    return {1: row.get('verdict'), InputError.exit_code: 'unusable',
+            DataError.exit_code: 'refused'}.get(row['exit_code']) or 'crashed'
 
 
 def write_table(rows: Sequence[JobRow], out: Path) -> None:

@@ -26,7 +26,7 @@ from handeye_ros.estimation.noise import NoiseModel
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import least_squares_fit
 from handeye_ros.frames import T_sensor_plane
-from handeye_ros.published import chen2023, jing2020, wang2015, wu2017, zheng2018
+from handeye_ros.published import chen2023, jing2020, park1994, wang2015, wu2017, zheng2018
 from handeye_ros.results.printed import figures_table
 from handeye_ros.results.truth import errors_against, field_points, FIELD_TEXT
 from handeye_ros.sampling.session import Session
@@ -208,7 +208,7 @@ ESTIMATORS_BUT_OWN: dict[str, tuple[Estimator, ...]] = {
                          lambda given: wu2017.solve(given.seen, given.robot)),),
     'hand_eye': (
         Estimator('closed form (Park and Martin 1994)', _park),
-        Estimator('CN105021139A', lambda given: wang2015.solve_motions(
+        Estimator('CN105021139A', lambda given: park1994.solve_motions(
             *wang2015.motions(given.robot, given.seen)))),
 }
 ESTIMATORS_OWN_FIRST = {

@@ -173,7 +173,11 @@ def nearest_rotation(M: Array) -> Array:
 
 
 def align_points(points: Array, reference: Array) -> Array:
-    """Return the transform (4, 4) of points (n, 3) that brings them nearest to others (n, 3)."""
+    """
+    Return the transform (4, 4) of points (n, 3) that brings them nearest to others (n, 3).
+
+    Least squares (Kabsch 1976, Acta Crystallographica A 32:922).
+    """
     mean, reference_mean = points.mean(axis=0), reference.mean(axis=0)
     R = Rotation.align_vectors(reference - reference_mean, points - mean)[0].as_matrix()
     return transform(R, reference_mean - R @ mean)

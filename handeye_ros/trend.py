@@ -97,8 +97,7 @@ def _dated_below(folder: Path) -> tuple[list[tuple[str, str, Path, Calibration]]
             continue
         stamp = min((report.stamp for report in calibration.samples), default=0)
         created = str(calibration.provenance.get('created', ''))
-        recorded = output.iso_time(stamp) or created
-        found.append((recorded, created, path, calibration))
+        found.append((output.iso_time(stamp) or created, created, path, calibration))
     return sorted(found, key=itemgetter(0, 1)), warnings  # of one time by path
 
 
@@ -148,7 +147,7 @@ def since_when(entries: Sequence[TrendEntry]) -> str:
 def csv_text(entries: Sequence[TrendEntry]) -> str:
     """Return the trend as CSV, in metres and radians."""
     return output.csv_text(
-        ('recorded', 'path', *AXES, *(f'{axis}_std' for axis in AXES), 'p_first', 'p_before',
-         'residual'),
+        ('recorded', 'path', *AXES, *(f'{axis}_std' for axis in AXES), 'p_reference',
+         'p_before', 'residual'),
         ((entry.recorded, entry.path, *entry.difference, *entry.std, entry.p_reference,
           entry.p_before, entry.residual) for entry in entries))

@@ -92,8 +92,8 @@ def test_the_verb_shows_writes_and_refuses(tmp_path):
     run = succeeds('trend', 'steady', '--csv', 't.csv', cwd=tmp_path)
     assert 'no calibration differs' in run.stdout and 'steady/day_4' in run.stdout
     head, *rows = (tmp_path / 't.csv').read_text().splitlines()
-    assert head == ('recorded,path,x,y,z,rx,ry,rz,x_std,y_std,z_std,rx_std,ry_std,rz_std,p_first,'
-                    'p_before,residual')
+    assert head == ('recorded,path,x,y,z,rx,ry,rz,x_std,y_std,z_std,rx_std,ry_std,rz_std,'
+                    'p_reference,p_before,residual')
     assert [row.split(',')[1] for row in rows] == [
         f'steady/day_{k}/calibration.yaml' for k in range(5)]
     assert_refused(handeye('trend', 'steady/day_0', cwd=tmp_path), 3, 'steady')

@@ -200,7 +200,8 @@ def scan(
         '--range', metavar='NEAR FAR', help='Keep points in this range of the sensor.')
     ] = NO_LIMITS,
     incidence: Annotated[float, typer.Option(
-        help='Largest angle between laser and surface normal in a profile (degrees).')] = 90.0,
+        help='Largest angle between range axis and surface normal in a profile (degrees).')
+    ] = 90.0,
     std: Annotated[bool, typer.Option('--std', help='Add the 1 sigma of each point (m).')] = False,
 ) -> None:
     """Put profiles into the base frame, as a cloud of points."""

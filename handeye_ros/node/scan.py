@@ -135,7 +135,7 @@ def main() -> int:
     parser.add_argument('--range', nargs=2, type=str.strip, default=('-inf', 'inf'),
                         metavar=('NEAR', 'FAR'), help='keep points in this range of the sensor')
     parser.add_argument('--incidence', type=float, default=90.0, metavar='DEGREES',
-                        help='largest angle between laser and surface normal in a profile')
+                        help='largest angle between range axis and surface normal in a profile')
     parser.add_argument('--voxel', default='0', help='keep a point of each cube with this edge')
     parser.add_argument('--std', action='store_true', help='add the 1 sigma of each point (m)')
     # else argparse takes a negative length, as of --range -200mm -100mm, for an option

@@ -50,8 +50,8 @@ class LiveVerification:
         if self.routine:
             with suppress(InputError):  # of two frames, where no stop is taken
                 self._live.discard_begun_stops()
-        self.routine, self._most_parts = None, 1
-        self._parts: list[dict[int, Sample | Reject]] = [{}]  # what their stops gave, by stamp
+        self.routine, self._most_recordings = None, 1
+        self._recordings: list[dict[int, Sample | Reject]] = [{}]  # by stamp what stops gave
 
     @property
     def content_of_answer(self) -> Mapping[str, Any]:
@@ -66,30 +66,30 @@ class LiveVerification:
         return self.content if is_current else {}
 
     @property
-    def has_next_part(self) -> bool:
-        """Return whether another part (face, ball) follows the current one."""
-        return len(self._parts) < self._most_parts
+    def has_next_recording(self) -> bool:
+        """Return whether another recording (of a face, a ball) follows the current one."""
+        return len(self._recordings) < self._most_recordings
 
     @property
     def text(self) -> str:
         """Return the progress in words, empty where none is running."""
-        routine, parts = self.routine, self._parts  # which may end meanwhile
-        last = [*parts[-1].values()]
+        routine, recordings = self.routine, self._recordings  # which may end meanwhile
+        last = [*recordings[-1].values()]
         usable = sum(isinstance(result, Sample) for result in last)
-        part = f', part {len(parts)}' if self._most_parts > 1 else ''
-        return f'{routine.name}{part}: {usable} usable stops of {len(last)}' if routine else ''
+        which = f', recording {len(recordings)}' if self._most_recordings > 1 else ''
+        return f'{routine.name}{which}: {usable} usable stops of {len(last)}' if routine else ''
 
     def verify_start(self) -> str:
         """
-        Begin a verification, or the next part (face, ball) of the current one.
+        Begin a verification, or the next recording (of a face, a ball) of the current one.
 
         Returns what to do. Raises InputError for the settings, DataError without a calibration.
         """
         live, settings = self._live, self._live.config.verify
-        live.evaluate_waiting()  # what began before is a sample, or of the part before
+        live.evaluate_waiting()  # what began before is a sample, or of the recording before
         progress_before = self.text
-        measured = any(isinstance(result, Sample) for result in self._parts[-1].values())
-        begins = self.routine is None or (measured and len(self._parts) == self._most_parts)
+        measured = any(isinstance(result, Sample) for result in self._recordings[-1].values())
+        begins = self.routine is None or (measured and not self.has_next_recording)
         if begins:
             if not settings.routine:
                 raise InputError('verify.routine is not set, so there is nothing to measure: set '
@@ -98,13 +98,13 @@ class LiveVerification:
             if routine.in_passes:
                 raise InputError(f'{routine.name} is scanned in passes: record a bag of each, and '
                                  f'call "handeye verify {routine.name}" with them')
-            most_parts = routine.recordings_for(len(settings.lengths))[-1]  # raises InputError
-            self._calibration()  # raises where there is none
+            most_recordings = routine.recordings_for(len(settings.lengths))[-1]
+            self._calibration()  # both raise what is missing
         live.discard_begun_stops()
         if begins:
-            self.routine, self._most_parts, self._parts = routine, most_parts, [{}]
+            self.routine, self._most_recordings, self._recordings = routine, most_recordings, [{}]
         elif measured:
-            self._parts = [*self._parts, {}]
+            self._recordings = [*self._recordings, {}]
         dropped = (f'; what was measured before is dropped ({progress_before})'
                    if begins and progress_before else '')
         return (f'{self.text}; move on, and stop with other tilts: what begins from now on '
@@ -120,7 +120,7 @@ class LiveVerification:
         live, routine = self._live, self.routine
         assert routine
         result = live.evaluate_in_process(stop, routine.settings(live.config))
-        self._parts[-1][stop.stamp] = result
+        self._recordings[-1][stop.stamp] = result
         text = f'{self.text}; {sample_summary(result)}'
         live.attempt = Attempt(f'verification: {text}', replace(stop, result=result))
         if isinstance(result, Reject):
@@ -139,16 +139,16 @@ class LiveVerification:
         live = self._live
         live.evaluate_all()
         file = live.config.verify.calibration or live.solver.saved
-        accept = partial(self._accept, self._parts, file, live.solver.calibration)
+        accept = partial(self._accept, self._recordings, file, live.solver.calibration)
         return live.run_job(VERIFYING, accept, verify_stops,
-                            self.routine, [[*part.values()] for part in self._parts],
+                            self.routine, [[*stops.values()] for stops in self._recordings],
                             self._calibration(),
-                            self.routine.settings(live.config, len(self._parts)))
+                            self.routine.settings(live.config, len(self._recordings)))
 
-    def _accept(self, parts: Sequence[object], file: str, answer: Calibration | None,
+    def _accept(self, recordings: Sequence[object], file: str, answer: Calibration | None,
                 result: Verification) -> str:
         """
-        Write the verdict on parts, and end their verification; return the message.
+        Write the verdict on recordings, and end their verification; return the message.
 
         file: of the calibration, '' where it was not saved; answer: of the node then.
         """
@@ -162,7 +162,7 @@ class LiveVerification:
         text = f'{sentence(content)}; {saved}'
         if result.verdict not in ('pass', 'fail'):
             raise DataError(text)
-        if self._parts is parts:  # no other part or verification was begun meanwhile
+        if self._recordings is recordings:  # no other one or verification was begun meanwhile
             self.end()
         return text
 

@@ -162,7 +162,7 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
     one; scene: for the picture in space; edges: by number, which each used sample shows;
     has_just_begun: there are few stops, perhaps of a session that a restart began; rows: of the
     answer, name, value, 1 sigma and unit as in the table of `handeye solve`;
-    verification: what is running, in words, and whether another part of it follows; verdict (pass,
+    verification: what is running, in words, and whether another recording follows; verdict (pass,
     ...), title and figures of the last of this answer.
     """
     snapshot, calibration = live.current_snapshot(), live.solver.calibration
@@ -172,7 +172,7 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
             'rows': list(printed.transform_rows(calibration)) if calibration else [],
             'verification': {
                 'running': live.verification.text,
-                'next_part': live.verification.has_next_part,
+                'next_recording': live.verification.has_next_recording,
                 'verdict': checked.get('verdict', ''),
                 'title': title_of(checked) if checked else '',
                 'figures': reasons_and_figures(checked) if checked else ''}}

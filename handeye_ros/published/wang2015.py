@@ -5,8 +5,8 @@ CN105021139A (Wang, Li, Liu 2015): circle target with two diameters, line laser 
 
 The image shows a circle's orthogonal diameters AB and CD, its centre O, and the laser stripe
 through O. Harmonic conjugates give the vanishing points of AB and CD, these the rotation of the
-target; the light plane gives the depth of O; two motions of the robot give A X = X B. The package
-itself uses only this last half, `motions` and `solve_motions`, of poses from anywhere.
+target; the light plane gives the depth of O; two motions of the robot give A X = X B. Of poses
+from anywhere only this last half is needed, `motions` and `park1994.solve_motions`.
 
 What is wrong in print, and what is done here:
 
@@ -16,8 +16,7 @@ What is wrong in print, and what is done here:
 - how the two measured directions become a rotation is only hinted at (Rodrigues). Each is
   turned in their common plane by half of what is missing to 90 degrees, which gives the rotation
   nearest to them.
-- how the two equations are solved is not said: the axes of the turns for the rotation, then
-  linear least squares for the translation.
+- how the two equations are solved is not said: as by Park and Martin 1994.
 - that the stripe runs through O is taken for granted; here it must pass within `MAX_MISS`
   pixels.
 """
@@ -28,15 +27,13 @@ from dataclasses import dataclass
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import require_count, SingularError
+from handeye_ros.published.park1994 import solve_motions
 import numpy as np
 
 NAME = 'CN105021139A'
 
 MAX_MISS = 5.0
 """Pixels by which the stripe may miss the centre."""
-
-MIN_SINGULAR = 1e-3
-"""Two turns have one axis when the second singular value of their vectors is below (radians)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,22 +107,6 @@ def motions(T_base_flange: Array, T_camera_target: Array) -> tuple[Array, Array]
     A = se3.inverse(T_base_flange[1:]) @ T_base_flange[:-1]
     B = T_camera_target[1:] @ se3.inverse(T_camera_target[:-1])
     return A, B
-
-
-def solve_motions(A: Array, B: Array) -> Array:
-    """
-    Return X (4, 4) of A X = X B, two or more motions (n, 4, 4) about different axes (step 8).
-
-    Raises TooFewError, SingularError.
-    """
-    require_count(NAME, 2, 'motions', len(A))
-    a, b = se3.log_rotation(A[:, :3, :3]), se3.log_rotation(B[:, :3, :3])
-    if np.linalg.svd(a, compute_uv=False)[1] < MIN_SINGULAR:
-        raise SingularError(NAME, 'the motions turn about one axis only; turn about another too')
-    R = se3.nearest_rotation(a.T @ b)
-    M = (A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
-    shift = (B[:, :3, 3] @ R.T - A[:, :3, 3]).ravel()
-    return se3.transform(R, np.asarray(np.linalg.lstsq(M, shift, rcond=None)[0]))
 
 
 def solve(T_base_flange: Array, views: tuple[View, ...], camera: Camera) -> Array:

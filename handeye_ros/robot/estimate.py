@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 SMOOTH_ERROR_STD = 2e-4  # prior 1 sigma of the remaining error of the robot, each axis (m)
-MIN_STOPS = 12
+MIN_STOPS = 12  # that the cross-validation has four regions of three stops
 # iterations of variances and noise; relative change below which they end
 MAX_ROUNDS, CONVERGED_CHANGE = 6, 0.02
 POOLED_FREEDOM = 4.0  # degrees of freedom by which the noise of all axes counts for each axis
@@ -326,7 +326,7 @@ def solved_with_arm(fit: ArmFit, arm: Arm) -> ArmFit:
     return replace(fit, variances=np.ones(len(set(fit.kind_numbers)))).solved()
 
 
-def arm_covariance(fit: ArmFit, chosen: ArmFit) -> tuple[Array, float]:
+def arm_covariance(fit: ArmFit, chosen_fit: ArmFit) -> tuple[Array, float]:
     """
     Return the covariance (6 + k, 6 + k) of X and the errors of the arm in a chosen fit.
 
@@ -344,9 +344,9 @@ def arm_covariance(fit: ArmFit, chosen: ArmFit) -> tuple[Array, float]:
         wide = replace(wide, noise=noise).solved()
         noise, variances = noise_and_variances(wide, conservative=True)
     wide = replace(wide, variances=np.append(arm_variances, variances[-1]))
-    in_chosen = chosen.arm.is_estimated[wide.arm.is_estimated]
+    in_chosen = chosen_fit.arm.is_estimated[wide.arm.is_estimated]
     rows = np.append(np.arange(6), 6 + np.flatnonzero(in_chosen))
-    difference = np.append(se3.difference(wide.X, chosen.X),
-                           wide.arm.error_values[in_chosen] - chosen.arm.error_values)
+    difference = np.append(se3.difference(wide.X, chosen_fit.X),
+                           wide.arm.error_values[in_chosen] - chosen_fit.arm.error_values)
     covariance = wide.covariance[np.ix_(rows, rows)] + np.outer(difference, difference)
     return covariance, rms((basis @ wide.smooth.reshape(-1, 3))[wide.used])

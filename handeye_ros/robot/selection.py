@@ -11,16 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from handeye_ros.arm import (
-    ALL_KINDS,
-    Arm,
-    DIRECTION,
-    ERROR_KINDS,
-    OFFSET,
-    POSITION,
-    PRISMATIC,
-    REVOLUTE,
-)
+from handeye_ros.arm import ALL_KINDS, Arm, DIRECTION, ERROR_KINDS, OFFSET, POSITION
 from handeye_ros.data import Array, Indices, rms
 from handeye_ros.errors import DataError
 from handeye_ros.robot.estimate import (
@@ -37,15 +28,12 @@ import numpy as np
 
 UNSOLVED = 'unsolved'  # code of refusals that wrong clocks may explain
 UNCHANGED_ARM = 'the URDF as it is'
-REGION_COUNT, MIN_OF_REGION = 8, 3  # of the joint space, each left out once; stops of one
+REGION_COUNT = 8  # regions of the joint space, each left out once
+MIN_OF_REGION = 3  # stops of a region
 FOLD_ROUNDS = 2
 MIN_AGREEING_SHARE = 0.5  # smallest share of the stops that agree
 HOPELESS_FACTOR = 20.0  # times the limit of the residual: no arm is so inaccurate
 MAX_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis, if the URDF belongs to the robot
-# Per kind of joint, rad and m: tolerance of the limits, which are often stated roughly, and the
-# smallest range of values that determines the error of a joint.
-MAX_EXTRAPOLATION = {REVOLUTE: 0.35, PRISMATIC: 0.1}
-UNMOVED_SPREAD = {REVOLUTE: 0.02, PRISMATIC: 0.005}
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,36 +171,14 @@ def _require_same_robot(arm: Arm) -> None:
 
 
 def _notes(models: Sequence[Model], chosen: Model) -> Iterator[str]:
-    """Yield a sentence for stops that are left out, and for a richer model that is not used."""
+    """Yield a sentence for contradicting stops, and for a richer model that is not used."""
     richest = models[-1]
     if dropped := int((~richest.fit.used).sum()):
-        yield f'{dropped} of {len(richest.fit.used)} stops contradict the others and are left out'
+        yield f'{dropped} of {len(richest.fit.used)} stops contradict the others and are not used'
     if chosen is not richest:
         rich, simple = (' and '.join(model.fit.arm.error_kinds) for model in (richest, chosen))
         yield (f'the model with {rich} predicts left-out stops no better than '
                f'{simple or UNCHANGED_ARM}: the simpler one is the answer')
-
-
-def joint_notes(arm: Arm, q: Array) -> list[str]:
-    """
-    Return a sentence for each joint whose error is not determined by values (n, joints).
-
-    Raises DataError for values beyond the limits of a joint.
-    """
-    sentences = []
-    for joint, low, high in zip(arm.joints, q.min(axis=0), q.max(axis=0), strict=True):
-        tolerance = MAX_EXTRAPOLATION[joint.kind]
-        if low < joint.lower - tolerance or high > joint.upper + tolerance:
-            raise DataError(
-                f'{joint.name} goes from {low:.4g} to {high:.4g}, and the URDF limits it to '
-                f'{joint.lower:.4g} to {joint.upper:.4g} (radians or metres): check unit (degrees '
-                'stated as radians?), sign, zero, and order of the joint values, whether it is '
-                'counted from the horizontal, and the limits in the URDF')
-        if high - low < UNMOVED_SPREAD[joint.kind]:
-            size = (degrees if joint.kind == REVOLUTE else mm)(float(high - low))
-            sentences.append(f'{joint.name} moves by {size} only: these configurations do not '
-                             'determine its error')
-    return sentences
 
 
 def _contradiction(fit: ArmFit, stop_count: int, limit: float) -> DataError:

@@ -10,13 +10,13 @@ give the hand-eye transform alone (fit_of_samples, fit_of_points), then the best
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
 
 from handeye_ros import pipeline, se3
-from handeye_ros.arm import Arm, PRISMATIC
+from handeye_ros.arm import Arm, PRISMATIC, REVOLUTE
 from handeye_ros.bags.recording import Recording
 from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.clocks import require_same_clock
@@ -47,20 +47,14 @@ from handeye_ros.robot.estimate import (
     MIN_STOPS,
     with_estimated_weights,
 )
-from handeye_ros.robot.selection import (
-    ArmSelection,
-    joint_notes,
-    require_enough,
-    select_model,
-    UNSOLVED,
-)
+from handeye_ros.robot.selection import ArmSelection, require_enough, select_model, UNSOLVED
 from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import with_estimated_clocks
 from handeye_ros.targets import problem_of_known_poses, target_for
 from handeye_ros.targets.profile_target import xyz
 from handeye_ros.units import UNITS
-from handeye_ros.words import mm
+from handeye_ros.words import degrees, mm
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial import KDTree
@@ -69,6 +63,10 @@ MAX_GAP = NS  # 1 s, between a sample and joint values
 UNCORRECTED_STD = 5e-4  # 1 sigma of the robot's error before its correction (m)
 MAX_X_DIFFERENCE = 0.05  # m and rad: largest difference of X between targets
 INACCURATE_RMS = 1e-3  # 1 sigma (m) of the residuals of an inaccurate robot
+# by kind of joint (rad, m): tolerance of the limits, which are often stated roughly
+MAX_EXTRAPOLATION = {REVOLUTE: 0.35, PRISMATIC: 0.1}
+# the same: smallest range of values that determines the error of a joint
+UNMOVED_SPREAD = {REVOLUTE: 0.02, PRISMATIC: 0.005}
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +108,30 @@ def arm_samples_of(session: Session, recording: Recording, arm: Arm, config: Con
     problem = problem_of_known_poses(samples, config)
     q = _joints_at(samples, recording, recording.joints)
     problem = replace(problem, poses=mount_poses(arm.forward(q), config))
-    return ArmSamples(session, samples, problem, q,
-                      inputs, (*recording.warnings, *session.warnings,
-                               *joint_notes(arm, recording.joints)))
+    _require_within_limits(arm, recording.joints)
+    return ArmSamples(session, samples, problem, q, inputs, (
+        *recording.warnings, *session.warnings, *_unmoved_notes(arm, recording.joints)))
+
+
+def _require_within_limits(arm: Arm, q: Array) -> None:
+    """Raise DataError for values (n, joints) beyond the limits of a joint."""
+    for joint, low, high in zip(arm.joints, q.min(axis=0), q.max(axis=0), strict=True):
+        tolerance = MAX_EXTRAPOLATION[joint.kind]
+        if low < joint.lower - tolerance or high > joint.upper + tolerance:
+            raise DataError(
+                f'{joint.name} goes from {low:.4g} to {high:.4g}, and the URDF limits it to '
+                f'{joint.lower:.4g} to {joint.upper:.4g} (radians or metres): check unit (degrees '
+                'stated as radians?), sign, zero, and order of the joint values, whether it is '
+                'counted from the horizontal, and the limits in the URDF')
+
+
+def _unmoved_notes(arm: Arm, q: Array) -> Iterator[str]:
+    """Yield a sentence for each joint whose error values (n, joints) do not determine."""
+    for joint, spread in zip(arm.joints, np.ptp(q, axis=0).tolist(), strict=True):
+        if spread < UNMOVED_SPREAD[joint.kind]:
+            size = (degrees if joint.kind == REVOLUTE else mm)(spread)
+            yield (f'{joint.name} moves by {size} only: these configurations do not determine its '
+                   'error')
 
 
 def _joints_at(samples: Sequence[Sample], recording: Recording, joints: Array) -> Array:
@@ -219,13 +238,14 @@ def read_arm_points(path: Path, arm: Arm, in_hand: bool
                 if name in table.columns}
     q, points = arm.joint_values(readings, path), table.values(['x', 'y', 'z'], LENGTH)
     require_different(np.hstack([q, points]))
+    _require_within_limits(arm, q)
     labels = table.texts('target') if 'target' in table.columns else ['target'] * len(points)
     rows = {name: np.flatnonzero(np.array(labels) == name) for name in dict.fromkeys(labels)}
     unused = [f'the column {name} is no joint between {arm.base} and {arm.flange}: it is not used'
               for name, (unit, _) in table.columns.items()
               if unit in UNITS[ANGLE] and name not in kinds]
     return ([ArmPoints(q[part], points[part], in_hand) for part in rows.values()], rows,
-            [*unused, *joint_notes(arm, q)])
+            [*unused, *_unmoved_notes(arm, q)])
 
 
 def solve_points(measured: Sequence[ArmPoints], arm: Arm, limit: float) -> ArmSelection:

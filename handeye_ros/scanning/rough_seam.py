@@ -310,7 +310,8 @@ def _kind(sheets: Sheets, pairs: Pairs, up: Array) -> str | None:
     """
     Return the kind of the seam of pairs between two sheets, None for no seam.
 
-    That is a ridge, a step without its wall, or a rib. up: (3,) towards the tool.
+    That is a ridge, a high step whose wall is not seen, a gap too narrow to be sure of, or a rib.
+    up: (3,) towards the tool.
     """
     i, j = pairs.T
     normals, outward = sheets.normals, sheets.outward

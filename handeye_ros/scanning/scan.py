@@ -20,7 +20,7 @@ from itertools import compress, islice
 
 from handeye_ros import se3
 from handeye_ros.config import Config, NoiseConfig
-from handeye_ros.data import Array, Calibration, has_return, Profile, ROTATION_LAG
+from handeye_ros.data import Array, Calibration, Profile, ROTATION_LAG
 from handeye_ros.errors import BadValueError, DataError
 from handeye_ros.frames import mount_poses, target_frame, unit_vectors
 from handeye_ros.sampling.trajectory import Trajectory
@@ -90,7 +90,7 @@ class Scanner:
         return self.returns - self.out_of_limits - self.thinned
 
     def scan(self, profiles: Iterable[Profile], trajectory: Trajectory) -> Iterator[Points]:
-        """Yield the points of profiles in pieces; raises DataError where there are none."""
+        """Yield the points of profiles of returns, in pieces; raises DataError without any."""
         source = iter(profiles)
         while batch := list(islice(source, BATCH_PROFILES)):
             yield self.points(batch, trajectory)
@@ -138,9 +138,15 @@ class Scanner:
 
     def _mapped(self, fields: np.dtype[np.void], profile: Profile, T_base_sensor: Array,
                 pose_std: Array) -> Points:
-        """Return the points of a profile; T_base_sensor: (4, 4); pose_std: see point_std."""
+        """
+        Return the points of a profile of returns, and count them.
+
+        T_base_sensor: (4, 4); pose_std: see point_std.
+        """
         keep = self._within_limits(profile.points)
         points = profile.points[keep]
+        self.returns += len(keep)
+        self.out_of_limits += len(keep) - len(points)
         axes = unit_vectors(profile.axes)
         R = T_base_sensor[:3, :3] @ axes
         in_base = points @ R.T + T_base_sensor[:3, 3]
@@ -155,18 +161,15 @@ class Scanner:
         return cloud
 
     def _within_limits(self, points: Array) -> NDArray[np.bool_]:
-        """Return a mask (n,) of the points (n, 2) within the limits (m); count returns."""
-        is_return, z = has_return(points), points[:, 1]
-        keep = is_return & (z >= self.options.nearest) & (z <= self.options.farthest)
+        """Return a mask (n,) of the returns (n, 2) within the limits (m)."""
+        keep = (points[:, 1] >= self.options.nearest) & (points[:, 1] <= self.options.farthest)
         if self.options.incidence < np.pi / 2:  # only then: they take half of the time
             keep[keep] = _incidence(points[keep]) <= self.options.incidence
-        self.returns += int(is_return.sum())
-        self.out_of_limits += int(is_return.sum()) - int(keep.sum())
         return np.asarray(keep)
 
 
 def _incidence(points: Array) -> Array:
-    """Return the angle (n,) between surface and laser line at points (n, 2), rad."""
+    """Return the angle (n,) between range axis and surface normal at points (n, 2), rad."""
     neighbours = np.arange(len(points)) + [[-SLOPE_REACH], [SLOPE_REACH]]
     first, last = points[np.clip(neighbours, 0, len(points) - 1)]
     along, across = np.abs(last - first).T

@@ -31,7 +31,7 @@ FORMAT = 'handeye_ros/seam/1'
 FRAME_COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'gap', 'mismatch', 'residual',
                  'std')
 NEARBY_LENGTH = 0.01  # m along the seam: sections within it give the residual at a frame
-MAX_SEAM_WIDTH = 0.012  # m between the edges of a seam
+DEFAULT_WIDEST = 0.012  # m between the edges of a seam, as the verb has it too
 MAX_CLOUD_POINTS = 400_000  # largest number of points of a cloud that are used
 MIN_POINTS = 500  # smallest number
 # largest 1 sigma of position (m) and approach of an end frame
@@ -93,7 +93,7 @@ class ToolFrames:
     measures: Array
 
 
-def find_seam(points: Array, widest: float = MAX_SEAM_WIDTH,
+def find_seam(points: Array, widest: float = DEFAULT_WIDEST,
               towards: Sequence[float] = (0.0, 0.0, -1.0), line: str = 'auto',
               start: Sequence[float] | None = None) -> Seam:
     """
@@ -115,7 +115,7 @@ def find_seam(points: Array, widest: float = MAX_SEAM_WIDTH,
                         f'{MIN_POINTS}: scan more densely, or widen --box')
     up = -np.asarray(towards)
     sheets = sheets_of(points, up)
-    if sheets.spacing > MAX_SEAM_WIDTH:
+    if sheets.spacing > widest:
         raise DataError(f'no seam: the points are {sheets.spacing:.3g} m apart, if the cloud is '
                         'in metres: give one in metres, or scan more densely')
     rough_seam = rough_seam_of(sheets, widest, up)

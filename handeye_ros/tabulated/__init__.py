@@ -24,7 +24,7 @@ def read(path: Path, config: Config) -> TableProblem:
     """
     name = config.target.type
     if name not in FILE_TARGETS:
-        fitting = list(FILE_TARGETS)
+        fitting = PointPairs.name, PosePairs.name  # a tracker's file is the bag
         raise InputError(f'{path} is a table of measured values, and target.type {name} is not '
                          f'solved from one: set target.type to {" or ".join(fitting)}, as in '
                          f'--set target.type={fitting[0]}')

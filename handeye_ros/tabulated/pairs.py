@@ -35,7 +35,7 @@ from handeye_ros.estimation.least_squares import (
     Rows,
 )
 from handeye_ros.frames import mount_frame, mount_poses
-from handeye_ros.published.wang2015 import solve_motions
+from handeye_ros.published.park1994 import solve_motions
 from handeye_ros.results.file_values import input_provenance
 from handeye_ros.tabulated.problem import Misreading, TableAnswer, TableProblem
 import numpy as np
@@ -113,7 +113,7 @@ class PairedRows(TableProblem):
         return len(self.seen)
 
     @property
-    def samples(self) -> list[tuple[int, str]]:
+    def sample_ids(self) -> list[tuple[int, str]]:
         return [(row, '') for row in range(1, len(self) + 1)]
 
     def subset(self, rows: Indices) -> Self:
@@ -164,7 +164,7 @@ class PairedRows(TableProblem):
         residuals = _lengths(self.linearised(fit.state)[0])
         left_out = _lengths(np.asarray(np.linalg.solve(
             whiten[fit.used], fit.left_out[..., None])[..., 0]))
-        (residual_rms, angle_rms), (holdout_rms, holdout_angle_rms) = (
+        (residual_rms, angle_rms), (left_out_rms, left_out_angle_rms) = (
             np.sqrt((lengths ** 2).mean(axis=0)).tolist()
             for lengths in (residuals[fit.used], left_out))
         # The region that holds, by Fisher's F: the noise is from the residuals of the rows that
@@ -174,11 +174,11 @@ class PairedRows(TableProblem):
         target: dict[str, Any] = {'point_noise': float(variances[0]) ** 0.5}
         if len(fit.state) > 1:
             target = {'pose': se3.transform_values(fit.state[1]), 'residual_angle': angle_rms,
-                      'left_out_angle': holdout_angle_rms}
+                      'left_out_angle': left_out_angle_rms}
         return TableAnswer(
             fit.state[0], fit.covariance[:6, :6] * region / chi2_isf(1 - REGION_PROBABILITY, 6),
-            np.isin(np.arange(len(self)), fit.used), residuals[:, 0], residual_rms, holdout_rms,
-            angle_rms, target)
+            np.isin(np.arange(len(self)), fit.used), residuals[:, 0], residual_rms,
+            left_out_rms, angle_rms, target)
 
     def fit_with_variances(self, start: Array, variances: Array) -> tuple[RobustFit[Array], Array]:
         """
@@ -244,7 +244,7 @@ def _lengths(differences: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PointPairs(PairedRows):
-    """The same points (n, 3) in the frame of the sensor and in the robot's base (Wu 2017)."""
+    """The same points (n, 3) in the frame of the sensor and the robot's base, as in Wu 2017."""
 
     name = 'points'
     calibration_types = ('eye_on_base',)
@@ -288,7 +288,7 @@ class PointPairs(PairedRows):
 @dataclass(frozen=True, eq=False)
 class PosePairs(PairedRows):
     """
-    Poses (n, 4, 4) at the same times (CN105021139A).
+    Poses (n, 4, 4) at the same times, as in CN105021139A.
 
     seen: T_camera_target; robot: of what carries the camera (the flange, or with eye_on_base the
     base) in what carries the target. State (2, 4, 4): X, of the camera in its mount, and Z, of the
@@ -337,12 +337,7 @@ class PosePairs(PairedRows):
         require_rotations(self.robot, mount_frame(self.config), 'the position along it is free')
 
     def closed_form(self) -> Array:
-        """
-        Return X (4, 4) by pairs of poses, rotation first.
-
-        Park and Martin 1994 (IEEE Trans. Robotics and Automation 10:717), least squares
-        throughout.
-        """
+        """Return X (4, 4) by the closed form of Park and Martin 1994, of pairs of poses."""
         T, seen = self.robot, self.seen
         i, j = np.random.default_rng(SEED).integers(len(T), size=(2, PAIR_COUNT))
         A, B = se3.inverse(T[j]) @ T[i], seen[j] @ se3.inverse(seen[i])

@@ -74,7 +74,7 @@ class TableProblem(ABC):
 
     @property
     @abstractmethod
-    def samples(self) -> Sequence[tuple[int, str]]:
+    def sample_ids(self) -> Sequence[tuple[int, str]]:
         """Return the number of the row, or the stamp (ns), and the kind of each sample."""
 
     @abstractmethod
@@ -116,7 +116,8 @@ class TableAnswer:
     used: (n,) whether each sample is used
     residuals: (n,) of all samples (m)
     residual_rms: RMS residual of the used samples (m)
-    holdout_rms: RMS residual where each used sample is predicted from the others (m)
+    left_out_rms: RMS residual where each used sample is predicted from the others (m); of a
+        tracker its estimate by generalised cross-validation
     angle_rms: RMS residual of measured rotations (rad)
     target: other estimates, as plain values
     """
@@ -126,7 +127,7 @@ class TableAnswer:
     used: NDArray[np.bool_]
     residuals: Array
     residual_rms: float
-    holdout_rms: float
+    left_out_rms: float
     angle_rms: float = 0.0
     target: Mapping[str, Any] = field(default_factory=dict)
 
@@ -139,7 +140,7 @@ class TableAnswer:
     def require_trusted(self, problem: TableProblem) -> None:
         """Raise DataError for an answer of a problem that is beyond its limits."""
         require_certain(self.covariance, problem.config, problem.advice)
-        require_predicted(self.holdout_rms, self.residual_rms, problem.config.limits.residual)
+        require_predicted(self.left_out_rms, self.residual_rms, problem.config.limits.residual)
 
 
 @single_threaded
@@ -151,9 +152,9 @@ def calibrate_table(problem: TableProblem) -> Calibration:
     return assemble_calibration(
         problem.config, problem.name, problem.frame,
         answer.X @ se3.inverse(problem.T_sensor_plane), answer.covariance, answer.residual_rms,
-        answer.holdout_rms, answer.target,
+        answer.left_out_rms, answer.target,
         [report_of_row(number, kind, used, residual) for (number, kind), used, residual in zip(
-            problem.samples, answer.used, answer.residuals, strict=True)],
+            problem.sample_ids, answer.used, answer.residuals, strict=True)],
         {'inputs': list(problem.inputs), **warnings})
 
 

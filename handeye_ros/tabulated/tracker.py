@@ -113,7 +113,7 @@ class TrackerProblem(TableProblem):
                    inputs=[*recording.inputs, input_provenance(file)], warnings=recording.warnings)
 
     @property
-    def samples(self) -> list[tuple[int, str]]:
+    def sample_ids(self) -> list[tuple[int, str]]:
         return [(piece.sample, part) for part in PARTS for piece in self.pieces[part]]
 
     @property
@@ -169,7 +169,7 @@ class TrackerProblem(TableProblem):
     def require_agreement(self, distances: Mapping[str, Array], residuals: Array) -> None:
         """Raise DataError where a part or a row is further off than the noise of instruments."""
         contradicting = list[tuple[float, str]]()
-        for (sample, part), residual in zip(self.samples, residuals.tolist(), strict=True):
+        for (sample, part), residual in zip(self.sample_ids, residuals.tolist(), strict=True):
             is_swept = part in SWEPT_PARTS
             # the distance of a reflector from a swept face has the noise of both instruments
             noise = math.hypot(0.0 if is_swept else self.config.tracker.noise,

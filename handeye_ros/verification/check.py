@@ -60,8 +60,8 @@ from handeye_ros.verification.fit import (
     largest_displacement,
     ONE_SIDED_95,
     regularised_least_squares,
-    require_stations,
 )
+from handeye_ros.verification.station_set import require_stations
 from handeye_ros.words import mm
 import numpy as np
 from scipy.special import softmax
@@ -112,13 +112,15 @@ class Check:
     Result of a check.
 
     stamp: of the first sample (ns)
-    stations: number of the compared stations
     verdict: unchanged, or the causes: target, sensor (it moved, or the robot's base did that is
         fixed to the other), robot (its pose errors changed), clock, with "or" or "and"
+    sentence: the verdict for the user, with what to do
+    stations: number of the compared stations
+    rms: RMS of the residuals (m)
     evidence: how many times as likely the recording is with a change as without
     odds: probability of each cause if something changed
+    target, sensor: their likeliest moves
     points_off: the largest error of points if the sensor is the cause, and its std (m)
-    rms: RMS of the residuals (m)
     contradicting: numbers of the stops, of a sweep of the passes, with what contradicts the others
         and is not used
     time_offset_changed: change of the time offset of a sweep, and its 1 sigma (s)
@@ -208,25 +210,17 @@ def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Rej
             f'have shown from {_shifts_in_words(target.move, target_frame(config))} on, one of '
             f'the sensor from {_shifts_in_words(sensor.move, mount_frame(config))} on')))
 
-    contradicting = _contradicting_numbers([samples[k].stamp for k in dropped], pass_stamps or [
+    # the numbers of the stops or passes that hold what was dropped
+    in_order = sorted(pass_stamps or [
         *(sample.stamp for sample in samples), *(reject.stamp for reject in rejects)])
+    contradicting = sorted({bisect_right(in_order, samples[k].stamp) for k in dropped})
     if contradicting:
         what = 'profiles of the passes' if pass_stamps else 'stops'
-        sentence += f'. Left out, as they contradict the others: {what} {contradicting}'
+        sentence += f'. Not used, as they contradict the others: {what} {contradicting}'
     return Check(
         samples[0].stamp, verdict, sentence, len(prediction.linear.problem.poses), off,
         math.exp(min(log_evidence, 700.0)), odds, target.move, sensor.move, sensor.displacement,
         sensor.std, contradicting, stamps=[sample.stamp for sample in samples])
-
-
-def _contradicting_numbers(dropped: Iterable[int], stamps: Iterable[int]) -> list[int]:
-    """
-    Return the numbers of the stops or passes that hold what was dropped.
-
-    dropped: its stamps; stamps: those of all stops or passes (ns).
-    """
-    in_order = sorted(stamps)
-    return sorted({bisect_right(in_order, stamp) for stamp in dropped})
 
 
 def _verdict_of_change(target: _Cause, sensor: _Cause, odds: Mapping[str, float], off: float

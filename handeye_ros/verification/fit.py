@@ -16,7 +16,7 @@ is chi square if it is true.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -24,7 +24,7 @@ import math
 from typing import Generic, NamedTuple, TypeVar
 
 from handeye_ros import se3
-from handeye_ros.data import Array, Indices, Reject, rms
+from handeye_ros.data import Array, Indices, rms
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.blocks import wrt_smooth
 from handeye_ros.estimation.least_squares import (
@@ -42,18 +42,11 @@ from handeye_ros.estimation.noise import (
     total_covariance,
     Whitening,
 )
-from handeye_ros.estimation.problem import (
-    Estimate,
-    Linearisation,
-    Observations,
-    Problem,
-    StationGroup,
-)
+from handeye_ros.estimation.problem import Estimate, Linearisation, StationGroup
 from handeye_ros.frames import direction_in_words, mount_frame
 from handeye_ros.targets.profile_target import grazing
-from handeye_ros.words import count_of
+from handeye_ros.verification.station_set import StationSet
 import numpy as np
-from numpy.typing import NDArray
 import scipy.linalg
 
 ONE_SIDED_95 = 1.64  # sigmas that a normal value exceeds with 5 %
@@ -64,7 +57,6 @@ REFIT_COUNT = 5  # iterations for the calibration's error
 MAX_SHIFT = 0.1  # m: no calibration error is larger
 ERROR_PRIOR_STDS = np.repeat([0.01, 0.1], 3)  # m, rad: of a calibration in use
 UNSEEN_CHANGE = 1e-6  # change of a value that no distance shows, per unit of an unknown
-MIN_STATIONS = 4  # of a recording
 # 1 sigma of an unknown without a prior, in units of the sigma by which the residuals show it
 FREE_STD = 1e6
 # a direction whose share left to the others is below this is determined by the group alone
@@ -74,76 +66,6 @@ WITHOUT_LOCAL_DISTORTION = NoiseModel(np.where(np.arange(5) == LOCAL_DISTORTION_
 MAX_OUTLIER_SHARE = 0.2  # of the groups: more are no outliers, but a disagreement
 
 Result = TypeVar('Result')
-
-
-@dataclass(frozen=True, eq=False)
-class StationSet:
-    """
-    The poses and points at which some recordings show an artefact.
-
-    problem: the n poses of the sensor's mount in the frame of the artefact, and the m points
-    stamps: (n,) the time of each pose in nanoseconds
-    counts: the number of poses of each recording, in order
-    group_of_pose: (n,) the number of the group of poses that share one error of the robot
-    surface_note: the choice between several surfaces in sight, in words
-    """
-
-    problem: Problem
-    stamps: NDArray[np.int64]
-    counts: tuple[int, ...]
-    group_of_pose: Indices
-    surface_note: str = ''
-
-    @property
-    def observations(self) -> Observations:
-        """Return the points, as observations of the problem."""
-        return self.problem.observations
-
-    @property
-    def recording_of_pose(self) -> Indices:
-        """Return the recording (n,) of each pose."""
-        return np.repeat(np.arange(len(self.counts)), self.counts)
-
-    @property
-    def group_of_point(self) -> Indices:
-        """Return the group (m,) of each point."""
-        return self.group_of_pose[self.observations.station]
-
-    @property
-    def recording_of_point(self) -> Indices:
-        """Return the recording (m,) of each point."""
-        return self.recording_of_pose[self.observations.station]
-
-    def with_observations(self, observations: Observations) -> StationSet:
-        """Return the stations with other points."""
-        return replace(self, problem=replace(self.problem, observations=observations))
-
-    def of_groups(self, groups: Indices) -> StationSet:
-        """Return the points of some groups; raises DataError where a recording has too few."""
-        chosen = np.isin(self.group_of_point, groups)
-        stations = self.with_observations(self.observations.select(chosen))
-        stations.require_enough()
-        return stations
-
-    def require_enough(self, rejects: Sequence[Reject] = ()) -> None:
-        """Raise DataError where a recording has too few usable poses; see require_stations."""
-        recording = self.recording_of_pose[np.unique(self.observations.station)]
-        require_stations(np.bincount(recording, minlength=len(self.counts)).tolist(), rejects)
-
-
-def require_stations(usable: Sequence[int], rejects: Sequence[Reject] = ()) -> None:
-    """
-    Raise DataError where a recording has fewer than MIN_STATIONS usable stations.
-
-    usable: the number of usable stations of each recording; rejects: the stops without a sample.
-    """
-    least = min(usable)
-    if least < MIN_STATIONS:
-        where = f' of recording {usable.index(least) + 1}' if len(usable) > 1 else ''
-        raise DataError(
-            f'{count_of(least, "usable station")}{where}, fewer than {MIN_STATIONS}'
-            f'{f" (of the others: {rejects[0].reason})" if rejects else ""}: measure more, with '
-            'the sensor turned differently at each')
 
 
 @dataclass(frozen=True)
@@ -483,11 +405,10 @@ def covariance_root(C: Array) -> Array:
 def fit_without_outliers(groups: Indices, fit_groups: Callable[[Indices], GroupFit[Result]]
                          ) -> tuple[Result, dict[int, float], list[int]]:
     """
-    Return the fit of the groups that agree, the p-value of each group, and those left out.
+    Return the fit of the groups that agree, the p-value of each group, and the contradicting ones.
 
-    fit_groups: fits some of the groups. The p-value of a group left out is that of the last fit in
-    which it took part. None is left out where they would be too many, or where too few would be
-    left.
+    fit_groups: fits some of the groups. The p-value of a contradicting one is that of the last fit
+    in which it took part. All are used where these would be too many, or the others too few.
     """
     p_values, most = dict[int, float](), int(MAX_OUTLIER_SHARE * len(groups))
 

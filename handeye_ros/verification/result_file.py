@@ -42,14 +42,15 @@ CHARACTERISTICS = {
     'F': ('flatness measurement error: span of the distances from the plane', 1.0),
     'E': ('length measurement error', 1.0)}
 
+# of fields that are named otherwise
+KEYS = {'measures': 'says', 'recording': 'bag', 'std_by_calibration': 'claimed'}
+
 
 def plain_values(verification: Verification, inputs: Iterable[object] = (),
                  calibration_file: Path | None = None) -> dict[str, Any]:
     """Return a verification as the content of its YAML, with its inputs and the time of now."""
-    values, fit = asdict(verification), verification.fit
-    del values['fit']
-    values['quantities'] = [{'claimed' if name == 'std_by_calibration' else name: value
-                             for name, value in q.items()} for q in values['quantities']]
+    fit, values = verification.fit, asdict(verification, dict_factory=lambda items: {
+        KEYS.get(name, name): value for name, value in items if name not in ('fit', 'kind')})
     return {'format': FORMAT, 'version': __version__, 'k': COVERAGE_FACTOR, **values,
             'scatter': asdict(fit.scatter), 'smallest_error': fit.error.smallest_detectable,
             'weakest_direction': fit.error.weakest_direction, 'region': fit.chi2,
@@ -100,8 +101,7 @@ def reasons_and_figures(content: Mapping[str, Any]) -> str:
         figures.append(f'{name} {measured}'
                        + (f' ± {U} (k = {content["k"]:g}{claims})' if U else '')
                        + (f', nominal {nominal}, off by {deviation}' if nominal else ''))
-    surface = filter(None, [content['surface']])
-    return '; '.join((*content['reasons'], *surface, *figures))
+    return '; '.join(filter(None, (*content['reasons'], content['surface'], *figures)))
 
 
 def protocol_of(path: Path) -> str | None:

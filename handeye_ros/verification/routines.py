@@ -11,7 +11,8 @@ from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError
-from handeye_ros.verification.fit import Quantity, Shape, StationSet
+from handeye_ros.verification.fit import Quantity, Shape
+from handeye_ros.verification.station_set import StationSet
 from handeye_ros.verification.tooth_gauge import teeth
 import numpy as np
 
@@ -178,8 +179,8 @@ class Routine:
             possible = self.recordings_for(len(config.verify.lengths))
             if recordings not in possible:
                 raise InputError(
-                    f'{self.name} needs {_numbers_text(possible, "bag")}, and got {recordings} '
-                    '(of the node: parts, each begun by ~/verify_start)')
+                    f'{self.name} needs {_numbers_text(possible, "recording")}, and got '
+                    f'{recordings} (of the node each begins with ~/verify_start)')
         return config if self.in_passes else with_values(config, {
             'target.type': self.target, 'method': 'auto', 'target.radius': config.verify.radius})
 
@@ -190,13 +191,13 @@ class Routine:
         Of a point: 3 sigma along each axis of the base. Their own std is that of normal scatter.
         """
         by_axis = self.edge_distances == 3
-        part = stations.observations.kind if by_axis else stations.recording_of_point
-        for k in range(int(part.max()) + 1 if self.form_name else 0):
-            values = distances[part == k]
+        number = stations.observations.kind if by_axis else stations.recording_of_point
+        for k in range(int(number.max()) + 1 if self.form_name else 0):
+            values = distances[number == k]
             size = float(3 * values.std(ddof=1) if by_axis else np.ptp(values))
-            of_part = 'xyz'[k] if by_axis else f'{k + 1}, noise included'
+            which = 'xyz'[k] if by_axis else f'{k + 1}, noise included'
             std = size / math.sqrt(2 * max(len(values) - 1, 1))
-            yield Quantity(f'{self.form_name} {of_part}', size, std,
+            yield Quantity(f'{self.form_name} {which}', size, std,
                            characteristic=self.form_symbol)
 
 

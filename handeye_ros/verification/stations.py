@@ -38,8 +38,8 @@ from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.profile_target import edge_error_factor, NO_OBSERVATIONS, observations_at
-from handeye_ros.verification.fit import MIN_STATIONS, StationSet
 from handeye_ros.verification.routines import Routine
+from handeye_ros.verification.station_set import MIN_STATIONS, StationSet
 import numpy as np
 
 SWEEP_SAMPLES = 60  # samples of a sweep
@@ -49,7 +49,8 @@ SAME_SURFACE_DISTANCE = 1.5e-3  # m: pieces this near to a plane are one surface
 # them
 FAR_RATIO = 4.0
 MIN_SEEN_SHARE = 0.5  # of the stops must see the nearest surface
-TRIAL_COUNT = 300  # pairs of features that define a trial point, line or plane
+# pairs of features that define a trial point, line or plane, where there are so many
+MIN_TRIALS = 300
 PASS_PROFILES, POINTS_OF_PROFILE = 12, 80  # of a pass that are used, and of each of them
 
 FeatureKind = TypeVar('FeatureKind', EdgePoint, FaceLine)
@@ -60,7 +61,8 @@ def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibr
     """
     Return the stations of the samples of each recording, with the conditions of a routine.
 
-    Of several surfaces in sight the nearest one takes part; verify.near limits the region.
+    Of several surfaces in sight the nearest one takes part; verify.near limits the region. Raises
+    DataError where it leaves nothing, and InputError for a sweep without a time offset.
     """
     X = calibration.T_flange_sensor @ T_sensor_plane(config)
     shown, choices = zip(*(_select_artefact(routine, recorded, X, calibration, config)
@@ -173,8 +175,9 @@ def _distances_from_common(points: Array, stop: Indices, dimension: int) -> tupl
     """
     Return the distance of each feature (k,) from the point, line or plane that the stops share.
 
-    Return the distance of the nearest feature of each stop (s,) too. RANSAC over pairs of features
-    of different stops: of what they define, the best is near at least one feature of most stops.
+    Return the distance of the nearest feature of each stop (s,) too. Evenly chosen pairs of
+    features of different stops, MIN_TRIALS or up to twice as many, define a point, line or plane
+    each: the best is near at least one feature of most stops.
 
     points: (k, n, 3) of each feature; stop: (k,) its stop, ascending; dimension: 0 for a point, 1
     for a line, 2 for a plane.
@@ -182,7 +185,7 @@ def _distances_from_common(points: Array, stop: Indices, dimension: int) -> tupl
     first = np.unique(stop, return_index=True)[1]
     best, lowest = (np.full(len(stop), np.inf), np.full(len(first), np.inf)), np.inf
     pairs = [pair for pair in combinations(range(len(stop)), 2) if stop[pair[0]] != stop[pair[1]]]
-    for pair in pairs[::max(len(pairs) // TRIAL_COUNT, 1)]:
+    for pair in pairs[::max(len(pairs) // MIN_TRIALS, 1)]:
         defining = points[list(pair)].reshape(-1, 3)
         middle = defining.mean(axis=0)
         along = np.linalg.svd(defining - middle)[2][:dimension]

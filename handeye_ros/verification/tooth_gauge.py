@@ -14,7 +14,8 @@ from handeye_ros import se3
 from handeye_ros.config import VerifyConfig
 from handeye_ros.data import Array, Indices, robust_std
 from handeye_ros.errors import DataError
-from handeye_ros.verification.fit import Quantity, Shape, StationSet
+from handeye_ros.verification.fit import Quantity, Shape
+from handeye_ros.verification.station_set import StationSet
 from handeye_ros.words import mm
 import numpy as np
 from numpy.typing import NDArray

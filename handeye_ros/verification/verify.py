@@ -28,9 +28,9 @@ from handeye_ros.verification.fit import (
     Quantity,
     refit_shape,
     ShapeFit,
-    StationSet,
 )
 from handeye_ros.verification.routines import Routine
+from handeye_ros.verification.station_set import StationSet
 from handeye_ros.verification.stations import stations_of
 from handeye_ros.words import mm
 import numpy as np
@@ -47,17 +47,19 @@ CONFORMS, VIOLATES, UNDECIDED = 'conforms', 'does not conform', 'not decided'
 @dataclass(frozen=True)
 class StationResult:
     """
-    Result of one stop.
+    Result of one stop, of a sweep of one profile, of a routine in passes of one pass.
 
-    distance, std: the largest distance of its points from the fit, and its 1 sigma (m)
-    bag: number of the recording, from 1
+    kind: stop, profile or pass; it is written to no file
+    recording: its number, from 1
     number: of the stop among those of this recording that show the artefact, from 1
     stamp: its time in nanoseconds
+    distance, std: the largest distance of its points from the fit, and its 1 sigma (m)
     p: probability that a good stop is as far off, whatever the error of the calibration
     reason: why it is not used
     """
 
-    bag: int
+    kind: str
+    recording: int
     number: int
     stamp: int
     distance: float
@@ -68,8 +70,8 @@ class StationResult:
 
     @property
     def name(self) -> str:
-        """Return the name of the stop."""
-        return f'stop {self.number} of recording {self.bag}'
+        """Return the name of the stop, profile or pass."""
+        return f'{self.kind} {self.number} of recording {self.recording}'
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ class Verification:
     """
     Result of a routine.
 
-    calibration: the name of the calibration
+    routine, calibration: their names
     verdict: pass, fail, undecided (the uncertainty is too large for the tolerance), or insensitive
         (an error of the calibration as large as the tolerance would not have shown)
     reasons: sentences
@@ -85,8 +87,10 @@ class Verification:
     stations: number of stops used, of a sweep of profiles
     quantities: those of the fit, the scatter of each face or ball, and the error of the
         calibration that the points suggest, as the largest displacement of one of them
+    fit: of the shape of the routine
+    per_station: the results of all stops that show the artefact
     surface: a sentence on the choice between several surfaces in sight
-    says: what the routine measures, see Routine.measures
+    measures: see Routine
     recorded: the time of the first stop (ISO 8601), empty where it is not known
     certificate: U of the nominal values (m)
     record: record.* of the configuration
@@ -103,7 +107,7 @@ class Verification:
     fit: ShapeFit
     per_station: tuple[StationResult, ...] = ()
     surface: str = ''
-    says: str = ''
+    measures: str = ''
     recorded: str = ''
     certificate: float = 0.0
     record: dict[str, str] = field(default_factory=dict)
@@ -116,7 +120,7 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
 
     stations: of the recordings in the order that the routine expects, with the settings verify.*
     of the artefact; rejects: the stops that gave no sample. Raises DataError, and InputError where
-    two recordings are one.
+    two recordings are one, or the covariance of the calibration is impossible.
     """
     stations.require_enough(rejects)
     config, artefact = stations.problem.config, stations.problem.config.verify
@@ -141,7 +145,8 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
                 'sweep, that the clocks are as they were (handeye check)')
     quantities = (*fit.quantities, *routine.form_errors(shape.stations, fit.distances), Quantity(
         'likeliest error of the calibration', fit.error.largest, fit.error.largest_std))
-    per_station = _station_results(stations, shape.stations, fit, p, dropped)
+    kind = 'pass' if routine.in_passes else 'profile' if config.sampling.moving else 'stop'
+    per_station = _station_results(kind, stations, shape.stations, fit, p, dropped)
     verdict, reasons = _decide(fit, quantities, per_station, artefact, smooth_std)
     return Verification(
         routine.name, calibration.name, verdict, reasons, artefact.tolerance,
@@ -155,7 +160,7 @@ def verify_stops(routine: Routine, recordings: Sequence[Sequence[Sample | Reject
     """
     Return the result of a routine by what the stops of each recording, a face or ball, gave.
 
-    config: Routine.settings. Raises as verify_stations does.
+    config: Routine.settings. Raises as stations_of and verify_stations do.
     """
     samples = [[stop for stop in stops if isinstance(stop, Sample)] for stops in recordings]
     rejects = [stop for stops in recordings for stop in stops if isinstance(stop, Reject)]
@@ -163,19 +168,19 @@ def verify_stops(routine: Routine, recordings: Sequence[Sequence[Sample | Reject
                            calibration, rejects)
 
 
-def _station_results(stations: StationSet, used: StationSet, fit: ShapeFit,
+def _station_results(kind: str, stations: StationSet, used: StationSet, fit: ShapeFit,
                      p: Mapping[int, float], dropped: Sequence[int]) -> tuple[StationResult, ...]:
     """
-    Return the results of all stops or passes of which points are used, or were left out.
+    Return the results of all stops or passes that have points, or contradict the others.
 
-    used: the stations without those left out (dropped), as fitted; p: of each group.
+    used: the stations as fitted, without contradicting ones (dropped); p: of each group.
     """
     results = []
     groups, recordings = stations.group_of_pose, stations.recording_of_pose
     for group, first in zip(*np.unique(groups, return_index=True), strict=True):
         recording = int(recordings[first])
         first_group = groups[np.searchsorted(recordings, recording)]
-        identity = recording + 1, int(group - first_group) + 1, int(stations.stamps[first])
+        identity = kind, recording + 1, int(group - first_group) + 1, int(stations.stamps[first])
         rows = np.flatnonzero(used.group_of_point == group)
         if group in dropped:
             results.append(StationResult(*identity, 0.0, 0.0, p[group], False, (
@@ -267,8 +272,8 @@ def _point_findings(fit: ShapeFit, results: Sequence[StationResult], artefact: V
                and s.distance - COVERAGE_FACTOR * s.std > artefact.tolerance]
     if outside:
         worst = max(outside, key=lambda s: s.distance)
-        yield VIOLATES, (f'points of {len(outside)} of {len(results)} stops lie up to '
-                         f'{mm(worst.distance)} from the fit (the worst: {worst.name})')
+        yield VIOLATES, (f'points lie up to {mm(worst.distance)} from the fit (too far in '
+                         f'{len(outside)} of {len(results)}, the worst: {worst.name})')
     size, std = fit.error.largest, fit.error.largest_std
     outcome = decision(size, ONE_SIDED_95 * std, artefact.tolerance)
     error = (f'an error of the calibration of {mm(size)} ± {mm(COVERAGE_FACTOR * std)} '
@@ -286,7 +291,7 @@ def _point_findings(fit: ShapeFit, results: Sequence[StationResult], artefact: V
 
 def _notes(fit: ShapeFit, other_size: bool, results: Sequence[StationResult]) -> Iterator[str]:
     """Yield the sentences that qualify a verdict."""
-    yield from (f'{s.name} is left out: {s.reason}' for s in results if not s.used)
+    yield from (f'{s.name} is not used: {s.reason}' for s in results if not s.used)
     if fit.scatter.p < INCONSISTENT_P:
         yield ('the points disagree by more than calibration, noise.sensor and noise.robot_* '
                f'explain (p = {fit.scatter.p:.1g}): the calibration is worse than it claims, the '

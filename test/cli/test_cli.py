@@ -55,7 +55,8 @@ def test_a_table_for_a_target_of_profiles_names_the_targets_it_fits(tmp_path):
     table.write_text('camera_x [m]\n1\n')
     for verb in ('solve', 'compare', 'samples'):
         run = handeye(verb, table, cwd=tmp_path)
-        assert_refused(run, 2, 'is a table of measured values', '--set target.type=points')
+        assert_refused(run, 2, 'is a table of measured values',
+                       'set target.type to points or hand_eye, as in --set target.type=points')
     run = handeye('solve', tmp_path, '--set', 'target.type=hand_eye', cwd=tmp_path)
     assert_refused(run, 2, 'is a folder; give the file in it, or, if it is a recording')
 

@@ -12,7 +12,7 @@ from operator import itemgetter
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import SingularError, TooFewError
-from handeye_ros.published import chen2023, jing2020, wang2015, wu2017, zheng2018
+from handeye_ros.published import chen2023, jing2020, park1994, wang2015, wu2017, zheng2018
 from handeye_ros.simulate.tables import points_in_two_frames
 import numpy as np
 import pytest
@@ -135,6 +135,6 @@ def test_turns_about_one_axis_are_refused() -> None:
               for a in (0.0, 0.4, 0.9)]
     poses = se3.inverse(np.array(turned)) @ se3.inverse(X)
     with pytest.raises(SingularError, match='one axis only'):
-        wang2015.solve_motions(*wang2015.motions(poses, np.array(turned)))
+        park1994.solve_motions(*wang2015.motions(poses, np.array(turned)))
     with pytest.raises(TooFewError, match='at least 3 views, got 2'):
         wang2015.solve(poses[:2], views[:2], CAMERA)

@@ -222,7 +222,7 @@ def test_a_few_contradicting_stops_are_left_out_and_named():
     verification = assess('line', moved, calibration)
     assert verification.verdict == 'pass' and verification.stations == len(artefact.bags[0]) - 1
     assert [s.name for s in verification.per_station if not s.used] == ['stop 5 of recording 1']
-    assert verification.reasons[0].startswith('stop 5 of recording 1 is left out')
+    assert verification.reasons[0].startswith('stop 5 of recording 1 is not used')
     half = with_poses(artefact, {k: [*[6e-5 * (k - 6)] * 3, 0, 0, 0] for k in range(0, 14, 2)}
                       | {5: [2e-3, 2e-3, 2e-3, 0, 0, 0]})  # no outliers, but a disagreement
     with pytest.raises(DataError, match='not what "line" measures'):
@@ -311,8 +311,8 @@ def test_what_cannot_be_verified_is_refused():
              '0 usable')):
         with pytest.raises(error, match=words):
             assess(name, artefact, calibration)
-    for name, lengths, bags, words in (('step', (0.1,), 1, 'needs 2 bags, and got 1'),
-                                       ('step', (0.1,) * 4, 4, '5 or 6 bags, and got 4'),
+    for name, lengths, bags, words in (('step', (0.1,), 1, 'needs 2 recordings, and got 1'),
+                                       ('step', (0.1,) * 4, 4, '5 or 6 recordings, and got 4'),
                                        ('cube', (), 1, 'no routine "cube"'),
                                        ('ball_bar', (), 2, r'1 length \(.*, and got 0')):
         with pytest.raises(InputError, match=words):
@@ -344,7 +344,7 @@ def test_passes_that_contradict_the_others_are_told():
     for measured_stations, named in (stations, False), (contradicting, True):
         verification = verify_stations(ROUTINES['tooth'], measured_stations, calibration)
         assert named == (verification.verdict != 'pass')
-        assert named == any(reason.startswith('stop 1 of recording 2 contradict the others')
+        assert named == any(reason.startswith('pass 1 of recording 2 contradict the others')
                             for reason in verification.reasons)
 
 

@@ -83,8 +83,8 @@ function valuesOf(form) {
 }
 
 async function startVerification() {
-  const button = $('verify-start'), { running, next_part } = latest.verification;
-  if (running && !next_part && !await sure(`Begin anew, without what was measured (${running})?`)) return;
+  const button = $('verify-start'), { running, next_recording } = latest.verification;
+  if (running && !next_recording && !await sure(`Begin anew, without what was measured (${running})?`)) return;
   const values = running ? {} : valuesOf('verify-form');
   if (!Object.keys(values).length || await ask('set', values, button)) {
     await ask('verify_start', {}, button);
@@ -92,14 +92,14 @@ async function startVerification() {
   }
 }
 
-function showVerification({ running, next_part, verdict, title, figures }) {
+function showVerification({ running, next_recording, verdict, title, figures }) {
   text('course', running);
   text('verdict', title);
   text('verdict-figures', figures);
   $('verdict').hidden = !verdict;
   $('verdict').className = 'figure ' + ({ pass: 'good', fail: 'bad' }[verdict] || '');
   $('verify-result').disabled = !running;
-  $('verify-start').textContent = !running ? 'Start' : next_part ? 'Next part' : 'Begin anew';
+  $('verify-start').textContent = !running ? 'Start' : next_recording ? 'Next recording' : 'Begin anew';
 }
 
 $('verify-form').addEventListener('submit', event => event.preventDefault());
