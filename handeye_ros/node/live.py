@@ -19,8 +19,9 @@ Threads:
 - `worker` makes all other changes, one after the other;
 - those of ROS (node.py) and of the page (page/server.py) pass a function to `call_on_worker` and
   wait for its result; what they only show, they read from any thread.
-Processes: two (pool.py), each with a thread that waits for it. They evaluate stops, for which the
-worker waits, and make reviews, answers and verifications, for which it does not (`run_job`).
+Processes: two (pool.py), each with a thread that waits for it. They evaluate stops and those of a
+session that is opened, for which the worker waits, and make reviews, answers and verifications,
+for which it does not (`run_job`). Also the report, for which the page waits (page/contents.py).
 Locks: `lock` guards what messages change, and is held for one message or one copy. Another, in
 outputs.py, keeps the node from publishing after its end; one in page/contents.py is held while the
 page reads and sets samples.exclude.

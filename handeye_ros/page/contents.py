@@ -166,7 +166,7 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
     ...), title and figures of the last of this answer.
     """
     snapshot, calibration = live.current_snapshot(), live.solver.calibration
-    checked = live.verification.content_of_answer
+    checked = live.verification.result_of_current_answer
     return {**state, 'profile': snapshot and _picture(snapshot), 'scene': _scene(live, snapshot),
             'edges': _edges(live), 'has_just_begun': len(state['samples']) <= FEW_STOPS,
             'rows': list(printed.transform_rows(calibration)) if calibration else [],
