@@ -59,7 +59,7 @@ from handeye_ros.frames import mount_poses
 from handeye_ros.node.folders import OutputFolders
 from handeye_ros.node.pool import Pool, PoolEndedError, trim_memory
 from handeye_ros.node.solver import ANSWER_KEYS, LiveSolver, SAMPLE_KEYS, settings_of
-from handeye_ros.node.state import Attempt, MessageCount
+from handeye_ros.node.state import Attempt, new_counts
 from handeye_ros.node.verification import LiveVerification
 from handeye_ros.results.printed import sample_summary
 from handeye_ros.results.scene import StopSnapshot
@@ -89,8 +89,8 @@ class LiveSession:
         stamps (ns) and serialised JointState messages. Messages change them: use them under lock.
         The evaluated stops of the session are changed by the worker alone, which reads them
         without
-    message_counts: by kind (profile, pose; joint state, only of what cannot be read); Streams
-        (streams.py) begins them anew
+    message_counts: by kind (profile, pose), of the topics of now; Streams (streams.py) adds those
+        that cannot be used
     solver, verification: compute what follows from samples, and a verification
     troubles: why samples cannot be stored (storing) or computed with (work), a sentence each
     attempt: the last one to take a sample, None before
@@ -108,7 +108,7 @@ class LiveSession:
         of work.
         """
         self.folders, self.pool, self.lock = folders, pool, Lock()
-        self.message_counts = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
+        self.message_counts = new_counts()
         self._worker, self._publish_changes = ThreadPoolExecutor(1, 'worker'), publish_changes
         self._is_started = self._is_scheduled = False  # scheduled is _do_due_work
         self.running_jobs: list[str] = []
@@ -589,6 +589,7 @@ class LiveSession:
         if other_topics:
             self._replace_session(self.files, Session(config, self.session.last_number),
                                   'the topics were changed')
+            self.message_counts = new_counts()
         with self.lock:
             self.session.configure(config)
         if config.verify.routine != old.verify.routine:
