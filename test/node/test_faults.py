@@ -21,7 +21,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 from command import PATIENCE, run_python  # noqa: E402, I100
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from handeye_ros.node.state import new_counts
+from handeye_ros.node.state import new_counts  # noqa: E402
 from handeye_ros.node.streams import Streams  # noqa: E402
 from rclpy._rclpy_pybind11 import RCLError  # noqa: E402
 from ros_clouds import cloud  # noqa: E402
