@@ -66,7 +66,7 @@ EXACT: dict[str, Callable[[np.random.Generator], tables.SimulatedFiles]] = {
 def read_configured(name: str, folder: Path) -> TableProblem:
     """Return what is read of a scene in a folder."""
     path, _, file, _, assignment = map(str, given(name, folder))
-    return tabulated.read(Path(path), with_assignments(load(Path(file)), [assignment]))
+    return tabulated.read_table(Path(path), with_assignments(load(Path(file)), [assignment]))
 
 
 @pytest.mark.parametrize('name', [name for name in FILE_SCENES if name != 'tracker'])
