@@ -3,7 +3,7 @@
 """What comes in: the subscriptions of a node, and the thread that reads them."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -65,15 +65,17 @@ class UnexecutedGroup(MutuallyExclusiveCallbackGroup):
 
 
 class Receiver(Protocol):
-    """Takes what the topics of its settings bring, in the thread that reads them."""
+    """
+    Takes what the topics of its settings bring, in the thread that reads them.
+
+    message_counts: of profiles and poses, by kind; the receiver counts the usable ones
+    """
+
+    message_counts: dict[str, MessageCount]
 
     @property
     def config(self) -> Config:
         """Return the settings; those of topics and frames stay."""
-
-    @property
-    def message_counts(self) -> Mapping[str, MessageCount]:
-        """Return the counts of profiles and poses: usable ones are counted by the receiver."""
 
     def add_profile(self, profile: RawProfile) -> None:
         """Take a profile, its stamp with time_offset."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from threading import Lock
-from typing import Any, Protocol, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from handeye_ros import config as configuration
 from handeye_ros import se3
@@ -33,8 +33,8 @@ import numpy as np
 
 if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession
+    from handeye_ros.node.node import HandeyeNode
     from handeye_ros.node.state import State
-    from handeye_ros.node.streams import Streams
 
 # buttons that call the service of their name
 PAGE_SERVICES = ('take_sample', 'clear_samples', 'compute_calibration', 'save_calibration',
@@ -70,28 +70,13 @@ class PageSource:
     queries: Mapping[str, Query] = field(default_factory=dict)
 
 
-class PageNode(Protocol):
-    """What the page needs of the node (node/node.py); `topics_of` of the streams."""
+def page_source(node: HandeyeNode) -> PageSource:
+    """
+    Return content and actions of the page for a node.
 
-    live: LiveSession
-    streams: Streams
-
-    @property
-    def state(self) -> State:
-        """Return the current state."""
-
-    def call_service(self, name: str, *values: Any) -> tuple[bool, str]:
-        """Return whether a service succeeds, and its message."""
-
-    def set_values(self, values: Mapping[str, Any]) -> str:
-        """Set parameters by key; return why one is refused, '' if all are set."""
-
-    def open_session(self, name: str) -> str:
-        """Continue a session; return the message. Raises HandeyeError."""
-
-
-def page_source(node: PageNode) -> PageSource:
-    """Return content and actions of the page for a node."""
+    The page shows live and state of the node, and streams.topics_of for the choices; its buttons
+    use call_service, set_values and open_session.
+    """
     actions: dict[str, Action] = {
         **{name: partial(lambda name, _: node.call_service(name), name) for name in PAGE_SERVICES},
         # number: of that which the person has seen as the last
@@ -106,7 +91,7 @@ def page_source(node: PageNode) -> PageSource:
     return PageSource(lambda: contents(node.state, node.live), actions, queries)
 
 
-def _exclude(node: PageNode, values: Mapping[str, Any]) -> tuple[bool, str]:
+def _exclude(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Exclude a sample, or include it again."""
     number, excludes = values.get('number'), values.get('excluded') is True
     known_numbers = {stop['number'] for stop in node.state['samples']}
@@ -119,7 +104,7 @@ def _exclude(node: PageNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     return not refusal, refusal or f'sample {number} is {"excluded" if excludes else "included"}'
 
 
-def _set(node: PageNode, values: Mapping[str, Any]) -> tuple[bool, str]:
+def _set(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Set parameters given as YAML: all or none."""
     if others := sorted(values.keys() - {*PAGE_SETTINGS}):
         return False, f'{others[0][:40]} is not set by the page'
@@ -129,7 +114,7 @@ def _set(node: PageNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     return not refusal, refusal or ', '.join(f'{key} is {settings[key]}' for key in values)
 
 
-def _setup(node: PageNode) -> dict[str, Any]:
+def _setup(node: HandeyeNode) -> dict[str, Any]:
     """
     Return the settings with their choices, and the names of the sessions by last use.
 
