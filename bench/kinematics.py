@@ -201,7 +201,7 @@ def shown(name: str, rng: np.random.Generator, share: int, other: cells.Cell | N
     scenario = replace(scenario, robot=replace(scenario.robot, geometry=LINKS), tilt=0.6,
                        stops=tuple(n * 4 // 3 // share for n in PROFILES[name]))
     scene = SCENES[scenario.scene]
-    stops = scene.stops(scenario, rng)
+    stops = scene.placements(scenario, rng)
     stops = stops.ordered(rng.permutation(len(stops.labels)))
     cell = cells.cell_of(scenario, stops, rng)
     if other:

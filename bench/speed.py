@@ -25,7 +25,7 @@ import time
 
 from handeye_ros import config as configs
 from handeye_ros import pipeline, targets
-from handeye_ros.bags.recording import read
+from handeye_ros.bags.recording import read_bag
 from handeye_ros.config import Config
 from handeye_ros.errors import FeatureError
 from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
@@ -52,7 +52,7 @@ def solve_seconds(target: str, stops: int, runs: int) -> float:
 def profiles_a_second(target: str, rounds: int = 7) -> tuple[int, float]:
     """Return how many points a profile has, and how many are segmented in a second of CPU."""
     config = configs.load(ROOT / 'config' / f'{target}.yaml')
-    recording = read(ROOT / 'bags' / target, config)
+    recording = read_bag(ROOT / 'bags' / target, config)
     some = recording.profiles[::max(1, len(recording.profiles) // 300)]
     profiles = [profile.read(config.profile).points for profile in some]
     method, times = targets.target_for(config), []

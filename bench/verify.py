@@ -142,7 +142,7 @@ def artefact(rng: np.random.Generator, scene: str, poses: Array, lengths: tuple[
     """
     scenario = replace(SCENARIOS[scene], stops=(count, 0), **{'robot': RobotModel()} | changes)
     X, T = sensor_on_flange(rng), draw_pose(rng)
-    taken = [take(scenario, X, T @ pose, TARGET_SCENES[scene].stops(scenario, rng), rng)
+    taken = [take(scenario, X, T @ pose, TARGET_SCENES[scene].placements(scenario, rng), rng)
              for pose in poses]
     return _taken(taken, X, lengths)
 
@@ -213,7 +213,7 @@ def fixed_point(rng: np.random.Generator, count: int = 12, aim: float = AIM,
     """Return the corner of a plate, to which the laser is aimed with some error."""
     scenario = replace(SCENARIOS['line'], stops=(count, 0), **{'robot': RobotModel()} | changes)
     X, T = sensor_on_flange(rng), draw_pose(rng)
-    points = TARGET_SCENES['line'].stops(scenario, rng).points
+    points = TARGET_SCENES['line'].placements(scenario, rng).points
     R = INTO_CORNER @ tilts(scenario, rng, (count,))
     aim_error = aim * rng.normal(size=(count, 3))
     position = aim_error - (R @ lift(points)[:, :, None])[:, :, 0]
@@ -341,7 +341,7 @@ def samples(scenario: Scenario, count: int, X: Array, T: Array, rng: np.random.G
     """Return the samples of some stops; joint: by how much joint 5 is off (rad)."""
     scenario = replace(scenario, stops=((count + 1) // 2, count // 2) if
                        scenario.scene == 'plate' else (count, 0))
-    stops = TARGET_SCENES[scenario.scene].stops(scenario, rng)
+    stops = TARGET_SCENES[scenario.scene].placements(scenario, rng)
     found = sampled(scenario, X, T, stops, rng)
     if not joint:
         return list(found)

@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from handeye_ros.bags.recording import read as read_bag
+    from handeye_ros.bags.recording import read_bag
     from handeye_ros.config import Config, with_values
     from handeye_ros.config import load as load_config
     from handeye_ros.data import Calibration, Profile, Reject, Sample, TimedPose
@@ -36,7 +36,6 @@ _HOMES = {
     **dict.fromkeys(('calibrate', 'gather', 'solve'), 'pipeline'),
     **dict.fromkeys(('read_calibration', 'write_calibration'), 'results.calibration_file'),
     'read_bag': 'bags.recording'}
-_NAMES = {'load_config': 'load', 'read_bag': 'read'}  # in their homes
 
 
 @cache
@@ -48,4 +47,5 @@ def __getattr__(name: str) -> Any:
         return 'unknown'
     if name not in _HOMES:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    return getattr(import_module(f'{__name__}.{_HOMES[name]}'), _NAMES.get(name, name))
+    name_there = 'load' if name == 'load_config' else name
+    return getattr(import_module(f'{__name__}.{_HOMES[name]}'), name_there)

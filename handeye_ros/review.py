@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from handeye_ros import pipeline, se3
-from handeye_ros.bags.recording import read
+from handeye_ros.bags.recording import read_bag
 from handeye_ros.bags.session_files import is_session, read_session
 from handeye_ros.calibration import measured_points, residuals_and_left_out, rms_by
 from handeye_ros.config import Config, SOLVED_FROM_FILES
@@ -58,7 +58,7 @@ def solved_recording(calibration: Calibration, bag: Path | None, folder: Path = 
     if is_session(bag):
         session = read_session(bag).session(config)
     else:
-        recording = read(bag, config)
+        recording = read_bag(bag, config)
         session = pipeline.gather(recording.profiles, recording.poses, config)
     answer = pipeline.answer_session(session, config)
     stops = [stop_snapshot(stop, config) for stop in session.stops]

@@ -51,7 +51,8 @@ MIN_COLUMNS = 10  # of rows that are compared
 # share of a message's time before its stamp
 SHARE_BEFORE_STAMP = {'first': 0.0, 'middle': 0.5, 'last': 1.0}
 
-CHECK_PERIOD = NS  # between two profiles whose points are checked
+CHECK_PERIOD = NS  # between two profiles whose points are checked,
+CHECK_COUNT = 100  # or so many messages, where these have no stamp
 MESSAGE_OVERHEAD = 600  # bytes of memory for a message, without its data
 
 
@@ -130,7 +131,8 @@ def transforms_from_cdr(data: bytes) -> list[tuple[str, TimedPose]]:
     return poses
 
 
-def _error_of(reason: str) -> UnusableMessageError:
+def _cloud_error(reason: str) -> UnusableMessageError:
+    """Return the error of a PointCloud2 that is not used."""
     return UnusableMessageError(f'PointCloud2 message not used: {reason}')
 
 
@@ -155,8 +157,9 @@ def field_view(cloud: Any, name: str) -> np.ndarray[Any, np.dtype[Any]]:
               if field.name == name and field.datatype in DATATYPES and field.count <= 1]
     if len(usable) != 1:
         names = ', '.join(field.name for field in cloud.fields) or 'none'
-        raise _error_of(f'{len(usable) or "no"} fields are named "{name}" and hold one number for '
-                        f'each point (fields: {names}); profile.axes says which axes are read')
+        raise _cloud_error(
+            f'{len(usable) or "no"} fields are named "{name}" and hold one number for each point '
+            f'(fields: {names}); profile.axes says which axes are read')
     field, = usable
     dtype = np.dtype(('>' if cloud.is_bigendian else '<') + DATATYPES[field.datatype])
     height, width, point_step = cloud.height, cloud.width, cloud.point_step
@@ -166,9 +169,10 @@ def field_view(cloud: Any, name: str) -> np.ndarray[Any, np.dtype[Any]]:
     row_step = least if height == 1 else cloud.row_step or least  # drivers often leave it unset
     if (field.offset + dtype.itemsize > point_step or row_step < least
             or (height - 1) * row_step + least > len(cloud.data)):
-        raise _error_of(f'{height} x {width} points of {point_step} bytes, in rows of {row_step} '
-                        f'bytes, with the field "{name}" at byte {field.offset}, do not fit into '
-                        f'{len(cloud.data)} bytes of data')
+        raise _cloud_error(
+            f'{height} x {width} points of {point_step} bytes, in rows of {row_step} bytes, with '
+            f'the field "{name}" at byte {field.offset}, do not fit into {len(cloud.data)} bytes '
+            'of data')
     return np.ndarray((height, width), dtype, cloud.data, field.offset, (row_step, point_step))
 
 
@@ -177,7 +181,7 @@ def _row(cloud: Any, index: int) -> Any:
     size = cloud.width * cloud.point_step
     begin = index * (cloud.row_step or size)
     if index >= cloud.height or begin + size > len(cloud.data):
-        raise _error_of(f'damaged message: it has no row {index}')
+        raise _cloud_error(f'damaged message: it has no row {index}')
     return replace(cloud, height=1, row_step=size, data=cloud.data[begin:begin + size])
 
 
@@ -250,12 +254,12 @@ def _require_unit(points: Array, unit: str) -> None:
     is_marker = too_far.any() and np.ptp(z) == 0 and (
         np.ptp(x) == 0 or np.abs(x).max() <= MAX_COORDINATE)
     if too_far.sum() > finite.sum() / 2 and not is_marker:
-        raise _error_of(f'coordinates reach {reach[too_far].max():.3g} m' + (
+        raise _cloud_error(f'coordinates reach {reach[too_far].max():.3g} m' + (
             ': set profile.unit to mm' if unit == 'm' else ', but profile.unit is m or mm'))
     largest = reach[finite & ~too_far].max(initial=0.0)
     if unit == 'mm' and 0.0 < largest < ALL_TOO_NEAR:
-        raise _error_of(f'no coordinate is larger than {largest * 1e3:.3g} mm: set profile.unit '
-                        'to m')
+        raise _cloud_error(f'no coordinate is larger than {largest * 1e3:.3g} mm: set '
+                           'profile.unit to m')
 
 
 def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
@@ -278,8 +282,9 @@ def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
         advice = (f', their {flat} nothing: set profile.axes to [{first}, {second}]' if is_flat
                   else ': let the driver publish single profiles in a frame of the light plane, '
                   f'where {axes[2]} is 0 (a static transform can hold its tilt)')
-        raise _error_of(f'the points do not lie in the plane of {axes[0]} and {axes[1]}: their '
-                        f'{axes[2]} spans {spread[2] * 1e3:.1f} mm{advice}')
+        raise _cloud_error(
+            f'the points do not lie in the plane of {axes[0]} and {axes[1]}: their {axes[2]} '
+            f'spans {spread[2] * 1e3:.1f} mm{advice}')
 
 
 def _require_axes(points: Array, config: ProfileConfig) -> None:
@@ -291,8 +296,8 @@ def _require_axes(points: Array, config: ProfileConfig) -> None:
     # by axis, the share of steps against the direction of the majority
     backward = 1.0 - np.maximum((steps > 0).sum(axis=0), (steps < 0).sum(axis=0)) / len(steps)
     if backward[0] > RANGE_BACKWARD and backward[1] < LINE_BACKWARD:
-        raise _error_of(f'the points follow each other along {range_axis}, not along {line_axis}: '
-                        f'set profile.axes to [{range_axis}, {line_axis}]')
+        raise _cloud_error(f'the points follow each other along {range_axis}, not along '
+                           f'{line_axis}: set profile.axes to [{range_axis}, {line_axis}]')
 
 
 class ProfileReader:
@@ -300,14 +305,15 @@ class ProfileReader:
     Receives the serialised clouds of one topic in order; their points are read on demand.
 
     A sensor publishes thousands of profiles while the robot moves, and a stop uses a few hundred.
-    The layout of every message is checked, and the points (wrong unit or axis) once a second: of
-    every message until one is usable.
+    The layout of every message is checked, and the points (wrong unit or axis) once a second, or
+    of every CHECK_COUNT without a stamp: of every message until one is usable.
     """
 
     def __init__(self, config: ProfileConfig) -> None:
         """Start without messages; config: how the driver writes its clouds."""
         self.config = config
         self._checked = -CHECK_PERIOD  # stamp of the last profile whose points were checked
+        self._unchecked = 0  # messages since
         typestore()  # before the messages come: they do not wait while it is made
 
     def take(self, data: bytes, fetch: Callable[[], bytes] | None = None) -> RawProfile:
@@ -322,10 +328,12 @@ class ProfileReader:
         if cloud.height * cloud.width:
             for axis in self.config.axes:
                 field_view(cloud, axis[-1])
-        if abs(stamp - self._checked) >= CHECK_PERIOD:
+        self._unchecked += 1
+        if (abs(stamp - self._checked) >= CHECK_PERIOD
+                or not stamp and self._unchecked >= CHECK_COUNT):
             first = profile_from_cloud(cloud if rows == 1 else _row(cloud, 0), self.config)
             if np.isfinite(first.points).any():
-                self._checked = stamp
+                self._checked, self._unchecked = stamp, 0
         return RawProfile(stamp, frame, fetch or partial(bytes, data), profile_from_cdr,
                           self.config, 0 if fetch else len(data) + MESSAGE_OVERHEAD, rows)
 
@@ -398,8 +406,8 @@ def returns_of(raw: RawProfile) -> Profile:
     profile whose stamp is not certain.
     """
     if raw.time_margins != (0, 0):
-        raise _error_of('it holds several profiles, and does not say when each was taken: set '
-                        'profile.period')
+        raise _cloud_error('it holds several profiles, and does not say when each was taken: set '
+                           'profile.period')
     cloud, config = message_of(CLOUD_TYPE, raw.fetch()), raw.config
     points, is_return = _points(cloud, config)
     has_intensity = INTENSITY in [field.name for field in cloud.fields]

@@ -100,8 +100,9 @@ def _dropped_warning(reasons: Sequence[str], total: int, what: str) -> list[str]
     return [f'{len(reasons)} of {total} {what} were left out; the first: {reasons[0]}']
 
 
-def read(path: Path | str, config: Config, progress: Callable[[float], None] = lambda share: None,
-         arm: Arm | None = None) -> Recording:
+def read_bag(path: Path | str, config: Config,
+             progress: Callable[[float], None] = lambda share: None, arm: Arm | None = None
+             ) -> Recording:
     """
     Return the profiles and flange poses in a rosbag2 folder or an .mcap or .db3 file.
 

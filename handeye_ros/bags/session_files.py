@@ -290,7 +290,11 @@ def read_session(path: Path) -> StoredSession:
 
 
 def load_stop(file: Path, stamp: int, config: Config) -> Stop:
-    """Return a stop with its poses and profiles from its file; raises InputError."""
+    """
+    Return the poses and profiles of a stop from its file, as a stop without number and result.
+
+    Profiles that cannot be read with other settings are left out. Raises InputError.
+    """
     offset = config.offset_ns
     reader = ProfileReader(config.profile)
     poses, profiles = [], []
@@ -298,7 +302,7 @@ def load_stop(file: Path, stamp: int, config: Config) -> Stop:
         if message.message_type == POSE_TYPE:
             poses.append(pose_from_cdr(message.data))
         elif message.message_type == CLOUD_TYPE:
-            with suppress(UnusableMessageError):  # it may be invalid with other settings
+            with suppress(UnusableMessageError):
                 profiles.append(replace(reader.take(message.data),
                                         stamp=message.log_time + offset))
     return Stop(stamp, tuple(poses), tuple(profiles))

@@ -94,12 +94,12 @@ def open_input(path: Path, config: Path | None, assignments: list[str], angles: 
     if is_table(path) or settings.target.type in SOLVED_FROM_FILES:
         from handeye_ros import tabulated
         with progress_bar('reading the files'):
-            table = tabulated.read(path, settings)
+            table = tabulated.read_table(path, settings)
         warn(*table.warnings)
         return OpenedInput(settings, table.inputs, table=table)
     if stored:
         return OpenedInput(settings, [{'path': str(path.absolute())}], stored.session(settings))
-    recording = read_bag_shown(path, settings)
+    recording = open_bag(path, settings)
     return OpenedInput(settings, list(recording.inputs), collect_samples(recording, settings),
                        recording.warnings)
 
@@ -143,11 +143,11 @@ def is_table(path: Path) -> bool:
     return path.suffix == '.csv' and path.is_file()
 
 
-def read_bag_shown(bag: Path, settings: 'Config', arm: 'Arm | None' = None) -> 'Recording':
+def open_bag(bag: Path, settings: 'Config', arm: 'Arm | None' = None) -> 'Recording':
     """Return the messages of a bag, and print its warnings; an arm gives the poses from joints."""
     with progress_bar('reading the recording') as progress:
-        from handeye_ros.bags.recording import read
-        recording = read(bag, settings, progress, arm)
+        from handeye_ros.bags.recording import read_bag
+        recording = read_bag(bag, settings, progress, arm)
     warn(*recording.warnings)
     return recording
 
@@ -174,10 +174,10 @@ def stream_recording(bag: Path, settings: 'Config', calibration: 'Calibration'
 
     The stamps of the profiles are as recorded: what uses them adds the time offset.
     """
-    from handeye_ros.bags.recording import read
+    from handeye_ros.bags.recording import read_bag
     from handeye_ros.sampling.trajectory import trajectory_of
     with progress_bar('scanning'):
-        recording = read(bag, replace(settings, time_offset=0.0))
+        recording = read_bag(bag, replace(settings, time_offset=0.0))
         warn_of_frame(recording, calibration)
         yield recording, trajectory_of(recording.poses, settings.sampling.max_pose_gap)
     warn(*recording.warnings)

@@ -18,11 +18,11 @@ from handeye_ros.cli.common import (
     KinematicsFile,
     length_option,
     MeasureConfig,
+    open_bag,
     open_calibration,
     OptionalPath,
     OutFile,
     progress_bar,
-    read_bag_shown,
     show,
     stream_recording,
     warn,
@@ -109,7 +109,7 @@ def _passes(bags: list[Path], calibration: 'Calibration', config: 'Config'
 
 def _stops(bag: Path, calibration: 'Calibration', config: 'Config') -> 'list[Sample | Reject]':
     """Return the sample of each stop of a recording, or why it gave none; print warnings."""
-    recording = read_bag_shown(bag, config)
+    recording = open_bag(bag, config)
     warn_of_frame(recording, calibration)
     session = collect_samples(recording, config)
     samples = session.samples
@@ -149,7 +149,7 @@ def check(
     checks: list[tuple[str, Check]] = []
     try:
         for bag in bags:
-            recording = read_bag_shown(bag, settings)
+            recording = open_bag(bag, settings)
             warn_of_frame(recording, calibration)
             with progress_bar('comparing'):
                 result = check_recording(

@@ -7,7 +7,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, TYPE_CHECKING
 
-from handeye_ros import __version__
 from handeye_ros.cli.common import (
     app,
     Assignments,
@@ -24,7 +23,6 @@ import typer
 if TYPE_CHECKING:
     from handeye_ros.batch import JobRow
 
-PREFORM_FILE = 'preform.ply'
 BatchVerb = StrEnum('BatchVerb', ['solve', 'verify', 'check', 'compare'])  # that batch runs
 
 
@@ -98,9 +96,8 @@ def replay(
 
 def _scenarios() -> list[str]:
     """Return the names of all that can be simulated."""
-    from handeye_ros.simulate import FAULTS, FILE_SCENES, SCENARIOS
-    from handeye_ros.simulate.artefacts import MEASURING_CELL
-    return [*dict.fromkeys([*SCENARIOS, *FILE_SCENES, *FAULTS]), MEASURING_CELL]
+    from handeye_ros.simulate.write import names
+    return names()
 
 
 def _print_scenarios(requested: bool) -> None:
@@ -123,57 +120,7 @@ def simulate(
     """Make a recording with a known answer."""
     if scenario not in _scenarios():
         raise UnknownNameError('scenario', scenario, _scenarios(), 'handeye simulate --list')
+    from handeye_ros.simulate.write import write_simulated
     with progress_bar('simulating'):
         content = write_simulated(scenario, seed, directory, force)
     typer.echo(f'wrote {directory.absolute()}: {content}')
-
-
-def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> str:
-    """
-    Write the folder of a scenario, of a scene of files or of MEASURING_CELL.
-
-    Returns its content in words. force: whether an existing folder is replaced; without it
-    InputError is raised. Raises UnwritableError where the folder cannot be written.
-    """
-    from handeye_ros.bags import writer
-    from handeye_ros.output import yaml_text
-    from handeye_ros.results.truth import TRUTH_NAME
-    from handeye_ros.scanning.cloud import write_cloud
-    from handeye_ros.simulate import (
-        artefacts,
-        FAULTS,
-        FILE_SCENES,
-        SCENARIOS,
-        simulate,
-        Simulated,
-    )
-    import numpy as np
-    from numpy.lib.recfunctions import unstructured_to_structured
-    rng = np.random.default_rng(seed)
-    origin = {'made_by': f'handeye_ros {__version__}: handeye simulate {name} --seed {seed}',
-              'scenario': name, 'seed': seed}
-    if name == artefacts.MEASURING_CELL:
-        recordings, true_values = artefacts.measuring_cell(rng)
-        texts = {TRUTH_NAME: yaml_text({**origin, **true_values})}
-
-        def write_recordings(new_folder: Path) -> None:
-            new_folder.mkdir()
-            for part, messages in recordings.items():
-                writer.write(new_folder / part, messages.profiles, messages.poses, texts=texts)
-            cloud = artefacts.preform_cloud(np.random.default_rng(seed))
-            rows = unstructured_to_structured(cloud.points,
-                                              np.dtype([(axis, '<f4') for axis in 'xyz']))
-            write_cloud(new_folder / PREFORM_FILE, [rows], 'frame base, metres')
-
-        writer.write_folder(folder, texts, write_recordings, force)
-        return ', '.join([*recordings, PREFORM_FILE])
-    scenario = SCENARIOS.get(name) or FAULTS.get(name)
-    simulated = simulate(scenario, rng) if scenario else FILE_SCENES[name](rng)
-    texts = {**simulated.tables, TRUTH_NAME: yaml_text({**origin, **simulated.true_values})}
-    if not simulated.profiles:
-        writer.write_folder(folder, texts, force=force)
-        return ', '.join(simulated.tables)
-    writer.write(folder, simulated.profiles, simulated.poses, texts=texts, force=force,
-                 joints=simulated.joints if isinstance(simulated, Simulated) else ())
-    return ', '.join([f'{len(simulated.profiles)} profiles', f'{len(simulated.poses)} poses',
-                      *simulated.tables])

@@ -25,11 +25,11 @@ from handeye_ros.cli.common import (
     Input,
     is_table,
     KinematicsFile,
+    open_bag,
     open_input,
     OptionalPath,
     OutFile,
     progress_bar,
-    read_bag_shown,
     show,
     warn,
     write_yaml,
@@ -254,7 +254,7 @@ def kinematics(
             stored = read_session(path) if is_session(path) else None
             read_with = replace(configuration(
                 config, assignments, stored.config if stored else None), kinematics='')
-            recording = read_bag_shown(path, read_with, arm)
+            recording = open_bag(path, read_with, arm)
             measured.append(arm_samples_of(
                 stored.session(read_with) if stored else collect_samples(recording, read_with),
                 recording, arm, read_with,

@@ -19,8 +19,9 @@ Threads:
 - `worker` makes all other changes, one after the other;
 - those of ROS (node.py) and of the page (page/server.py) pass a function to `call_on_worker` and
   wait for its result; what they only show, they read from any thread.
-Processes: two (pool.py), each with a thread that waits for it. They evaluate stops, for which the
-worker waits, and make reviews, answers and verifications, for which it does not (`run_job`).
+Processes: two (pool.py), each with a thread that waits for it. They evaluate stops and those of a
+session that is opened, for which the worker waits, and make reviews, answers and verifications,
+for which it does not (`run_job`). Also the report, for which the page waits (page/contents.py).
 Locks: `lock` guards what messages change, and is held for one message or one copy. Another, in
 outputs.py, keeps the node from publishing after its end; one in page/contents.py is held while the
 page reads and sets samples.exclude.
@@ -58,7 +59,7 @@ from handeye_ros.frames import mount_poses
 from handeye_ros.node.folders import OutputFolders
 from handeye_ros.node.pool import Pool, PoolEndedError, trim_memory
 from handeye_ros.node.solver import ANSWER_KEYS, LiveSolver, SAMPLE_KEYS, settings_of
-from handeye_ros.node.state import Attempt, MessageCount
+from handeye_ros.node.state import Attempt, new_counts
 from handeye_ros.node.verification import LiveVerification
 from handeye_ros.results.printed import sample_summary
 from handeye_ros.results.scene import StopSnapshot
@@ -88,8 +89,8 @@ class LiveSession:
         stamps (ns) and serialised JointState messages. Messages change them: use them under lock.
         The evaluated stops of the session are changed by the worker alone, which reads them
         without
-    message_counts: by kind (profile, pose; joint state, only of what cannot be read); Streams
-        (streams.py) begins them anew
+    message_counts: by kind (profile, pose), of the topics of now; Streams (streams.py) adds those
+        that cannot be used
     solver, verification: compute what follows from samples, and a verification
     troubles: why samples cannot be stored (storing) or computed with (work), a sentence each
     attempt: the last one to take a sample, None before
@@ -107,7 +108,7 @@ class LiveSession:
         of work.
         """
         self.folders, self.pool, self.lock = folders, pool, Lock()
-        self.message_counts = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
+        self.message_counts = new_counts()
         self._worker, self._publish_changes = ThreadPoolExecutor(1, 'worker'), publish_changes
         self._is_started = self._is_scheduled = False  # scheduled is _do_due_work
         self.running_jobs: list[str] = []
@@ -588,6 +589,7 @@ class LiveSession:
         if other_topics:
             self._replace_session(self.files, Session(config, self.session.last_number),
                                   'the topics were changed')
+            self.message_counts = new_counts()
         with self.lock:
             self.session.configure(config)
         if config.verify.routine != old.verify.routine:

@@ -27,7 +27,7 @@ from handeye_ros.errors import UnusableMessageError
 from handeye_ros.frames import frame_mismatch_warning
 from handeye_ros.node.main import non_ros_arguments, run_for_exit_code, spin
 from handeye_ros.node.outputs import cloud, log_new_warnings
-from handeye_ros.node.state import MessageCount
+from handeye_ros.node.state import new_counts
 from handeye_ros.node.streams import Streams, WARNING_PERIOD
 from handeye_ros.results.calibration_file import config_to_measure, read_calibration
 from handeye_ros.sampling.stream import REORDER_TIME
@@ -54,7 +54,7 @@ class ScanNode(Node):
         config = with_assignments(config_to_measure(calibration), arguments.set)
         super().__init__('handeye_scan')
         self.config: Config = replace(config, time_offset=0.0)  # the scanner adds it
-        self.message_counts: dict[str, MessageCount] = {}
+        self.message_counts = new_counts()
         self._sensor = calibration.child_frame
         self._scanner = Scanner(calibration, config, options)
         # ns from the stamp of a profile to that of the last pose that places it

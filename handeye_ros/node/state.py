@@ -122,6 +122,11 @@ class MessageCount:
                 'trouble': '; '.join(sentences)}
 
 
+def new_counts() -> dict[str, MessageCount]:
+    """Return counts of profiles and poses, by kind (profile, pose)."""
+    return {kind: MessageCount(kind) for kind in ('profile', 'pose')}
+
+
 def _clock_trouble(profiles: MessageCount, poses: MessageCount, time_offset: float) -> str:
     """Return a sentence if the clocks of profiles and poses differ, '' otherwise."""
     if not profiles.stamp or not poses.stamp or max(profiles.silence, poses.silence) > FRESH_TIME:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 import threading
 import time
-from typing import Any, TYPE_CHECKING, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from geometry_msgs.msg import PoseStamped
 from handeye_ros.bags.messages import (
@@ -31,10 +31,6 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState, PointCloud2
-
-if TYPE_CHECKING:
-    from handeye_ros.node.live import LiveSession
-    from handeye_ros.node.scan import ScanNode
 
 try:
     from tf2_msgs.msg import TFMessage as TFMessage
@@ -66,6 +62,26 @@ class UnexecutedGroup(MutuallyExclusiveCallbackGroup):
     def can_execute(self, entity: Any) -> bool:
         """Return False: no executor may wait for a subscription."""
         return False
+
+
+class Receiver(Protocol):
+    """
+    Takes what the topics of its settings bring, in the thread that reads them.
+
+    message_counts: of profiles and poses, by kind; the receiver counts the usable ones
+    """
+
+    message_counts: dict[str, MessageCount]
+
+    @property
+    def config(self) -> Config:
+        """Return the settings; those of topics and frames stay."""
+
+    def add_profile(self, profile: RawProfile) -> None:
+        """Take a profile, its stamp with time_offset."""
+
+    def add_poses(self, poses: Sequence[TimedPose]) -> None:
+        """Take poses."""
 
 
 @dataclass(eq=False)
@@ -102,14 +118,12 @@ class Streams:
     arrive otherwise. An invalid message is counted and left out.
     """
 
-    def __init__(self, node: Node, receiver: LiveSession | ScanNode,
+    def __init__(self, node: Node, receiver: Receiver,
                  add_joints: Callable[[int, bytes], None] | None = None) -> None:
         """
-        Subscribe, begin to read, and set the receiver's `message_counts`; raises InputError.
+        Subscribe, and begin to read; raises InputError.
 
-        receiver: takes profiles, their stamps with time_offset, and poses, in the thread that
-        reads them; its settings of topics and frames stay. add_joints: takes stamp (ns) and
-        serialised JointState, of which no pose is made.
+        add_joints: takes stamp (ns) and serialised JointState, of which no pose is made.
         """
         self._node, self._receiver, self._add_joints = node, receiver, add_joints
         config, self._group = receiver.config, UnexecutedGroup()
@@ -118,7 +132,6 @@ class Streams:
                                         config.sampling.max_pose_gap)
         self._last_stamp: int | None = None  # ns, of the last message of profiles
         self._topics = self._configured_topics(config)
-        receiver.message_counts = {topic.counts.kind: topic.counts for topic in self._topics}
         for topic in self._topics:
             self._subscribe(topic)
         self._ended = threading.Event()
@@ -127,8 +140,8 @@ class Streams:
 
     def _configured_topics(self, config: Config) -> list[_Subscribed]:
         """Return the topics that settings name; raises InputError."""
-        poses = MessageCount('pose')
-        topics = [_Subscribed(MessageCount('profile'), CLOUD_TYPE, config.profile_topic,
+        counts = self._receiver.message_counts
+        topics = [_Subscribed(counts['profile'], CLOUD_TYPE, config.profile_topic,
                               self._on_profile, RELIABLE_QOS, 'profile_topic')]
         if self._add_joints and not config.kinematics:
             topics.append(_Subscribed(MessageCount('joint state'), JOINTS_TYPE, config.joint_topic,
@@ -139,7 +152,7 @@ class Streams:
                                  f'{INSTALL_TF2}; or publish the poses on pose_topic')
             qos = {'/tf': BEST_EFFORT_QOS, '/tf_static': STATIC_TF_QOS}.get(source.name,
                                                                             RELIABLE_QOS)
-            topics.append(_Subscribed(poses, source.message_type, source.name,
+            topics.append(_Subscribed(counts['pose'], source.message_type, source.name,
                                       partial(self._on_poses, source.read), qos, source.key))
         if len({self._full_name(topic.name) for topic in topics}) < len(topics):
             raise InputError('two of profile_topic, pose_topic and joint_topic are the same: each '

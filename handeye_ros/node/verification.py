@@ -34,13 +34,13 @@ class LiveVerification:
     The verification of a running session; its methods are for the worker (see live.py).
 
     routine: None where none is running
-    content: the last one, as the content of its file; empty before the first
+    last_result: of the last one, as the content of its file; empty before the first
     """
 
     def __init__(self, live: LiveSession) -> None:
         """Begin without a verification."""
         self._live = live
-        self.content: Mapping[str, Any] = {}
+        self.last_result: Mapping[str, Any] = {}
         self._verified: Calibration | None = None  # the answer that it is of
         self.routine: Routine | None = None
         self.end()
@@ -54,16 +54,12 @@ class LiveVerification:
         self._recordings: list[dict[int, Sample | Reject]] = [{}]  # by stamp what stops gave
 
     @property
-    def content_of_answer(self) -> Mapping[str, Any]:
-        """
-        Return the content of the last verification.
-
-        It is empty where it was of another answer than the current one.
-        """
+    def result_of_current_answer(self) -> Mapping[str, Any]:
+        """Return the last result; empty where it is of another answer than the current one."""
         live = self._live
         is_current = live.config.verify.calibration or (
             self._verified and self._verified is live.solver.calibration)
-        return self.content if is_current else {}
+        return self.last_result if is_current else {}
 
     @property
     def has_next_recording(self) -> bool:
@@ -154,7 +150,7 @@ class LiveVerification:
         """
         live, self._verified = self._live, answer
         name = f'verification_{result.routine}.yaml'
-        self.content = content = plain_values(
+        self.last_result = content = plain_values(
             result, (live.config.profile_topic, live.config.pose_topic_and_keys[0]),
             Path(file).expanduser() if file else None)
         folder = live.folders.locked_folder(live.config)

@@ -71,7 +71,12 @@ class PageSource:
 
 
 def page_source(node: HandeyeNode) -> PageSource:
-    """Return content and actions of the page for a node."""
+    """
+    Return content and actions of the page for a node.
+
+    The page shows live and state of the node, and streams.topics_of for the choices; its buttons
+    use call_service, set_values and open_session.
+    """
     actions: dict[str, Action] = {
         **{name: partial(lambda name, _: node.call_service(name), name) for name in PAGE_SERVICES},
         # number: of that which the person has seen as the last
@@ -81,7 +86,7 @@ def page_source(node: HandeyeNode) -> PageSource:
         'open': lambda values: (True, node.open_session(str(values.get('session'))))}
     queries: dict[str, Query] = {
         'stop': lambda values: stop_profile(node.live, values.get('number', '')),
-        'cell': lambda values: _cell(node),
+        'setup': lambda values: _setup(node),
         'file': lambda values: _file(node.live, values.get('name', ''))}
     return PageSource(lambda: contents(node.state, node.live), actions, queries)
 
@@ -109,7 +114,7 @@ def _set(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     return not refusal, refusal or ', '.join(f'{key} is {settings[key]}' for key in values)
 
 
-def _cell(node: HandeyeNode) -> dict[str, Any]:
+def _setup(node: HandeyeNode) -> dict[str, Any]:
     """
     Return the settings with their choices, and the names of the sessions by last use.
 
@@ -166,7 +171,7 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
     ...), title and figures of the last of this answer.
     """
     snapshot, calibration = live.current_snapshot(), live.solver.calibration
-    checked = live.verification.content_of_answer
+    checked = live.verification.result_of_current_answer
     return {**state, 'profile': snapshot and _picture(snapshot), 'scene': _scene(live, snapshot),
             'edges': _edges(live), 'has_just_begun': len(state['samples']) <= FEW_STOPS,
             'rows': list(printed.transform_rows(calibration)) if calibration else [],

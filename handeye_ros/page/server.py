@@ -48,7 +48,7 @@ CLIENT_TIMEOUT = 10.0  # s until a client must accept an event
 BODY_TIMEOUT = 5.0  # s until the body of a request must be there
 COOKIE_AGE = 30 * 86400  # s
 TOKEN_BYTES = 18
-ASSET_FILES = ('page.css', 'page.js', 'viewer.js', 'scene.js', 'profile.js', 'cell.js')
+ASSET_FILES = ('page.css', 'page.js', 'viewer.js', 'scene.js', 'profile.js', 'setup.js')
 HEADERS = {
     'Content-Security-Policy': "default-src 'self'; img-src 'self' data:; "
                                "frame-ancestors 'none'; base-uri 'none'",
@@ -117,7 +117,7 @@ class PageServer:
         app.router.add_get('/', self._index)
         app.router.add_get('/events', self._events)
         for file in ASSET_FILES:
-            app.router.add_get(f'/{file}', partial(_asset, file, 200))
+            app.router.add_get(f'/{file}', partial(_asset, file))
         for name, query in self._source.queries.items():
             app.router.add_get(f'/read/{name}', partial(self._answer_query, query))
         for name, action in self._source.actions.items():
@@ -154,9 +154,10 @@ class PageServer:
                 return _sentence(403, 'requests of other pages are refused')
             if self.token and not hmac.compare_digest(token.encode(errors='replace'),
                                                       self.token.encode()):
-                shown = {'/': ('login.html', 401), '/page.css': ('page.css', 200)}
-                if request.path in shown:
-                    return await _asset(*shown[request.path])
+                if request.path == '/':
+                    return _login(is_wrong=bool(token))
+                if request.path == '/page.css':
+                    return await _asset('page.css')
                 return _sentence(401, 'the token is missing or wrong')
             return await handler(request)
         except web.HTTPException as error:
@@ -232,11 +233,21 @@ def json_text(values: Any) -> str:
     return json.dumps(json.loads(json.dumps(values), parse_constant=lambda _: None))
 
 
-async def _asset(name: str, status: int = 200, _: web.Request | None = None
-                 ) -> web.StreamResponse:
+async def _asset(name: str, _: web.Request | None = None) -> web.StreamResponse:
     """Return the response with an asset of the page, or of the results that it shares."""
+    return web.FileResponse(_asset_file(name))
+
+
+def _asset_file(name: str) -> Path:
     room = 'handeye_ros.results' if name in ('viewer.js', 'profile.js') else 'handeye_ros.page'
-    return web.FileResponse(Path(str(resources.files(room))) / 'assets' / name, status=status)
+    return Path(str(resources.files(room))) / 'assets' / name
+
+
+def _login(is_wrong: bool) -> web.Response:
+    """Return the form that asks for the token; is_wrong: whether it says that one was wrong."""
+    form = _asset_file('login.html').read_text(encoding='utf-8')
+    return web.Response(text=form.replace('<p hidden>', '<p>') if is_wrong else form, status=401,
+                        content_type='text/html')
 
 
 def read_or_write_token(file: Path) -> str:

@@ -50,7 +50,7 @@ def draw_pose(rng: Generator, tilt: float = 0.2, low: float = 0.0) -> Array:
     return se3.transform(turn.as_matrix(), rng.uniform([0.5, -0.3, low], [0.9, 0.3, 0.4]))
 
 
-def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Placements,
+def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, placed: Placements,
              rng: Generator, start: float = 0.0) -> Messages:
     """
     Return the messages of a robot at stops, without those between the stops.
@@ -58,10 +58,10 @@ def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, s
     start: the time of the first stop, since the start of the recording (s)
     """
     sensor, robot = scenario.sensor, scenario.robot
-    T = T_base_target @ stops.T_target_sensor @ se3.inverse(T_flange_sensor)
+    T = T_base_target @ placed.T_target_sensor @ se3.inverse(T_flange_sensor)
     T = se3.perturb(T, pose_error(robot, T, rng))
     z, angle = sensors.render(sensor, SCENES[scenario.scene].solids(scenario),
-                              stops.T_target_sensor)
+                              placed.T_target_sensor)
     profiles: list[Profile] = []
     poses: list[TimedPose] = []
     for k, pose in enumerate(T):
@@ -157,8 +157,8 @@ def measuring_cell(rng: Generator) -> tuple[dict[str, Messages], dict[str, Any]]
     for k in range(2):
         T_ball = np.eye(4)
         T_ball[0, 3] = k * BALL_BAR_LENGTH
-        stops = SCENES[wide.scene].stops(wide, rng)
-        recordings[f'ball_{k + 1}'] = rendered(wide, X, T_bar @ T_ball, stops, rng,
+        placed = SCENES[wide.scene].placements(wide, rng)
+        recordings[f'ball_{k + 1}'] = rendered(wide, X, T_bar @ T_ball, placed, rng,
                                                1000.0 * (k + 1))
     passes = scan_gauge(Gauge(), X, draw_pose(rng), plate.sensor, plate.robot, rng)
     recordings |= {f'pass_{k}': messages for k, messages in enumerate(passes, 1)}

@@ -17,7 +17,7 @@ from handeye_ros.data import Array, Profile, Sample, TimedPose
 from handeye_ros.simulate import robot as robots
 from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.scenario import Scenario, SphereTarget, Sweep
-from handeye_ros.simulate.scenes import many_stops, Placements, SCENES
+from handeye_ros.simulate.scenes import many_placements, Placements, SCENES
 from handeye_ros.simulate.sensor import FRAMES
 from handeye_ros.simulate.solids import relief, table
 import numpy as np
@@ -128,7 +128,7 @@ class Cell:
     """
     The fixed poses of a cell, and the robot's at n stops; the sensor frame is the standard one.
 
-    stops: the sensor's poses in the target
+    placements: the sensor's poses in the target
     T_mount_sensor: the sensor in the flange (eye_in_hand) or in the base (eye_on_base)
     T_fixed_target: the target in the base (eye_in_hand) or in the flange (eye_on_base)
     T_base_flange, T_base_flange_reported: (n, 4, 4), true and with the robot's errors
@@ -137,7 +137,7 @@ class Cell:
     """
 
     scenario: Scenario
-    stops: Placements
+    placements: Placements
     T_mount_sensor: Array
     T_fixed_target: Array
     T_base_flange: Array
@@ -161,7 +161,7 @@ class Cell:
         if self.arm and self.scenario.calibration_type == 'eye_in_hand':
             corrected = self.arm.flange @ self.T_mount_sensor @ T_true_sensor
         stops = tuple(TrueStop(*span, *of_stop) for span, *of_stop in zip(
-            spans.tolist(), self.stops.labels, self.stops.points, self.T_base_flange,
+            spans.tolist(), self.placements.labels, self.placements.points, self.T_base_flange,
             self.T_base_flange_reported, strict=True))
         return Truth(self.T_mount_best @ T_true_sensor, self.T_fixed_target, stops,
                      T_corrected_sensor=corrected)
@@ -169,28 +169,28 @@ class Cell:
 
 def draw(scenario: Scenario, rng: Generator) -> Cell:
     """Draw a cell in which the sensor reaches the stops of its scene, and the robot's errors."""
-    stops = SCENES[scenario.scene].stops(scenario, rng)
-    number = len(stops.labels)
+    placed = SCENES[scenario.scene].placements(scenario, rng)
+    number = len(placed.labels)
     programme = rng.permutation(number) if scenario.shuffled else np.arange(number)
-    return cell_of(scenario, stops.ordered(np.tile(programme, scenario.repeats)), rng)
+    return cell_of(scenario, placed.ordered(np.tile(programme, scenario.repeats)), rng)
 
 
-def cell_of(scenario: Scenario, stops: Placements, rng: Generator) -> Cell:
+def cell_of(scenario: Scenario, placed: Placements, rng: Generator) -> Cell:
     """Draw a cell in which the sensor reaches the given stops, and the robot's errors."""
     in_flange, in_base = _draw_in_flange(scenario, rng), _draw_in_base(rng)
     X, Z = ((in_base, in_flange) if scenario.calibration_type == 'eye_on_base' else
             (in_flange, in_base))
-    T = flange_poses(scenario, stops.T_target_sensor, X, Z)
+    T = flange_poses(scenario, placed.T_target_sensor, X, Z)
     reported = se3.perturb(T, robots.pose_error(scenario.robot, T, rng))
     best, errors = X, None
     if scenario.robot.geometry:
         errors = robots.draw_arm(scenario.robot.geometry, rng)
         reported = se3.perturb(reported, robots.reported_error(T, errors))
-        many_poses = flange_poses(scenario, many_stops(scenario).T_target_sensor, X, Z)
+        many_poses = flange_poses(scenario, many_placements(scenario).T_target_sensor, X, Z)
         best = _best_mount(many_poses, robots.reported_error(many_poses, errors), X, scenario)
     reported[:, :3, 3] *= 1 + scenario.robot.scale
     reported = robots.bumped(reported, scenario.bumped, rng)
-    return Cell(scenario, stops, X, Z, T, reported, best, errors)
+    return Cell(scenario, placed, X, Z, T, reported, best, errors)
 
 
 def flange_poses(scenario: Scenario, T_target_sensor: Array, T_mount_sensor: Array,
@@ -266,15 +266,15 @@ def simulate(scenario: Scenario, rng: Generator) -> Simulated:
 
 def _stopping(cell: Cell, rng: Generator) -> Simulated:
     """Return the recording of a robot that stops for dwell, and moves on for move seconds."""
-    sensor, robot, stops = cell.scenario.sensor, cell.scenario.robot, len(cell.stops.labels)
-    period, arrivals = robot.dwell + robot.move, np.arange(stops) * (robot.dwell + robot.move)
-    duration = stops * robot.dwell + (stops - 1) * robot.move
+    sensor, robot, count = cell.scenario.sensor, cell.scenario.robot, len(cell.placements.labels)
+    period, arrivals = robot.dwell + robot.move, np.arange(count) * (robot.dwell + robot.move)
+    duration = count * robot.dwell + (count - 1) * robot.move
 
     def progress(times: Array) -> tuple[NDArray[np.int64], Array]:
         """Return the last stop (k,), and the fraction (k,) of the path to the next."""
-        stop = np.minimum((times / period).astype(np.int64), stops - 1)
+        stop = np.minimum((times / period).astype(np.int64), count - 1)
         s = np.clip((times - stop * period - robot.dwell) / robot.move, 0.0, 1.0)
-        s = np.where(stop == stops - 1, 0.0, s)
+        s = np.where(stop == count - 1, 0.0, s)
         return stop, s**3 * (10 - 15 * s + 6 * s**2)  # smooth at start and end
 
     times = np.arange(0.5 / sensor.rate, duration, 1 / sensor.rate)
@@ -309,7 +309,7 @@ def _between(T: Array, stop: NDArray[np.int64], fraction: Array) -> Array:
 
 def _sweeping(cell: Cell, sweep: Sweep, rng: Generator) -> Simulated:
     """Return the recording of a robot on a smooth path through all stops."""
-    scenario, T_target_sensor = cell.scenario, cell.stops.T_target_sensor
+    scenario, T_target_sensor = cell.scenario, cell.placements.T_target_sensor
     sensor, knots = scenario.sensor, np.arange(len(T_target_sensor)) * sweep.knot
     position = CubicSpline(knots, T_target_sensor[:, :3, 3], bc_type='natural')
     rotation = RotationSpline(knots, Rotation.from_matrix(T_target_sensor[:, :3, :3].copy()))
@@ -387,9 +387,9 @@ def simulate_samples(scenario: Scenario, rng: Generator) -> tuple[tuple[Sample, 
     """
     scenario = replace(scenario, frame='standard')
     cell, dwell = draw(scenario, rng), scenario.robot.dwell
-    starts = np.arange(len(cell.stops.labels)) * int((dwell + scenario.robot.move) * 1e9)
+    starts = np.arange(len(cell.placements.labels)) * int((dwell + scenario.robot.move) * 1e9)
     truth = cell.truth(np.stack([starts, starts + int(dwell * 1e9)], axis=1))
-    features = SCENES[scenario.scene].features(scenario, cell.stops, rng)
+    features = SCENES[scenario.scene].features(scenario, cell.placements, rng)
     samples = tuple(Sample(s.start, s.T_base_flange_reported, f, scenario.profiles_per_stop)
                     for s, f in zip(truth.stops, features, strict=True))
     return samples, truth

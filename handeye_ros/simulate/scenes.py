@@ -193,7 +193,7 @@ def edge_frames(target: PlateTarget) -> dict[str, Array]:
             for label, (turn, start) in starts.items()}
 
 
-def plate_stops(scenario: Scenario, rng: Generator) -> Placements:
+def plate_placements(scenario: Scenario, rng: Generator) -> Placements:
     """Draw stops whose laser line crosses an edge inside the field of view."""
     target: PlateTarget = scenario.target
     counts = scenario.stops
@@ -215,17 +215,17 @@ def plate_stops(scenario: Scenario, rng: Generator) -> Placements:
     return seeing(scenario, rng, nominal @ SENSOR_FACING, spots, lift(points), groups)
 
 
-def plate_features(scenario: Scenario, stops: Placements, rng: Generator) -> Features:
+def plate_features(scenario: Scenario, placed: Placements, rng: Generator) -> Features:
     """Return (FaceLine, EdgePoint) of each stop, with the noise of all its profiles."""
-    T, frames = stops.T_target_sensor, edge_frames(scenario.target)
-    inwards, in_target = _along(T, 2, np.array([frames[label][:3, 1] for label in stops.labels]))
+    T, frames = placed.T_target_sensor, edge_frames(scenario.target)
+    inwards, in_target = _along(T, 2, np.array([frames[label][:3, 1] for label in placed.labels]))
     rise = in_target[:, :2]
-    start = se3.apply(T, lift(stops.points)[:, None])[:, 0, :2]
+    start = se3.apply(T, lift(placed.points)[:, None])[:, 0, :2]
     in_face = _length_to_limits(np.hstack([rise, -rise]),
                                 np.hstack([np.array(scenario.target.size) - start, start]))
-    length = np.minimum(_length_in_view(scenario, stops.points, inwards), in_face)
+    length = np.minimum(_length_in_view(scenario, placed.points, inwards), in_face)
     noise = rng.normal(size=(3, len(T)))
-    faces, columns = _lines(scenario, stops.points, inwards, length, noise[:2])
+    faces, columns = _lines(scenario, placed.points, inwards, length, noise[:2])
     return [
         (face, EdgePoint(face.centre - (half + e * std) * face.direction, -face.direction,
                          float(std), float(face.std * np.sqrt(1 + (half / face.spread)**2))))
@@ -249,7 +249,7 @@ def plate_solids(scenario: Scenario) -> tuple[Solid, ...]:
 # -- plane: the middle of a plate
 
 
-def plane_stops(scenario: Scenario, rng: Generator) -> Placements:
+def plane_placements(scenario: Scenario, rng: Generator) -> Placements:
     """Draw stops with the sensor aimed at the middle third of the plate."""
     target: PlateTarget = scenario.target
     n = sum(scenario.stops)
@@ -259,13 +259,13 @@ def plane_stops(scenario: Scenario, rng: Generator) -> Placements:
     return seeing(scenario, rng, SENSOR_FACING, spots, lift(points), [['plane'] * n])
 
 
-def plane_features(scenario: Scenario, stops: Placements, rng: Generator) -> Features:
+def plane_features(scenario: Scenario, placed: Placements, rng: Generator) -> Features:
     """Return the FaceLine of each stop, with the noise of all its profiles."""
-    T = stops.T_target_sensor
+    T = placed.T_target_sensor
     along, _ = _along(T, 2, T[:, :3, 0])
-    before, beyond = (_length_in_view(scenario, stops.points, way) for way in (-along, along))
+    before, beyond = (_length_in_view(scenario, placed.points, way) for way in (-along, along))
     noise = rng.normal(size=(len(along), 2)).T
-    start = stops.points - before[:, None] * along
+    start = placed.points - before[:, None] * along
     return [(face,) for face in _lines(scenario, start, along, before + beyond, noise)[0]]
 
 
@@ -283,7 +283,7 @@ def facing(target: WedgeTarget) -> Array:
     return np.column_stack([line, np.cross(light, line), light])
 
 
-def wedge_stops(scenario: Scenario, rng: Generator) -> Placements:
+def wedge_placements(scenario: Scenario, rng: Generator) -> Placements:
     """Draw stops whose laser line crosses the edge in the middle half of the field of view."""
     target: WedgeTarget = scenario.target
     n = sum(scenario.stops)
@@ -293,17 +293,17 @@ def wedge_stops(scenario: Scenario, rng: Generator) -> Placements:
     return seeing(scenario, rng, facing(target), spots, lift(points), [['wedge'] * n])
 
 
-def wedge_features(scenario: Scenario, stops: Placements, rng: Generator) -> Features:
+def wedge_features(scenario: Scenario, placed: Placements, rng: Generator) -> Features:
     """Return the two FaceLines of each stop, left one first, with the noise of its profiles."""
     target: WedgeTarget = scenario.target
-    T = stops.T_target_sensor
+    T = placed.T_target_sensor
     noise = rng.normal(size=(len(T), 2, 2))
     faces = []
     upwards = np.array([0.0, 0.0, 1.0 if target.concave else -1.0])
     for k, (normal, into) in enumerate(((2, np.array([0.0, 1.0, 0.0])), (1, upwards))):
         along, _ = _along(T, normal, into)
-        length = _length_in_view(scenario, stops.points, along)
-        faces.append(_lines(scenario, stops.points, along, length, noise[:, k].T,
+        length = _length_in_view(scenario, placed.points, along)
+        faces.append(_lines(scenario, placed.points, along, length, noise[:, k].T,
                             np.sign(along[:, 0]))[0])
     return [(a, b) if a.centre[0] < b.centre[0] else (b, a) for a, b in zip(*faces, strict=True)]
 
@@ -324,7 +324,7 @@ def wedge_solids(scenario: Scenario) -> tuple[Solid, ...]:
 ARC_POINTS = 12  # mean points that represent an arc
 
 
-def sphere_stops(scenario: Scenario, rng: Generator) -> Placements:
+def sphere_placements(scenario: Scenario, rng: Generator) -> Placements:
     """Draw stops whose laser plane cuts the ball within 0.6 radii of its centre."""
     target: SphereTarget = scenario.target
     n = sum(scenario.stops)
@@ -338,12 +338,12 @@ def sphere_stops(scenario: Scenario, rng: Generator) -> Placements:
     return seeing(scenario, rng, down, np.zeros(3), centre, [['sphere'] * n])
 
 
-def sphere_features(scenario: Scenario, stops: Placements, rng: Generator) -> Features:
+def sphere_features(scenario: Scenario, placed: Placements, rng: Generator) -> Features:
     """Return the Arc of each stop: points between the rims and within the field of view."""
-    y = (stops.T_target_sensor[:, :3, 1] * stops.T_target_sensor[:, :3, 3]).sum(axis=1)
+    y = (placed.T_target_sensor[:, :3, 1] * placed.T_target_sensor[:, :3, 3]).sum(axis=1)
     radii = np.sqrt(scenario.target.radius**2 - y**2)
     return [(_arc(scenario, centre, float(radius), rng),)
-            for centre, radius in zip(stops.points, radii, strict=True)]
+            for centre, radius in zip(placed.points, radii, strict=True)]
 
 
 def _arc(scenario: Scenario, centre: Array, radius: float, rng: Generator) -> Arc:
@@ -386,29 +386,29 @@ class Scene:
     """
     A target of the simulator.
 
-    stops: draws the sensor poses
+    placements: draws the stops
     features: of each stop, with noise
     solids: target and surroundings, in the target frame, of a cell that is not empty
     """
 
-    stops: Callable[[Scenario, Generator], Placements]
+    placements: Callable[[Scenario, Generator], Placements]
     features: Callable[[Scenario, Placements, Generator], Features]
     solids: Callable[[Scenario], tuple[Solid, ...]]
 
 
 SCENES = {
-    'plate': Scene(plate_stops, plate_features, plate_solids),
-    'line': Scene(plate_stops, plate_features, plate_solids),
-    'plane': Scene(plane_stops, plane_features, plate_solids),
-    'sphere': Scene(sphere_stops, sphere_features, sphere_solids),
-    'wedge': Scene(wedge_stops, wedge_features, wedge_solids),
+    'plate': Scene(plate_placements, plate_features, plate_solids),
+    'line': Scene(plate_placements, plate_features, plate_solids),
+    'plane': Scene(plane_placements, plane_features, plate_solids),
+    'sphere': Scene(sphere_placements, sphere_features, sphere_solids),
+    'wedge': Scene(wedge_placements, wedge_features, wedge_solids),
 }
 MANY_STOPS = 100  # stops at each edge
 
 
-def many_stops(scenario: Scenario) -> Placements:
+def many_placements(scenario: Scenario) -> Placements:
     """Return many stops drawn like the scenario's own."""
     first, second = scenario.stops
     enlarged = replace(scenario, wrong_edges=0,
                        stops=(MANY_STOPS * (first > 0), MANY_STOPS * (second > 0)))
-    return SCENES[scenario.scene].stops(enlarged, np.random.default_rng(0))
+    return SCENES[scenario.scene].placements(enlarged, np.random.default_rng(0))

@@ -15,7 +15,7 @@ FILE_TARGETS: dict[str, type[TableProblem]] = {
     problem.name: problem for problem in (PointPairs, PosePairs, TrackerProblem)}
 
 
-def read(path: Path, config: Config) -> TableProblem:
+def read_table(path: Path, config: Config) -> TableProblem:
     """
     Return what a file holds of the configuration's target.
 

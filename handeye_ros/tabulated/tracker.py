@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple, Self
 
 from handeye_ros import se3
-from handeye_ros.bags.recording import read as read_bag
+from handeye_ros.bags.recording import read_bag
 from handeye_ros.calibration import rms_by
 from handeye_ros.config import Config
 from handeye_ros.csv_tables import CsvTable, LENGTH, TableError

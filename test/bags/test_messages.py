@@ -9,6 +9,7 @@ import re
 from command import ROOT
 from handeye_ros import config as configs
 from handeye_ros.bags.messages import (
+    CHECK_COUNT,
     DATATYPES,
     pose_from_cdr,
     profile_count,
@@ -138,6 +139,18 @@ def test_any_bytes_are_a_message_or_refused(junk: bytes, keep: int, known: bool)
                 read(data)
             except UnusableMessageError as error:
                 assert 'message not used: ' in str(error)
+
+
+def test_the_points_of_messages_without_a_stamp_are_checked_from_time_to_time() -> None:
+    reader = ProfileReader(METRES)
+    good, in_mm = (serialised(cloud_message(cloud({'x': X, 'z': z}, XZ, 12), 0, 'laser'))
+                   for z in (0.17 + X, 170.0 + X))
+    reader.take(good)
+    for _ in range(CHECK_COUNT - 1):
+        reader.take(in_mm)
+    for _ in range(2):  # and then each, until one is usable
+        with pytest.raises(UnusableMessageError, match='set profile.unit to mm'):
+            reader.take(in_mm)
 
 
 # -- clouds

@@ -11,7 +11,7 @@ import resource
 import shutil
 
 from command import assert_refused, handeye, run_python, succeeds
-from handeye_ros.bags.recording import read
+from handeye_ros.bags.recording import read_bag
 from handeye_ros.bags.session_files import (
     files_of,
     is_session,
@@ -77,12 +77,13 @@ def test_every_stop_is_a_file_that_stock_readers_read(tmp_path: Path) -> None:
         assert counts == {c.topic: c.msgcount for c in reader.connections}
     assert types['/flange_pose'] == 'geometry_msgs/msg/PoseStamped'
     assert counts['/handeye_ros/session/outcome'] == 3 and counts['/profile'] > 20
-    assert len(read(folder, SPHERE.config).profiles) == counts['/profile']  # as any bag
+    assert len(read_bag(folder, SPHERE.config).profiles) == counts['/profile']  # as any bag
 
 
 def test_what_was_received_is_stored_byte_for_byte(tmp_path: Path) -> None:
     write(tmp_path / 'bag', SPHERE.profiles, SPHERE.poses, SPHERE.config)
-    recording = read(with_layout(tmp_path / 'bag', tmp_path, POINTS['scancontrol']), SPHERE.config)
+    bag = with_layout(tmp_path / 'bag', tmp_path, POINTS['scancontrol'])
+    recording = read_bag(bag, SPHERE.config)
     live = feed(stored(tmp_path), recording, stops=2)
     sent = {profile.stamp: profile.fetch() for profile in recording.profiles}
     for stop in live.session_copy().stops:

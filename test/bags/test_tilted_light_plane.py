@@ -11,7 +11,7 @@ from command import ROOT
 from handeye_ros import config as configs
 from handeye_ros import pipeline
 from handeye_ros.bags.messages import field_view
-from handeye_ros.bags.recording import read
+from handeye_ros.bags.recording import read_bag
 from handeye_ros.bags.storage import CLOUD_TYPE, RecordedMessage
 from handeye_ros.errors import HandeyeError
 from live_sessions import computed, fed, new
@@ -40,7 +40,7 @@ def test_a_tilted_light_plane_is_refused(name: str, degrees: float, tmp_path: Pa
     bag = with_messages(ROOT / 'bags' / name, tmp_path, lambda raw: tilted(raw, types, degrees))
     config = configs.load(ROOT / 'config' / f'{name}.yaml')
     with pytest.raises(HandeyeError, match='frame of the light plane') as refused:
-        recording = read(bag, config)
+        recording = read_bag(bag, config)
         pipeline.calibrate(recording.profiles, recording.poses, config)
     assert 'static transform' in str(refused.value)
 
@@ -50,7 +50,7 @@ def test_a_tilted_light_plane_is_told_again_by_a_session_that_continues(tmp_path
     bag = with_messages(ROOT / 'bags' / 'plate', tmp_path,
                         lambda raw: tilted(raw, types, 3.0, False))
     config = replace(configs.load(ROOT / 'config' / 'plate.yaml'), output_dir=str(tmp_path))
-    live = fed(config, read(bag, config))
+    live = fed(config, read_bag(bag, config))
     live.files.close()
     for session in (live, new(replace(live.config, session='last'))):
         with pytest.raises(HandeyeError, match='light plane that is tilted'):

@@ -21,6 +21,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 from command import PATIENCE, run_python  # noqa: E402, I100
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from handeye_ros.node.state import new_counts  # noqa: E402
 from handeye_ros.node.streams import Streams  # noqa: E402
 from rclpy._rclpy_pybind11 import RCLError  # noqa: E402
 from ros_clouds import cloud  # noqa: E402
@@ -91,7 +92,7 @@ def test_streams_that_fall_silent_and_two_publishers_with_two_clocks(tmp_path, c
 
 
 def test_topics_are_read_on_after_a_fault(client, monkeypatch):
-    receiver, faults = MagicMock(config=Config()), []
+    receiver, faults = MagicMock(config=Config(), message_counts=new_counts()), []
     look = client.node.get_publishers_info_by_topic
 
     def fails_once(*args: object) -> object:

@@ -11,7 +11,7 @@ import re
 from cells import set_to, settings_of
 from command import ROOT
 from handeye_ros import pipeline
-from handeye_ros.bags.recording import read
+from handeye_ros.bags.recording import read_bag
 from handeye_ros.config import Config
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node import live as lives
@@ -309,7 +309,7 @@ def test_cleared_and_refused_answers_are_withdrawn() -> None:
 
 def test_one_pass_alone_has_a_review() -> None:
     config = set_to(Config(), sampling__mode='moving')
-    bag = read(ROOT / 'bags' / 'plate_sweep', config)
+    bag = read_bag(ROOT / 'bags' / 'plate_sweep', config)
     end = bag.poses[0].stamp + 23 * 10**8
     live = fed(config, replace(SPHERE, profiles=tuple(p for p in bag.profiles if p.stamp < end),
                                poses=tuple(p for p in bag.poses if p.stamp < end)))

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from handeye_ros.bags.recording import read
+from handeye_ros.bags.recording import read_bag
 from handeye_ros.config import load
 from handeye_ros.errors import InputError
 from handeye_ros.pipeline import calibrate
@@ -62,7 +62,7 @@ def received_on(client: Client, kind: type, topic: str, qos: object = LATCHED) -
 
 def test_a_bag_through_the_node_gives_the_offline_result(tmp_path: Path, client: Client) -> None:
     settings, bag = load(PLATE), ROOT / 'bags' / 'plate'
-    recording = read(bag, settings)
+    recording = read_bag(bag, settings)
     offline = calibrate(recording.profiles, recording.poses, settings)
     n = offline.quality.samples_used + offline.quality.samples_rejected
     features = received_on(client, PointCloud2, '/handeye/features', 100)
@@ -122,7 +122,7 @@ def test_a_bag_through_the_node_gives_the_offline_result(tmp_path: Path, client:
 @pytest.mark.skipif(TFMessage is None, reason='tf2_msgs is not built: make tf2_msgs')
 def test_poses_come_from_tf_and_tf_static_is_latched(tmp_path: Path, client: Client) -> None:
     settings = load(SPHERE)
-    recording = read(ROOT / 'bags' / 'sphere', settings)
+    recording = read_bag(ROOT / 'bags' / 'sphere', settings)
     offline = calibrate(recording.profiles, recording.poses, settings)
     tree = client.node.create_publisher(TFMessage, '/tf', RELIABLE)
     clouds = [cloud(dict(zip('xz', profile.read().points.T, strict=True)),
@@ -170,7 +170,7 @@ def test_without_tf2_msgs_poses_from_tf_are_refused(tmp_path: Path) -> None:
 def test_a_session_corrects_the_arm_and_loses_no_profiles(tmp_path: Path, client: Client) -> None:
     pytest.importorskip('pinocchio', reason='needs pinocchio')
     bag = ROOT / 'bags' / 'arm'
-    recording = read(bag, load(SPHERE))
+    recording = read_bag(bag, load(SPHERE))
     n, end, sent = len(recording.profiles), recording.profiles[-1].stamp, 0
     with running_node(tmp_path, '-p', 'target.type:=sphere'):
         client.connect()

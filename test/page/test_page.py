@@ -156,9 +156,9 @@ def downloaded(browser: Any) -> None:
 
 def went_on(browser: Any, count: int) -> None:
     """Go on with the session before, with samples taken by hand."""
-    cell = json.loads(fetched(browser, 'read/cell'))
-    assert len(cell['sessions']) == 1
-    assert tuple(one['key'] for one in cell['settings']) == PAGE_SETTINGS  # in their order
+    setup = json.loads(fetched(browser, 'read/setup'))
+    assert len(setup['sessions']) == 1
+    assert tuple(one['key'] for one in setup['settings']) == PAGE_SETTINGS  # in their order
     wait(browser, "!document.getElementById('before').hidden", 'the banner')
     assert words(browser, 'before-text') == f'The previous session holds {count} samples.'
     click(browser, '#continue')

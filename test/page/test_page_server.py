@@ -22,7 +22,6 @@ from handeye_ros.errors import HandeyeError, InputError
 from live_sessions import fed, new, PARTS, SPHERE
 import pytest
 
-pytest.importorskip('rclpy', reason='needs rclpy')
 pytest.importorskip('aiohttp', reason='needs aiohttp')
 from handeye_ros.page import server as servers  # noqa: E402, I100
 from handeye_ros.page.contents import page_source, PageSource  # noqa: E402
@@ -33,12 +32,12 @@ pytestmark = pytest.mark.once
 PIECES = {  # of each file that it serves
     '': '<!DOCTYPE html>', 'page.css': ':root {', 'page.js': 'new EventSource(',
     'viewer.js': 'function turnable(', 'scene.js': 'function drawScene(',
-    'profile.js': 'function drawProfile(', 'cell.js': 'function readCell('}
+    'profile.js': 'function drawProfile(', 'setup.js': 'function readSetup('}
 KIND = {'Content_Type': 'application/json'}
 
 
-class Cell:
-    """What the buttons do here: they are counted; 'wait' goes on until it is let go."""
+class Buttons:
+    """What buttons do here: they are counted; 'wait' goes on until it is let go."""
 
     def __init__(self) -> None:
         self.asked: list[Mapping[str, Any]] = []
@@ -55,21 +54,22 @@ class Cell:
 
 @contextmanager
 def served(address: str = '127.0.0.1', state: Any = lambda: {'name': 'plate', 'count': math.nan}
-           ) -> Iterator[tuple[PageServer, Cell]]:
-    cell = Cell()
-    source = PageSource(state, {'take': cell.take, 'wait': cell.wait, 'break': lambda _: 1 / 0})
+           ) -> Iterator[tuple[PageServer, Buttons]]:
+    buttons = Buttons()
+    source = PageSource(state, {
+        'take': buttons.take, 'wait': buttons.wait, 'break': lambda _: 1 / 0})
     with TemporaryDirectory() as folder:
         try:
-            yield PageServer(source, address, free_port(), Path(folder) / 'token'), cell
+            yield PageServer(source, address, free_port(), Path(folder) / 'token'), buttons
         finally:
-            cell.go_on.set()
+            buttons.go_on.set()
 
 
 @pytest.fixture(scope='module')
-def server() -> Iterator[tuple[PageServer, Cell]]:
+def server() -> Iterator[tuple[PageServer, Buttons]]:
     """Give one server on this machine to all tests that change nothing of it."""
-    with served() as page_and_cell:
-        yield page_and_cell
+    with served() as page_and_buttons:
+        yield page_and_buttons
 
 
 def asked(page: PageServer, method: str, path: str, body: str | bytes | None = None,
@@ -90,8 +90,8 @@ def connected(page: PageServer, lines: ExitStack, request: str, body: bytes = b'
     return line
 
 
-def test_it_shows_the_page_and_acts(server: tuple[PageServer, Cell]) -> None:
-    page, cell = server
+def test_it_shows_the_page_and_acts(server: tuple[PageServer, Buttons]) -> None:
+    page, buttons = server
     assert PIECES.keys() == {'', *servers.ASSET_FILES}
     for name, piece in PIECES.items():
         status, text = asked(page, 'GET', f'/{name}')
@@ -99,7 +99,7 @@ def test_it_shows_the_page_and_acts(server: tuple[PageServer, Cell]) -> None:
         assert 'http://' not in text and 'https://' not in text, 'no file of another host'
     status, text = asked(page, 'POST', '/act/take', '{"number": 3}', **KIND)
     assert (status, json.loads(text)) == (200, {'success': True, 'message': 'sample 1 taken'})
-    assert cell.asked.pop() == {'number': 3}
+    assert buttons.asked.pop() == {'number': 3}
 
 
 @pytest.mark.parametrize(('method', 'path', 'body', 'headers', 'status'), [
@@ -121,9 +121,9 @@ def test_it_shows_the_page_and_acts(server: tuple[PageServer, Cell]) -> None:
                       {'Host': '[a]b'}, {'Host': 'a@localhost'}))])
 def test_what_is_no_request_or_of_another_origin_is_refused(
         server, method, path, body, headers, status):
-    page, cell = server
+    page, buttons = server
     assert asked(page, method, path, body, **headers)[0] == status
-    assert cell.asked == []
+    assert buttons.asked == []
 
 
 def test_what_is_no_http_is_refused_without_a_traceback(server, caplog):
@@ -153,16 +153,19 @@ def test_it_tells_what_failed_and_goes_on(capfd: pytest.CaptureFixture[str]) -> 
 
 
 def test_other_machines_need_the_token() -> None:
-    with served('0.0.0.0') as (page, cell):
+    with served('0.0.0.0') as (page, buttons):
         assert page.token and page.token not in page.url
         assert page.url == f'http://{socket.gethostname()}:{page.port}/'
         for path in ('/', '/events', '/page.js', '/?token=wrong', '/?token='):
             status, text = asked(page, 'GET', path)
             assert status == 401 and page.token not in text
         assert asked(page, 'POST', '/act/take', '{}', **KIND)[0] == 401
-        assert cell.asked == []
+        assert buttons.asked == []
         assert asked(page, 'GET', f'/?token={page.token}')[0] == 303
-        assert 'name="token"' in asked(page, 'GET', '/')[1], 'it asks for the token'
+        for path, is_wrong in (('/', False), ('/?token=', False), ('/?token=wrong', True)):
+            form = asked(page, 'GET', path)[1]
+            assert 'name="token"' in form, 'it asks for the token'
+            assert ('<p>This is a wrong token.</p>' in form) == is_wrong
         assert asked(page, 'GET', '/', Cookie=f'{page.cookie}=\xff')[0] == 401
         cookie = f'{page.cookie}={page.token}'
         for host in ('localhost:9000', f'cell.local:{page.port}', '192.168.0.7', '[::1]:1'):
@@ -180,7 +183,7 @@ def test_the_token_survives_a_restart_in_a_file_of_the_user_alone(tmp_path: Path
     assert read_or_write_token(file) != token and not file.stat().st_mode & 0o077
 
 
-def test_events_come_as_json(server: tuple[PageServer, Cell]) -> None:
+def test_events_come_as_json(server: tuple[PageServer, Buttons]) -> None:
     with ExitStack() as lines:
         line = connected(server[0], lines, 'GET /events', b'\r\n')
         stream = lines.enter_context(line.makefile('rb'))
@@ -190,7 +193,7 @@ def test_events_come_as_json(server: tuple[PageServer, Cell]) -> None:
 
 def test_what_takes_long_or_never_ends_keeps_nobody_else_waiting(caplog):
     head = b'Content-Length: 9\r\nContent-Type: application/json\r\n\r\n{'
-    with served() as (page, cell), ExitStack() as lines:
+    with served() as (page, buttons), ExitStack() as lines:
         answers: list[tuple[int, str]] = []
         threads = [threading.Thread(target=lambda: answers.append(
             asked(page, 'POST', '/act/wait', '{}', **KIND))) for _ in range(4)]
@@ -200,9 +203,9 @@ def test_what_takes_long_or_never_ends_keeps_nobody_else_waiting(caplog):
         assert asked(page, 'POST', '/act/take', '{}', **KIND)[0] == 200
         waiting[-1].close()  # one breaks off
         assert asked(page, 'POST', '/act/take', '{}', **KIND)[0] == 200
-        assert len(cell.asked) == 2
+        assert len(buttons.asked) == 2
         assert waiting[0].recv(100).startswith(b'HTTP/1.1 408 ')  # within some seconds
-        cell.go_on.set()
+        buttons.go_on.set()
         for thread in threads:
             thread.join()
         assert [(status, json.loads(text)) for status, text in answers] == [
@@ -210,7 +213,7 @@ def test_what_takes_long_or_never_ends_keeps_nobody_else_waiting(caplog):
     assert 'Traceback' not in caplog.text
 
 
-def test_a_port_in_use_and_an_address_that_is_none(server: tuple[PageServer, Cell]) -> None:
+def test_a_port_in_use_and_an_address_that_is_none(server: tuple[PageServer, Buttons]) -> None:
     with pytest.raises(InputError, match='set page.port to another'):
         PageServer(PageSource(dict, {}), '127.0.0.1', server[0].port, Path())
     with pytest.raises(InputError, match='expected an IP address'):
@@ -223,5 +226,5 @@ def test_a_damaged_session_hides_no_setting_and_no_other_session(tmp_path: Path)
     file = files_of(folder)[1]
     file.write_bytes(file.read_bytes()[:1000])
     node = SimpleNamespace(live=new(config), streams=SimpleNamespace(topics_of=lambda kind: []))
-    cell = page_source(node).queries['cell']({})
-    assert (cell['sessions'], cell['previous']) == ([folder.name], 0) and cell['settings']
+    setup = page_source(node).queries['setup']({})
+    assert (setup['sessions'], setup['previous']) == ([folder.name], 0) and setup['settings']

@@ -11,7 +11,7 @@ from typing import Any
 
 from command import chromium, handeye, PLATE, ROOT, succeeds
 from handeye_ros import config, se3
-from handeye_ros.bags.recording import read
+from handeye_ros.bags.recording import read_bag
 from handeye_ros.data import Calibration
 from handeye_ros.results import calibration_file, report
 from handeye_ros.results.report import SolvedRecording, std_of_points, verdict
@@ -172,7 +172,7 @@ def test_a_recording_in_several_files_is_shown_whole(calibration: Calibration, t
     _, messages = scan(BAG)
     for k in range(3):
         rewrite(BAG, tmp_path / f'plate_{k}.mcap', messages[k * 1100:(k + 1) * 1100])
-    inputs = read(tmp_path, config.load(PLATE)).inputs
+    inputs = read_bag(tmp_path, config.load(PLATE)).inputs
     named = replace(calibration, provenance={**calibration.provenance, 'inputs': inputs})
     recording = solved_recording(named, None)
     assert len(inputs) == 3 and len(recording.stops) == len(calibration.samples)

@@ -11,7 +11,7 @@ from cells import ONE_IN_1000, squared_error
 from command import assert_refused, bench_of, handeye, ROOT, succeeds
 from handeye_ros import pipeline, se3
 from handeye_ros.arm import ALL_KINDS, arm_of, corrected_urdf, read_arm, read_urdf
-from handeye_ros.bags.recording import read
+from handeye_ros.bags.recording import read_bag
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem
@@ -245,7 +245,7 @@ def recorded():
     """Return the arm, the session and the joint values of the recording in bags/."""
     arm, config = read_urdf(ROOT / 'bags/arm/robot.urdf')[1], Config(
         target=TargetConfig(type='sphere'))
-    recording = read(ROOT / 'bags/arm', config, arm=arm)
+    recording = read_bag(ROOT / 'bags/arm', config, arm=arm)
     return arm, pipeline.gather(recording.profiles, recording.poses, config), recording, config
 
 

@@ -15,7 +15,6 @@ import command
 from command import assert_refused, ROOT
 from handeye_ros import read_bag, se3, tabulated
 from handeye_ros.bags import writer
-from handeye_ros.cli.recordings import write_simulated
 from handeye_ros.compare import compare_files
 from handeye_ros.config import load, with_assignments, with_values
 from handeye_ros.csv_tables import CsvTable
@@ -25,6 +24,7 @@ from handeye_ros.results import calibration_file
 from handeye_ros.results.truth import errors_against, true_transform
 from handeye_ros.simulate import FILE_SCENES, tables
 from handeye_ros.simulate.scenario import SensorModel
+from handeye_ros.simulate.write import write_simulated
 from handeye_ros.tabulated import FILE_TARGETS
 from handeye_ros.tabulated.problem import calibrate_table, TableProblem
 import numpy as np
@@ -66,7 +66,7 @@ EXACT: dict[str, Callable[[np.random.Generator], tables.SimulatedFiles]] = {
 def read_configured(name: str, folder: Path) -> TableProblem:
     """Return what is read of a scene in a folder."""
     path, _, file, _, assignment = map(str, given(name, folder))
-    return tabulated.read(Path(path), with_assignments(load(Path(file)), [assignment]))
+    return tabulated.read_table(Path(path), with_assignments(load(Path(file)), [assignment]))
 
 
 @pytest.mark.parametrize('name', [name for name in FILE_SCENES if name != 'tracker'])

@@ -65,7 +65,8 @@ def test_of_a_block_on_a_surface_plate_the_nearest_surface_is_taken():
         scenario = replace(SCENARIOS['plane'], stops=(20, 0), tilt=bench.TILT,
                            target=PlateTarget(size, table=table, clutter=None))
         place = T @ se3.transform(np.eye(3), np.array([0, 0, z]))
-        passes.append(bench.take(scenario, X, place, SCENES['plane'].stops(scenario, rng), rng))
+        placed = SCENES['plane'].placements(scenario, rng)
+        passes.append(bench.take(scenario, X, place, placed, rng))
     artefact = bench.Artefact((), X, (0.025,), passes=tuple(passes))
     calibration = bench.calibration(X, bench.covariance(rng))
     X_off = se3.perturb(X, np.array([1e-3, 0, 0, 0, 9e-3, 0]))

@@ -362,7 +362,7 @@ async function clearAll() {
   if (await sure(`Clear all samples (${count}), and begin a new session?`) &&
       await sure(`Really? All samples (${count}) and the answer will be gone.`)) {
     await ask('clear_samples', {}, $('clear'));
-    readCell();
+    readSetup();
   }
 }
 
@@ -402,7 +402,7 @@ let events = null;
 
 function connect() {
   events = new EventSource('events');
-  events.onopen = readCell;  // of cell.js: also when the node was started anew
+  events.onopen = readSetup;  // of setup.js: also when the node was started anew
   events.onmessage = event => {
     const state = JSON.parse(event.data);
     if (state.error) text('link', state.error); else show(state);

@@ -33,8 +33,8 @@ function setting({ key, value, description, choices }) {
   return made;
 }
 
-async function readCell() {
-  const answer = await fetch('read/cell').catch(() => null);
+async function readSetup() {
+  const answer = await fetch('read/setup').catch(() => null);
   if (!answer) return;
   if (!answer.ok) {
     say((await answer.json()).message, false);
@@ -44,12 +44,12 @@ async function readCell() {
   nominalKeys = nominal_keys;
   const edited = Object.entries(valuesOf('verify-form'));
   const parts = verify => settings.filter(s => NAMES[s.key] && s.key.startsWith('verify.') === verify);
-  $('cell-form').replaceChildren(...parts(false).map(s => {
+  $('setup-form').replaceChildren(...parts(false).map(s => {
     const made = setting(s), button = element('button', 'Set');
     button.type = 'button';
     button.addEventListener('click', async () => {
       await ask('set', { [s.key]: made.querySelector('input, select').value }, button);
-      readCell();
+      readSetup();
     });
     made.insertBefore(button, made.lastChild);
     return made;
@@ -88,7 +88,7 @@ async function startVerification() {
   const values = running ? {} : valuesOf('verify-form');
   if (!Object.keys(values).length || await ask('set', values, button)) {
     await ask('verify_start', {}, button);
-    readCell();
+    readSetup();
   }
 }
 
@@ -105,18 +105,18 @@ function showVerification({ running, next_recording, verdict, title, figures }) 
 $('verify-form').addEventListener('submit', event => event.preventDefault());
 $('verify-start').addEventListener('click', startVerification);
 $('verify-result').addEventListener('click', () => ask('verify_result', {}, $('verify-result')));
-$('cell-form').addEventListener('submit', event => event.preventDefault());
-$('cell-open').addEventListener('toggle', () => $('cell-open').open && readCell());
+$('setup-form').addEventListener('submit', event => event.preventDefault());
+$('setup-open').addEventListener('toggle', () => $('setup-open').open && readSetup());
 $('choose').addEventListener('click', () => {
-  $('cell-open').open = true;
-  $('cell-card').scrollIntoView();
+  $('setup-open').open = true;
+  $('setup-card').scrollIntoView();
 });
 for (const name of ['open', 'continue']) {
   $(name).addEventListener('click', async () => {
     // the last used one is the first of the list
     const { value } = name === 'open' ? $('sessions') : $('sessions').options[0];
     await ask('open', { session: value }, $(name));
-    readCell();
+    readSetup();
   });
 }
 $('new').addEventListener('click', clearAll);
