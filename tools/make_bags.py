@@ -7,7 +7,7 @@ from __future__ import annotations
 from pathlib import Path
 import sys
 
-from handeye_ros.simulate.write import write_simulated
+from handeye_ros.cli.simulated import write_simulated
 
 # bag: scenario, seed
 BAGS = {

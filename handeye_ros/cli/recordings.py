@@ -96,7 +96,7 @@ def replay(
 
 def _scenarios() -> list[str]:
     """Return the names of all that can be simulated."""
-    from handeye_ros.simulate.write import names
+    from handeye_ros.cli.simulated import names
     return names()
 
 
@@ -120,7 +120,7 @@ def simulate(
     """Make a recording with a known answer."""
     if scenario not in _scenarios():
         raise UnknownNameError('scenario', scenario, _scenarios(), 'handeye simulate --list')
-    from handeye_ros.simulate.write import write_simulated
+    from handeye_ros.cli.simulated import write_simulated
     with progress_bar('simulating'):
         content = write_simulated(scenario, seed, directory, force)
     typer.echo(f'wrote {directory.absolute()}: {content}')

@@ -15,6 +15,7 @@ import command
 from command import assert_refused, ROOT
 from handeye_ros import read_bag, se3, tabulated
 from handeye_ros.bags import writer
+from handeye_ros.cli.simulated import write_simulated
 from handeye_ros.compare import compare_files
 from handeye_ros.config import load, with_assignments, with_values
 from handeye_ros.csv_tables import CsvTable
@@ -24,7 +25,6 @@ from handeye_ros.results import calibration_file
 from handeye_ros.results.truth import errors_against, true_transform
 from handeye_ros.simulate import FILE_SCENES, tables
 from handeye_ros.simulate.scenario import SensorModel
-from handeye_ros.simulate.write import write_simulated
 from handeye_ros.tabulated import FILE_TARGETS
 from handeye_ros.tabulated.problem import calibrate_table, TableProblem
 import numpy as np
