@@ -41,7 +41,7 @@ MAX_POINTS = 200_000  # measured points of which residuals are computed
 MAX_FOLDS = 20  # of the left-out residuals
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
              'crosses the edge at too small an angle')
-# of a bend or a drift to note it, and of a scale to refuse it; of a measure to note it
+# of a bend or a drift to note it, of a scale to refuse it; of a measure or a scale to note it
 SURE_SIGMAS, NOTED_SIGMAS = 4.0, 3.0
 MIN_BEND = 3e-5  # m, told
 LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
@@ -283,13 +283,18 @@ def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
 
 
 def notes_of(solution: Solution, config: Config) -> Iterator[str]:
-    """Yield the remarks on an answer in words: clocks, laser, target, edges, surfaces."""
+    """Yield the remarks on an answer in words: clocks, laser, lengths, target, edges, surfaces."""
     yield from clock_notes(solution)
-    bend = block_estimates(solution.report_posterior).get(LINE_BEND)
+    estimates = block_estimates(solution.report_posterior)
+    bend, scale = estimates.get(LINE_BEND), estimates.get('robot_scale')
     if bend and abs(bend.significance) > SURE_SIGMAS and abs(bend.value) > MIN_BEND:
         yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
                f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '
                'the transform is that of the plane which fits it best')
+    if scale and abs(scale.sigmas_off_stated) > NOTED_SIGMAS:
+        yield (f'the lengths of robot and sensor differ by {100 * abs(scale.value):.2f} +- '
+               f'{100 * scale.std:.2f} %, more than noise.robot_scale states: measure a known '
+               'length with each')
     yield from _measure_notes(solution, config)
     if unused_edges := unused_edges_in_words(solution):
         yield unused_edges

@@ -118,7 +118,8 @@ def scale_hypotheses(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypo
         T[:, :3, 3] /= 1 + scale
         rescaled = explain_problem(replace(problem, poses=mount_poses(T, problem.config)), stamps)
         std = float(covariance[0, 0] * rescaled.reduced_chi_squared) ** 0.5
-        yield Hypothesis(rescaled, _scale_refusal(abs(scale), std))
+        if abs(scale) > SURE_SIGMAS * std:
+            yield Hypothesis(rescaled, _scale_refusal(abs(scale), std))
 
 
 def require_one_scale(solution: Solution) -> None:

@@ -155,7 +155,7 @@ class PageServer:
             if self.token and not hmac.compare_digest(token.encode(errors='replace'),
                                                       self.token.encode()):
                 if request.path == '/':
-                    return _login(is_wrong=bool(token))
+                    return _login(is_wrong=bool(request.query.get('token', '').strip()))
                 if request.path == '/page.css':
                     return await _asset('page.css')
                 return _sentence(401, 'the token is missing or wrong')

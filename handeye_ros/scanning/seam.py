@@ -32,6 +32,7 @@ FRAME_COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'gap', 'mismat
                  'std')
 NEARBY_LENGTH = 0.01  # m along the seam: sections within it give the residual at a frame
 DEFAULT_WIDEST = 0.012  # m between the edges of a seam, as the verb has it too
+MAX_SPACING = 0.012  # m between points: more are of a cloud in mm
 MAX_CLOUD_POINTS = 400_000  # largest number of points of a cloud that are used
 MIN_POINTS = 500  # smallest number
 # largest 1 sigma of position (m) and approach of an end frame
@@ -115,7 +116,7 @@ def find_seam(points: Array, widest: float = DEFAULT_WIDEST,
                         f'{MIN_POINTS}: scan more densely, or widen --box')
     up = -np.asarray(towards)
     sheets = sheets_of(points, up)
-    if sheets.spacing > widest:
+    if sheets.spacing > MAX_SPACING:
         raise DataError(f'no seam: the points are {sheets.spacing:.3g} m apart, if the cloud is '
                         'in metres: give one in metres, or scan more densely')
     rough_seam = rough_seam_of(sheets, widest, up)

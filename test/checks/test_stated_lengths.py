@@ -163,6 +163,12 @@ def test_lengths_that_differ_little_are_named(seed: int) -> None:
         solved(SCENARIOS['wedge'], seed, 1.006)
 
 
+def test_lengths_that_may_differ_are_noted() -> None:
+    calibration, error = solved(SCENARIOS['sphere'], 7, 1.003)
+    assert calibration.target['scale'] == pytest.approx(1.003, abs=1e-3) and error < 5e-4
+    assert 'lengths of robot and sensor differ by 0.2' in calibration.target['note']
+
+
 def test_a_scale_is_no_move_of_a_few_samples() -> None:
     line_cell = cell('line', 2)
     with refused('scale'):

@@ -384,7 +384,7 @@ def test_the_verb_writes_what_others_read(tmp_path):
     assert [p.position.x for p in poses.poses] == pytest.approx(list(rows['x']), abs=1e-8)
     assert [p.pose.orientation.w for p in path.poses] == pytest.approx(list(rows['qw']), abs=1e-8)
     for words, code, sentence in (
-            (('c.pcd', '--widest', '0.5mm'), 3, 'no seam'), (('bag',), 2, '--calibration'),
+            (('c.pcd', '--widest', '0.5mm'), 3, '--widest'), (('bag',), 2, '--calibration'),
             (('c.pcd', '--pitch', '5'), 2, '5mm, or 5m if'),
             (('c.pcd', '--widest', '0mm'), 2, 'at least 0.1 mm'),
             (('c.pcd', '--towards', '0', '0', '0'), 2, 'a direction'),
