@@ -19,8 +19,6 @@ PYTEST := -m pytest -p xdist --dist worksteal -p pytest_instafail --instafail \
     -p pytest_timeout --timeout 200 --timeout-method thread
 # The workers share the processors; the matrices are small.
 export OPENBLAS_NUM_THREADS := 1
-# Each of the many processes of the tests would compile the package anew.
-unexport PYTHONDONTWRITEBYTECODE
 # What the ROS wheels set for a process of theirs must not reach another environment's.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 

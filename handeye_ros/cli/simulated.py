@@ -20,11 +20,6 @@ from numpy.lib.recfunctions import unstructured_to_structured
 PREFORM_FILE = 'preform.ply'
 
 
-def names() -> list[str]:
-    """Return the names of all that can be simulated."""
-    return [*dict.fromkeys([*SCENARIOS, *FILE_SCENES, *FAULTS]), MEASURING_CELL]
-
-
 def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> str:
     """
     Write the folder of a scenario, of a scene of files or of MEASURING_CELL.

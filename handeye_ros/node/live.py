@@ -589,7 +589,6 @@ class LiveSession:
         if other_topics:
             self._replace_session(self.files, Session(config, self.session.last_number),
                                   'the topics were changed')
-            self.message_counts = new_counts()
         with self.lock:
             self.session.configure(config)
         if config.verify.routine != old.verify.routine:

@@ -19,7 +19,7 @@ from handeye_ros.node.folders import OutputFolders, PARAMETER_SOURCE, settings_a
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.outputs import log_new_warnings, Outputs
 from handeye_ros.node.pool import Pool
-from handeye_ros.node.state import new_counts, State, state_of, troubles_of, with_troubles
+from handeye_ros.node.state import State, state_of, troubles_of, with_troubles
 from handeye_ros.node.streams import Streams
 from handeye_ros.output import folder_name, write_errors_for
 from handeye_ros.sampling.session import Session
@@ -76,7 +76,6 @@ class HandeyeNode(Node):
         elif config.session:
             self.get_logger().warning(f'there is no session in {folders.root(config)} (of '
                                       'name, where it is set): a new one begins')
-        live.message_counts = new_counts()  # opening a session takes its time: silence begins now
         self.streams = Streams(self, live, live.add_joints)
         live.restart_streams = lambda: self.streams.restart()
         self.outputs.publish_changes()

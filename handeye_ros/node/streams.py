@@ -24,7 +24,7 @@ from handeye_ros.bags.transforms import FlangeFollower
 from handeye_ros.config import Config
 from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import InputError, INSTALL_TF2, sentence_and_log
-from handeye_ros.node.state import MessageCount
+from handeye_ros.node.state import MessageCount, new_counts
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -68,7 +68,8 @@ class Receiver(Protocol):
     """
     Takes what the topics of its settings bring, in the thread that reads them.
 
-    message_counts: of profiles and poses, by kind; the receiver counts the usable ones
+    message_counts: of profiles and poses, by kind, which Streams begins anew; the receiver counts
+        the usable ones
     """
 
     message_counts: dict[str, MessageCount]
@@ -121,11 +122,12 @@ class Streams:
     def __init__(self, node: Node, receiver: Receiver,
                  add_joints: Callable[[int, bytes], None] | None = None) -> None:
         """
-        Subscribe, and begin to read; raises InputError.
+        Subscribe, and begin to read and to count messages anew; raises InputError.
 
         add_joints: takes stamp (ns) and serialised JointState, of which no pose is made.
         """
         self._node, self._receiver, self._add_joints = node, receiver, add_joints
+        receiver.message_counts = new_counts()  # silence begins now
         config, self._group = receiver.config, UnexecutedGroup()
         self._profile_reader = ProfileReader(config.profile)
         self._follower = FlangeFollower(config.base_frame, config.robot_effector_frame,

@@ -151,7 +151,7 @@ class NoEdgeError(FeatureError):
 
 GAP_COLUMNS = 3  # missing returns beyond a face that make its end an edge
 VIEW_MARGIN = 1e-3  # smallest distance of an edge from the end of the view (m)
-AT_NEARER = 'at something nearer'  # how a face ends there
+AT_NEARER = 'at something nearer'  # where a face ends without an edge
 
 
 def edge_at(end: FaceEnd) -> EdgePoint:

@@ -64,7 +64,7 @@ def tool_frame(calibration: Calibration, vendor: str, comment_start: str, lines:
     Return the sensor's pose as named numbers, and as a line of a robot program.
 
     comment_start: the start of a comment; lines: with {xyz}, {angles}, and {x}, {a} and so on, the
-    second one for a sensor beside the robot.
+    last one for a sensor beside the robot.
     """
     notation, T = notation_of(vendor), calibration.T_flange_sensor
     angles = np.ravel(notation.to_numbers(Rotation.from_matrix(T[:3, :3])))
@@ -76,7 +76,7 @@ def tool_frame(calibration: Calibration, vendor: str, comment_start: str, lines:
     rows = [*preamble(calibration, f'{notation.title}.'), *(
         f'{name.upper():3} {text} {unit}'.rstrip()
         for name, text, unit in zip(names, texts, units, strict=True))]
-    line = lines[len(lines) > 1 and not config_of(calibration).in_hand]
+    line = lines[0] if config_of(calibration).in_hand else lines[-1]
     program = line.format(**dict(zip(names, texts, strict=True)), xyz=','.join(texts[:3]),
                           angles=','.join(texts[3:]))
     return ''.join(f'{comment_start}{row}\n' for row in rows) + f'{program}\n'

@@ -105,8 +105,8 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> C
     # first a stiff one alone, which does not follow outliers
     for tried in (pieces[:1], pieces[:2], pieces, pieces):
         if inliers.sum() < 4:
-            raise DataError(f'{count_of(int(inliers.sum()), "point")} of a curve (a seam: places) '
-                            'that needs four: scan more densely, or a longer part of it')
+            raise DataError(f'{count_of(int(inliers.sum()), "point")} agree on a curve, and it '
+                            'needs four: scan more densely, or a longer part of it')
         fits = (_spline_through(t[inliers], points[inliers], count) for count in tried)
         curve = min(fits, key=itemgetter(0))[1]
         distance = np.linalg.norm(curve.position(t) - points, axis=1)

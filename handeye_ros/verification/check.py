@@ -203,12 +203,13 @@ def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Rej
         prediction.residuals, prediction.errors)
     odds = dict(zip(CAUSES, softmax(log_likelihoods).tolist(), strict=True))
     off = rms(prediction.linear.residuals)
-    verdict, sentence = (
-        _verdict_of_change(target, sensor, odds, off) if log_evidence >= math.log(MIN_EVIDENCE)
-        else ('unchanged', (
+    if log_evidence >= math.log(MIN_EVIDENCE):
+        verdict, sentence = _verdict_of_change(target, sensor, odds, off)
+    else:
+        verdict, sentence = 'unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
             f'have shown from {_shifts_in_words(target.move, target_frame(config))} on, one of '
-            f'the sensor from {_shifts_in_words(sensor.move, mount_frame(config))} on')))
+            f'the sensor from {_shifts_in_words(sensor.move, mount_frame(config))} on')
 
     # the numbers of the stops or passes that hold what was dropped
     in_order = sorted(pass_stamps or [
