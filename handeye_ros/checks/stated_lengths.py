@@ -15,10 +15,7 @@ from handeye_ros.checks.hypotheses import explain_problem, Explanation, Hypothes
 from handeye_ros.checks.moved import possible_move, require_no_sure_move
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import scale_twists
-from handeye_ros.estimation.least_squares import (
-    covariance_from_jacobian,
-    leave_one_out_residuals,
-)
+from handeye_ros.estimation.least_squares import covariance_from_jacobian
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import (
     CONVINCING_SQUARE,
@@ -32,8 +29,6 @@ import numpy as np
 VERY_STRONG_EVIDENCE = 10.0  # twice the log of a Bayes factor (Kass and Raftery)
 FREED_FROM_SIGMAS = 2.5  # an estimated length is used; it costs little where the stated is right
 MIN_SCALE_ERROR, MAX_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
-# of a scale error without any one station: one with a wrong pose may look like a scale
-MIN_SHARE_WITHOUT_ONE = 0.5
 
 
 def with_free_measure_if_needed(solution: Solution, problem: Problem, rng: np.random.Generator,
@@ -94,7 +89,7 @@ def _shows_scale(estimates: Mapping[str, BlockEstimate]) -> bool:
 
 def scale_hypotheses(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypothesis]:
     """
-    Yield the hypothesis that robot and sensor differ in scale, if more than one station shows it.
+    Yield the hypothesis that robot and sensor differ in scale, if that is sure: a wrong pose may look like one.
 
     The scale is solved for to first order, together with the stated measures of the target, so
     that a wrong measure is not taken for a scale. stamps: of the stations.
@@ -106,14 +101,8 @@ def scale_hypotheses(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypo
     wrt_scale = -posterior.linear.wrt_twists(scale_twists(posterior.problem))
     J = np.hstack([posterior.whitening(np.hstack([wrt_scale, wrt_measures])), posterior.jacobian])
     covariance = covariance_from_jacobian(J)
-    cross_covariance, station = J @ covariance, posterior.problem.observations.station
-    residuals = posterior.postfit_residuals
-    scale = float(cross_covariance[:, 0] @ residuals)
-    residuals = residuals - cross_covariance @ (J.T @ residuals)
-    left_out = leave_one_out_residuals(residuals, J, cross_covariance, station)
-    without = scale - np.bincount(station, left_out * cross_covariance[:, 0])
-    shown_by_several = (np.sign(scale) * without).min() > MIN_SHARE_WITHOUT_ONE * abs(scale)
-    if MIN_SCALE_ERROR < abs(scale) < MAX_SCALE_ERROR and shown_by_several:
+    scale = float(covariance[0] @ (J.T @ posterior.postfit_residuals))
+    if MIN_SCALE_ERROR < abs(scale) < MAX_SCALE_ERROR:
         T = problem.robot_poses.copy()
         T[:, :3, 3] /= 1 + scale
         rescaled = explain_problem(replace(problem, poses=mount_poses(T, problem.config)), stamps)
