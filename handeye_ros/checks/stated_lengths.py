@@ -89,7 +89,7 @@ def _shows_scale(estimates: Mapping[str, BlockEstimate]) -> bool:
 
 def scale_hypotheses(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypothesis]:
     """
-    Yield the hypothesis that robot and sensor differ in scale, if that is sure: a wrong pose may look like one.
+    Yield the hypothesis that robot and sensor differ in scale, if they surely do.
 
     The scale is solved for to first order, together with the stated measures of the target, so
     that a wrong measure is not taken for a scale. stamps: of the stations.
