@@ -43,7 +43,7 @@ ONLY_FACE = ('only its face was used: its edge point lies on no edge of the targ
              'crosses the edge at too small an angle')
 # of a bend or a drift to note it, of a scale to refuse it; of a measure or a scale to note it
 SURE_SIGMAS, NOTED_SIGMAS = 4.0, 3.0
-MIN_BEND = 3e-5  # m, told
+MIN_BEND = 3e-5  # m: a smaller bend is not noted
 LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
 
 
@@ -123,7 +123,8 @@ def _values_for_check(solution: Solution) -> dict[str, Any]:
     Return the values for a later check: target state, joint covariance, factors of the noise.
 
     The covariance (6 + k, 6 + k) is of the errors of the transform and of the target's parameters
-    as the data show them, so that errors in common cancel.
+    as the data show them, so that errors in common cancel: that of the posterior of the estimate,
+    not of the report, without nuisance parameters; 0 for stated measures.
     """
     problem, posterior = solution.problem, solution.posterior
     size, free = 6 + len(problem.target.parameter_names), problem.free_columns

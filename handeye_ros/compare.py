@@ -39,7 +39,8 @@ from rich.text import Text
 
 FOLD_COUNT = 10
 FORMAT = 'handeye_ros/comparison/1'
-ESTIMATOR_FAILURES = (DataError, np.linalg.LinAlgError)  # of an estimator
+# LinAlgError: of a published method whose matrix is singular
+ESTIMATOR_FAILURES = (DataError, np.linalg.LinAlgError)
 ROW_FIGURES = {  # of a row: the head of its column, in which unit, with how many digits
     'residual_rms': ('residual\nmm', 1e3, 4),
     'holdout_rms': ('left out\nmm', 1e3, 4),

@@ -8,10 +8,10 @@ the refusal that names what was changed. `refuse_by_best` compares hypotheses wi
 as configured, and raises the refusal of the best one if it is decisively better.
 
 The score is the left-out square of each stop, which pays for unknowns by itself (Geisser and Eddy
-1979, JASA 74:153). With q_i the one of stop i, (12), v the mean of those
+1979, JASA 74:153). With left_out_i the one of stop i, (12), mean the mean of those
 explained (0.01 to 64) and m conditions a stop, the deviance of a fit is, (13),
 
-    m sum_i min(log v + q_i / v, log 64 + 1)
+    m sum_i min(log mean + left_out_i / mean, log 64 + 1)
 
 A stop that a fit leaves out, or whose edge it leaves out, or that alone determines one of its
 unknowns, counts as one that is off by 8 sigma. A difference of 23 is odds of 10^5 (Kass and
@@ -62,7 +62,7 @@ class Explanation:
     stamps: of the samples of all stops that are to be explained; of a sweep, of profiles
     solutions: one of all stops, or one for each of two parts of the recording; none where nothing
         fits
-    left_out_squares: (2,) q of (13), in sigmas and in m^2, of each explained stop by its stamp
+    left_out_squares: (2,), (12), in sigmas and in m^2, of each explained stop by its stamp
     """
 
     stamps: Sequence[int]
@@ -73,8 +73,8 @@ class Explanation:
     def of_solutions(cls, stamps: Sequence[int], *solutions: Solution) -> Explanation:
         """Return the explanation by solutions; their stations, in this order, are the stops."""
         squares = np.vstack([_left_out_squares(solution) for solution in solutions])
-        return cls(stamps, solutions, {stamp: q for stamp, q in zip(stamps, squares, strict=True)
-                                       if np.isfinite(q[0])})
+        return cls(stamps, solutions, {stamp: both for stamp, both in zip(
+            stamps, squares, strict=True) if np.isfinite(both[0])})
 
     @property
     def reduced_chi_squared(self) -> float:
@@ -144,16 +144,21 @@ class Explanation:
 
 
 def _left_out_squares(solution: Solution) -> Array:
-    """Return q of (13), (n, 2), of all stations of a solution, inf where it explains none."""
+    """
+    Return the left-out squares (n, 2) of all stations of a solution, inf where it explains none.
+
+    In sigmas, (12), and in m^2.
+    """
     posterior, n = solution.posterior, len(solution.used_stations)
     station = posterior.problem.observations.station
     whitened, metres = (np.bincount(station, residuals ** 2, minlength=n) for residuals in (
         posterior.postfit_residuals, posterior.linear.residuals))
-    q = np.full((len(solution.full_problem.poses), 2), np.inf)
-    q[solution.used_stations] = posterior.left_out_squares()[0][:, None] * np.column_stack(
+    left_out = np.full((len(solution.full_problem.poses), 2), np.inf)
+    left_out[solution.used_stations] = posterior.left_out_squares()[0][:, None] * np.column_stack(
         [np.ones(n), metres / np.maximum(whitened, 1e-300)])
-    q[solution.stations_with_unused_edges] = q[solution.indispensable_stations] = np.inf
-    return q
+    left_out[solution.stations_with_unused_edges] = np.inf
+    left_out[solution.indispensable_stations] = np.inf
+    return left_out
 
 
 def stops_to_explain(session: Session) -> list[Stop]:
@@ -196,13 +201,13 @@ def explain_samples(samples: Sequence[Sample], config: Config, stamps: Sequence[
     return replace(explanation, stamps=stamps)
 
 
-def stops_deviance(q: Array, conditions: int) -> float:
-    """Return the deviance of a fit, (13); q: (n,) of its stops, inf: not explained."""
-    explained = q[np.isfinite(q)]
-    v = float(np.clip(explained.mean() if len(explained) else UNEXPLAINED_CHI2,
-                      MIN_CHI2, UNEXPLAINED_CHI2))
-    return float(
-        conditions * np.minimum(math.log(v) + q / v, math.log(UNEXPLAINED_CHI2) + 1).sum())
+def stops_deviance(left_out: Array, conditions: int) -> float:
+    """Return the deviance of a fit, (13), by left-out squares (n,), inf: not explained."""
+    explained = left_out[np.isfinite(left_out)]
+    mean = float(np.clip(explained.mean() if len(explained) else UNEXPLAINED_CHI2,
+                         MIN_CHI2, UNEXPLAINED_CHI2))
+    return float(conditions * np.minimum(
+        math.log(mean) + left_out / mean, math.log(UNEXPLAINED_CHI2) + 1).sum())
 
 
 @dataclass(frozen=True, eq=False)

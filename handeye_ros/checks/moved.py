@@ -186,7 +186,7 @@ class Move:
     A move of sensor or target before one of the stations that a solution uses.
 
     solution: that is tested
-    body: SENSOR, in the mount, or TARGET, in the base
+    body: SENSOR, in the mount, or TARGET, in the frame that it is fixed in
     station: the first one after the move, of those used
     moved: its posterior with the move as two more blocks, noise and taus estimated again
     unmoved: the same without the move
@@ -215,7 +215,8 @@ class Move:
         """
         Return the translation (m) and rotation vector (rad) of the move, (6,).
 
-        Of the sensor in the axes of the mount, of the target in those of the base; see _levers.
+        Of the sensor in the axes of the mount, of the target in those of the frame that it is
+        fixed in; see _levers.
         """
         return np.asarray(self.moved.nuisance[:6] * MOVE_STD)  # its blocks are the first
 

@@ -56,7 +56,8 @@ def setting_hypotheses(session: Session, config: Config, baseline: Explanation
         tried = explain_samples(samples_as(changed, MAX_PROFILES), changed, stamps)
         if changed.target.type == 'plane':  # it does not explain the edges that are seen now
             tried = replace(tried, left_out_squares={
-                stamp: q for stamp, q in tried.left_out_squares.items() if stamp not in show_edge})
+                stamp: left_out for stamp, left_out in tried.left_out_squares.items()
+                if stamp not in show_edge})
         if tried.believable and tried.within_noise and all(
                 solution.posterior.is_determined and not len(solution.indispensable_stations)
                 for solution in tried.solutions):

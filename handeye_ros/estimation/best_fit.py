@@ -39,7 +39,7 @@ def best_fit_motions(linear: Linearisation, blocks: Sequence[ParameterBlock]) ->
 
 def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
     """
-    Return the rigid motion (3, k) of the plane that fits each field of bending best.
+    Return the rigid motion (3, k) of the plane that fits each field of distortion_fields best.
 
     Rows: along x, along z, and the turn about the origin. It is the best fit over the field of
     view minus the best fit over the points (m, 2). The field of view is 1.25 times the bounding

@@ -55,7 +55,8 @@ class NoiseModel:
 
     variance_factors: (5,), see FACE_INDEX
     block_variances: tau^2 of blocks by name; 1 of those not named
-    blocks_as_noise: whether blocks count as errors of each station
+    blocks_as_noise: whether distortion, the robot's smooth error and the target's feature_errors
+        count as errors of each station, and all other blocks are left out
     """
 
     variance_factors: Array = field(default_factory=lambda: np.ones(5))

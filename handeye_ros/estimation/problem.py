@@ -4,7 +4,10 @@
 What is observed of a target, the problem, and its residuals and derivatives: (1), (2).
 
 A point s = (x, 0, z) of the sensor plane is mapped to the base, p = R_i (X s) + a_i, and has to
-satisfy a condition g(p) = 0. The numbers are those of docs/estimator.md.
+satisfy a condition g(p) = 0. The *base* is the frame in which the target is fixed: with
+eye_on_base the flange, and the mount is the robot's base. What is said of the robot itself (a
+PoseModel, `robot_poses`, `wrt_pose`) stays in the robot's base. The numbers are those of
+docs/estimator.md.
 """
 from __future__ import annotations
 
@@ -130,7 +133,7 @@ class PoseModel:
 
     evaluate(pose_parameters (k,)): poses T_base_flange (N, 4, 4) of all samples, and twists
     (N, 6, k), their derivatives by the parameters: translation, and rotation vector about the
-    flange's origin, both in the base frame.
+    flange's origin, both in the robot's base.
 
     names (k,), stds (k,): 1 sigma of the prior about 0; a parameter with 0 is known
     jitter: (k,) 1 sigma of independent errors of the parameters at each station, as of stamps;
@@ -174,7 +177,7 @@ class Estimate:
 @dataclass(frozen=True, eq=False)
 class Problem:
     """
-    A calibration problem: poses (n, 4, 4) of the mount, their observations, and settings.
+    A calibration problem: poses (n, 4, 4) of the mount in the base, observations, and settings.
 
     pose_model: parameters that the poses depend on, or None
     pose_parameters: (k,) these
@@ -235,7 +238,7 @@ class Problem:
 
     @cached_property
     def robot_poses(self) -> Array:
-        """Return the poses (n, 4, 4) of the flange in the base, for either calibration type."""
+        """Return T_base_flange (n, 4, 4), in the robot's base for either calibration type."""
         return mount_poses(self.poses, self.config)
 
     @cached_property
@@ -293,7 +296,7 @@ class Problem:
 @dataclass(frozen=True, eq=False)
 class Linearisation:
     """
-    Residuals (..., m) in m at an estimate, and their Jacobian (..., m, 6 + k).
+    Residuals (..., m) in metres at an estimate, and their Jacobian (..., m, 6 + k).
 
     jacobian: by X and the k parameters of the target; lever: (..., m, 3) from the sensor's origin
     to the points, in the mount; wrt_base: (..., m, 3) derivatives by the points in the base.
@@ -308,7 +311,7 @@ class Linearisation:
 
     @cached_property
     def wrt_pose(self) -> Array:
-        """Return derivatives (..., m, 6) by pose errors: base frame, rotation about the flange."""
+        """Return derivatives (..., m, 6) by errors of robot_poses, turned about the flange."""
         problem, in_mount = self.problem, self.lever + self.estimate.X[..., None, :3, 3]
         if problem.config.in_hand:
             R, _ = problem.mounts_of_rows

@@ -93,8 +93,8 @@ def without_outliers(problem: Problem, robust: Linearisation) -> Solution:
     """
     Return the least squares of the stations that agree with a robust fit, and with each other.
 
-    First all far from the robust fit are dropped at once, then, one by one, those that the others
-    do not predict.
+    First all far from the robust fit are dropped at once, then, a few at a time, worst first
+    (worst_outliers), those that the others do not predict.
     """
     # least squares could move to a fit between the target and another surface
     limit = MAX_SQUARE if problem.shows_several else GROSS_SQUARE

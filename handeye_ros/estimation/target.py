@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Conditions:
     """
-    Values g (..., m) in m that should vanish, (1), and their derivatives.
+    Values g (..., m) in metres that should vanish, (1), and their derivatives.
 
     dg_dp: (..., m, 3) by the points in the base; dg_dparameters: (..., m, k) by the k parameters
     (not by the entries of the state).

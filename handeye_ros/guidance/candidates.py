@@ -248,7 +248,8 @@ def covariances_with_one_more(solution: Solution, candidates: Problem) -> Array:
     """
     Return the covariances (n, 6, 6) of the transform, each with one of n further stations.
 
-    candidates: with equally many observations at each. The blocks count as errors of the station.
+    candidates: with equally many observations at each. Of further blocks only those that count as
+    errors of the station, see blocks_as_noise, are in it.
     """
     Sigma = solution.reported_covariance
     noise = replace(solution.posterior.noise, blocks_as_noise=True)

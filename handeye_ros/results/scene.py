@@ -49,7 +49,7 @@ class StopSnapshot:
     What the report and the page show of a stop: one profile, its features, whether it is used.
 
     number: counted from 1
-    stamp: time of the stop (ns)
+    stamp: that of its sample or reject (ns)
     T_fixed_mount: (4, 4) pose of the mount of the sensor in the frame where the target is fixed
     points: (n, 2) of one of its profiles, in the sensor plane (m)
     features: what its profiles show, in the sensor plane (m)

@@ -55,7 +55,12 @@ def with_common_edge_shape(samples: Sequence[Sample], shape: EdgeShape | None = 
 
 
 def common_shape(samples: Sequence[Sample]) -> EdgeShape:
-    """Return the edge shape that all samples support, with one common radius where they agree."""
+    """
+    Return the one shape that is likeliest for all ends together.
+
+    Sharp with fewer than three ends, or where half of them bend by less than SHARP_DEPTH or
+    MIN_SEEN of the size.
+    """
     edges = [f for sample in samples for f in sample.features
              if isinstance(f, EdgePoint) and f.ending != 'roof']
     depth = np.hypot(*np.reshape([edge.to_lowest for edge in edges], (-1, 2)).T)
