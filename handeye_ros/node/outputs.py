@@ -258,9 +258,11 @@ def cloud(points: NDArray[Any], frame_id: str, stamp: int) -> PointCloud2:
 def session_markers(stops: Iterable[Stop], calibration: Calibration | None, config: Config
                     ) -> MarkerArray:
     """Return the flanges of samples with their numbers and, with an answer, its scene."""
+    used = {report.stamp for report in calibration.samples if report.used} if calibration else ()
     snapshots = [
         StopSnapshot(stop.number, sample.stamp, mount_poses(sample.T_base_flange, config),
-                     np.empty((0, 2)), sample.features)
+                     np.empty((0, 2)), sample.features,
+                     '' if any(s.stamp in used for s in sample.station_samples) else 'unused')
         for stop in stops if (sample := stop.sample)]
     parts: list[dict[str, Any]] = [
         {'name': 'numbers', 'color': FLANGE_COLOUR, 'width': 12.0, 'text': str(snapshot.number),

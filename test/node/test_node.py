@@ -230,6 +230,12 @@ def test_samples_and_the_profile_of_now_lie_on_the_target() -> None:
     for drawn in (points(of_session, 'what the answer comes from'), points(of_current, 'feature')):
         np.testing.assert_allclose(np.linalg.norm(drawn - centre, axis=1), 0.04, atol=5e-4)
     assert len(points(of_current, 'profile')) >= len(points(of_current, 'feature')) > 10
+    first, *others = live.solver.calibration.samples
+    without = session_markers(stops, replace(
+        live.solver.calibration, samples=(replace(first, used=False), *others)), CELL.config)
+    shown, of_fewer = (len(points(each, 'what the answer comes from'))
+                       for each in (of_session, without))
+    assert 0 < of_fewer < shown, 'a sample that is not used is no source of the answer'
 
 
 # -- parameters
