@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from typing import NoReturn
 
 from handeye_ros import se3, targets
 from handeye_ros.config import Config, with_flipped_range
@@ -76,7 +77,7 @@ def _sample_of_stop(stop: Stop, config: Config) -> Sample:
     settled = stop.settled_profiles(config)
     profiles = decoded(settled, config)
     if not profiles:
-        raise _no_profiles_error(settled, stop, config)
+        _raise_no_profiles(settled, stop, config)
     used, features = combined_features(profiles, config)
     poses = interpolate(stop.poses, [profile.stamp for profile in used])
     return Sample(used[0].stamp, se3.mean_pose(poses), features, len(used),
@@ -93,7 +94,9 @@ def _sample_of_pass(stop: Stop, config: Config) -> Sample:
         if len(shown) >= MIN_SHOWING_SHARE * MAX_OF_PASS or len(profiles) <= most:
             break
     if not shown:
-        raise FeatureError(reason) if reason else _no_profiles_error(profiles, stop, config)
+        if reason:
+            raise FeatureError(reason)
+        _raise_no_profiles(profiles, stop, config)
     T = interpolate(stop.poses, [profile.stamp for profile, _ in shown])
     single = tuple(
         Sample(profile.stamp, pose, features,
@@ -105,18 +108,18 @@ def _sample_of_pass(stop: Stop, config: Config) -> Sample:
                    centroid=_centroid(shown[0][0]))
 
 
-def _no_profiles_error(unusable: Iterable[AnyProfile], stop: Stop, config: Config) -> FeatureError:
-    """Return why there are no profiles; if there are, raises why the first is unusable."""
+def _raise_no_profiles(unusable: Iterable[AnyProfile], stop: Stop, config: Config) -> NoReturn:
+    """Raise UnusableMessageError of the first profile, FeatureError where there are none."""
     for profile in unusable:
         profile.read(config.profile)
     seconds, settle = (stop.end - stop.start) / NS, config.sampling.settle_time
     if seconds <= 2 * settle and not config.sampling.moving:
-        return FeatureError(f'sampling.settle_time leaves out {settle:g} s at either end of the '
-                            f'{seconds:.1f} s of this stop: stay longer at each, or lower it')
+        raise FeatureError(f'sampling.settle_time leaves out {settle:g} s at either end of the '
+                           f'{seconds:.1f} s of this stop: stay longer at each, or lower it')
     span = 'pass' if config.sampling.moving else 'stop'
-    return FeatureError(f'no profile has a stamp of the {seconds:.1f} s of this {span}: the '
-                        'sensor sent none, they were dropped or could not be read, or its clock, '
-                        'with time_offset, is not that of the robot')
+    raise FeatureError(f'no profile has a stamp of the {seconds:.1f} s of this {span}: the '
+                       'sensor sent none, they were dropped or could not be read, or its clock, '
+                       'with time_offset, is not that of the robot')
 
 
 def features_of(profile: Profile, config: Config) -> tuple[Feature, ...]:
