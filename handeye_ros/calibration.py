@@ -28,7 +28,7 @@ from handeye_ros.data import (
     SampleReport,
     TIME_OFFSET,
 )
-from handeye_ros.estimation.blocks import blocks_with_columns, LINE_BEND
+from handeye_ros.estimation.blocks import blocks_with_columns, LINE_BEND, ROBOT_SCALE
 from handeye_ros.estimation.least_squares import means_by
 from handeye_ros.estimation.posterior import Posterior
 from handeye_ros.estimation.problem import Estimate, mapped, Problem
@@ -287,7 +287,7 @@ def notes_of(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the remarks on an answer in words: clocks, laser, lengths, target, edges, surfaces."""
     yield from clock_notes(solution)
     estimates = block_estimates(solution.report_posterior)
-    bend, scale = estimates.get(LINE_BEND), estimates.get('robot_scale')
+    bend, scale = estimates.get(LINE_BEND), estimates.get(ROBOT_SCALE)
     if bend and abs(bend.significance) > SURE_SIGMAS and abs(bend.value) > MIN_BEND:
         yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
                f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '

@@ -67,7 +67,7 @@ def direction_in_words(direction: Array, frame: str) -> str:
 
 def weakest_position(covariance: Array, frame: str) -> tuple[str, float]:
     """Return in words where a transform with a covariance (6, 6) is least certain, and 1 sigma."""
-    std, direction = se3.worst_direction(covariance)
+    std, direction = se3.weakest_direction(covariance)
     return f'position along {direction_in_words(direction, frame)}', std
 
 

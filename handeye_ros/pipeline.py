@@ -176,7 +176,7 @@ def _require_values(samples: Sequence[Sample], target: ProfileTarget) -> None:
                     np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() < QUATERNION_TOLERANCE):
                 raise InputError(f'T_base_flange of the sample of stamp {sample.stamp} is no '
                                  'rigid transform (4, 4)')
-            if not (np.isfinite(seen.points).all() and np.isfinite(seen.error_factor).all()):
+            if not (np.isfinite(seen.points).all() and np.isfinite(seen.error_root).all()):
                 raise InputError(f'the sample of stamp {sample.stamp} has features that are not '
                                  'finite')
 

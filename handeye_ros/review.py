@@ -161,10 +161,10 @@ def _residuals_of_unused(samples: Sequence[Sample], shape: EdgeShape, clock_valu
     sample_of_station = np.repeat(np.arange(len(samples)),
                                   [len(sample.station_samples) for sample in samples])
     if any(station.moving for station in stations):
-        instants = ClockedPoses(stations).at(*clock_values)
+        flange = ClockedPoses(stations).at(*clock_values)
         stations = [replace(station, T_base_flange=T) for station, T, inside in zip(
-            stations, instants.T_base_flange, instants.inside, strict=True) if inside]
-        sample_of_station = sample_of_station[instants.inside]
+            stations, flange.T_base_flange, flange.inside, strict=True) if inside]
+        sample_of_station = sample_of_station[flange.inside]
     if not stations:
         return np.full(len(samples), np.nan)
     problem = reassigned(problem_of_known_poses(stations, config), solution.estimate)

@@ -207,7 +207,7 @@ def turns_from_mean(T: Array) -> Array:
     return cast(Array, (rotations.mean().inv() * rotations).as_rotvec())
 
 
-def worst_direction(covariance: Array) -> tuple[float, Array]:
+def weakest_direction(covariance: Array) -> tuple[float, Array]:
     """
     Return the largest 1 sigma of the translation (m) and its direction in the parent frame.
 
@@ -217,6 +217,6 @@ def worst_direction(covariance: Array) -> tuple[float, Array]:
     return float(np.sqrt(values[2])), vectors[:, 2]
 
 
-def worst_rotation(covariance: Array) -> tuple[float, Array]:
+def weakest_rotation(covariance: Array) -> tuple[float, Array]:
     """Return the largest 1 sigma of the rotation (rad) and its axis, by a covariance (6, 6)."""
-    return worst_direction(covariance[3:, 3:])
+    return weakest_direction(covariance[3:, 3:])

@@ -27,23 +27,19 @@ from handeye_ros.checks.hypotheses import (
 )
 from handeye_ros.data import Array, rms, SEED
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.blocks import ParameterBlock
+from handeye_ros.estimation.blocks import ParameterBlock, ROBOT_SMOOTH
 from handeye_ros.estimation.least_squares import chi2_isf
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, NoiseModel
 from handeye_ros.estimation.posterior import Posterior, posterior_at
 from handeye_ros.estimation.problem import Estimate, Linearisation, Problem
 from handeye_ros.estimation.search import quick_solution, reassigned
-from handeye_ros.estimation.solution import (
-    cover,
-    Solution,
-    with_noise_reestimated,
-)
+from handeye_ros.estimation.solution import cover, Solution, with_noise_reestimated
 from handeye_ros.frames import mount_frame, target_frame
 from handeye_ros.words import degrees, mm
 import numpy as np
 from numpy.typing import NDArray
 
-SENSOR, TARGET = range(2)  # a body that moves: an index of derivatives, levers, Bayes factors
+SENSOR, TARGET = range(2)  # a body that moves: an index of derivatives, levers, evidence
 POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
 CHANGE_POINTS_TRIED = 160  # most change points of the screen (step 1)
 FIRST_TRIED = 100  # FIRST_TRIED / n change points go on to step 2
@@ -72,16 +68,17 @@ def move_hypotheses(problem: Problem, stamps: Sequence[int]) -> Iterator[Hypothe
     for station in np.unique(change_points.round().astype(int)).tolist():
         first, second = (quick_solution(problem.subset(part))
                          for part in np.split(np.arange(n), [station]))
-        if first and second and (_same_transform(first, second) or _same_target(first, second)):
+        if first and second and ((target_moved := _same_transform(first, second))
+                                 or _same_target(first, second)):
             yield Hypothesis(Explanation.of_solutions(stamps, first, second),
-                             _move_refusal(first, second))
+                             _move_refusal(first, second, target_moved))
 
 
-def _move_refusal(first: Solution, second: Solution) -> DataError:
-    """Return the refusal of a recording in which something moved between two parts."""
+def _move_refusal(first: Solution, second: Solution, target_moved: bool) -> DataError:
+    """Return the refusal of a recording in which target or sensor moved between two parts."""
     config = first.full_problem.config
     count, others = (len(part.full_problem.poses) for part in (first, second))
-    if _same_transform(first, second):
+    if target_moved:
         frame, advice = target_frame(config), 'fix the target, and take'
         what = f'target moved in {frame}'
     else:
@@ -227,7 +224,7 @@ class Move:
         shifts = translation + np.cross(turn, _levers(self.moved.linear)[self.body])
         # the smaller estimate of that error, as a move can only explain it
         smooth = min(max((block.std * each.prior_tau(block) for block in each.blocks
-                          if block.name == 'robot_smooth'), default=0.0)
+                          if block.name == ROBOT_SMOOTH), default=0.0)
                      for each in (self.moved, self.unmoved))
         smallest = MIN_MOVE_SIGMAS * smooth
         if self.solution.problem.is_sweep:  # its error is smooth in time, as a move is
@@ -238,7 +235,7 @@ class Move:
     def permutation_p_value(self) -> float:
         """Return the share of random orders of the stations with as clear a move (step 5)."""
         solution = self.solution
-        in_time, *in_random_orders = _log_bayes_factors(
+        in_time, *in_random_orders = _move_evidence(
             posterior_at(solution.problem, solution.estimate, self.moved.noise),
             _change_points(solution, PARTS_EXCHANGED), RANDOM_ORDERS).max(axis=(1, 2))
         return float(np.mean(in_random_orders >= in_time))
@@ -272,10 +269,10 @@ def _likeliest_move(solution: Solution) -> Move | None:
         # of a few stations, estimated noise absorbs a move; configured may be too large
         posteriors.append(posterior_at(problem, solution.estimate, NoiseModel()))
     change_points = _change_points(solution, CHANGE_POINTS_TRIED)
-    factors = np.max([_log_bayes_factors(each, change_points)[0] for each in posteriors], axis=0)
-    if factors.max() < -WARNING_EVIDENCE:
+    evidence = np.max([_move_evidence(each, change_points)[0] for each in posteriors], axis=0)
+    if evidence.max() < -WARNING_EVIDENCE:
         return None
-    first_tried = change_points[np.argsort(-factors, axis=0)[:max(FIRST_TRIED // n, 1)]]
+    first_tried = change_points[np.argsort(-evidence, axis=0)[:max(FIRST_TRIED // n, 1)]]
     # a moment a few profiles off leaves an error that only a much worse robot would explain
     all_change_points = _change_points(solution, n)
     tried = dict[tuple[int, int], Posterior]()
@@ -286,8 +283,8 @@ def _likeliest_move(solution: Solution) -> Move | None:
             tried[body, station] = moved
             # noise and taus estimated with the move do not absorb it: its time is clearer
             again = posterior_at(problem, solution.estimate, moved.noise)
-            factors = _log_bayes_factors(again, all_change_points)[0, :, body]
-            station = int(all_change_points[np.argmax(factors)])
+            evidence = _move_evidence(again, all_change_points)[0, :, body]
+            station = int(all_change_points[np.argmax(evidence)])
     (body, station), moved = min(tried.items(), key=lambda item: item[1].minus_2_log_marginal)
     return Move(solution, body, station, moved, with_noise_reestimated(reported))
 
@@ -345,10 +342,10 @@ def _levers(linear: Linearisation) -> tuple[Array, Array]:
     return linear.lever, p - p.mean(axis=0)
 
 
-def _log_bayes_factors(posterior: Posterior, change_points: NDArray[np.intp],
-                       random_orders: int = 0) -> Array:
+def _move_evidence(posterior: Posterior, change_points: NDArray[np.intp],
+                   random_orders: int = 0) -> Array:
     """
-    Return 2 log Bayes factors (1 + orders, k, 2) of moves of sensor and target, (14).
+    Return the evidence 2 log B (1 + orders, k, 2) for moves of sensor and target, (14).
 
     Before each of the k change points: in the order of time, and in random orders of the parts
     between.
@@ -362,7 +359,7 @@ def _log_bayes_factors(posterior: Posterior, change_points: NDArray[np.intp],
         [wrt_move[rows], A[rows], gain[rows], e[rows, None]]) for wrt_move in D]
         for rows in parts])
     rng, n = np.random.default_rng(SEED), len(parts)
-    factors = []
+    evidence = []
     for order in (np.arange(n), *(rng.permutation(n) for _ in range(random_orders))):
         after = np.cumsum(products[order[::-1]], axis=0)[-2::-1]  # all parts after each moment
         D_D, D_A, D_A_C, y = np.split(after, np.cumsum([6, A.shape[1], A.shape[1]]), axis=3)
@@ -372,5 +369,5 @@ def _log_bayes_factors(posterior: Posterior, change_points: NDArray[np.intp],
             M = np.eye(6) + size ** 2 * information
             square = size ** 2 * (y * np.linalg.solve(M, y)).sum(axis=(2, 3))
             of_sizes.append(square - np.linalg.slogdet(M)[1])
-        factors.append(np.max(of_sizes, axis=0) - 2 * np.log(len(SIZE_FACTORS)))
-    return np.array(factors)
+        evidence.append(np.max(of_sizes, axis=0) - 2 * np.log(len(SIZE_FACTORS)))
+    return np.array(evidence)

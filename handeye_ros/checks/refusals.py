@@ -22,8 +22,8 @@ from handeye_ros.frames import axes_across, direction_in_words, mount_frame
 from handeye_ros.se3 import (
     mapped_covariance,
     turns_from_mean,
-    worst_direction,
-    worst_rotation,
+    weakest_direction,
+    weakest_rotation,
 )
 from handeye_ros.targets.profile_target import ProfileTarget
 from handeye_ros.words import count_of, degrees, mm, without_numbers
@@ -204,20 +204,20 @@ def require_no_half_turn_twin(solution: Solution) -> None:
             f'turned by half about it would see the same: {SHOW_ALL_OF_THE_VIEW}', code='views')
 
 
-def require_certain(covariance: Array, config: Config, advice: str, seen: Array | None = None
+def require_certain(covariance: Array, config: Config, advice: str, levers: Array | None = None
                     ) -> None:
     """
     Raise DataError (uncertain) for a transform with larger uncertainty than the limits.
 
-    covariance: (6, 6) of the transform; advice: what to do, in words; seen: (m, 3) points that the
-    samples show, from the sensor along the axes of the mount. A rotation and a translation that
-    make up for each other there are no uncertainty of what the sensor measures.
+    covariance: (6, 6) of the transform; advice: what to do, in words; levers: (m, 3) of the points
+    that the samples show, from the sensor along the axes of the mount. A rotation and a
+    translation that make up for each other there are no uncertainty of what the sensor measures.
     """
-    errors = [('rotation about', 'rotation', degrees, worst_rotation(covariance)),
-              ('position along', 'translation', mm, worst_direction(covariance))]
-    if seen is not None:
+    errors = [('rotation about', 'rotation', degrees, weakest_rotation(covariance)),
+              ('position along', 'translation', mm, weakest_direction(covariance))]
+    if levers is not None:
         errors.append(('place of the points that the samples show, along', 'points', mm,
-                       worst_direction(mapped_covariance(seen, covariance))))
+                       weakest_direction(mapped_covariance(levers, covariance))))
     for what, key, with_unit, (std, direction) in errors:
         limit = getattr(config.limits, key)
         if not std <= limit:
@@ -231,12 +231,12 @@ def missing_motion(solution: Solution, config: Config) -> str:
     """Return in words the motion that the samples lack, or that a corrected arm limits them."""
     covariance = solution.transform_covariance
     of_arm = solution.added_covariances.get(CORRECTED_ARM)
-    if of_arm is not None and (worst_direction(covariance - of_arm)[0]
-                               < worst_direction(covariance)[0] / 2):
+    if of_arm is not None and (weakest_direction(covariance - of_arm)[0]
+                               < weakest_direction(covariance)[0] / 2):
         return ('most of that comes from the corrected arm: correct it again with more samples '
                 '(handeye kinematics), in configurations like those of these')
     problem, frame = solution.problem, mount_frame(config)
-    rotation_known = worst_rotation(covariance)[0] <= config.limits.rotation
+    rotation_known = weakest_rotation(covariance)[0] <= config.limits.rotation
     alike_views = problem.target.alike_views_in_words(problem, solution.estimate)
     if rotation_known and alike_views:
         return alike_views

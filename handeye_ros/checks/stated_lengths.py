@@ -14,7 +14,7 @@ from handeye_ros.calibration import block_estimates, BlockEstimate, SURE_SIGMAS
 from handeye_ros.checks.hypotheses import explain_problem, Explanation, Hypothesis
 from handeye_ros.checks.moved import possible_move, require_no_sure_move
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.blocks import scale_twists
+from handeye_ros.estimation.blocks import ROBOT_SCALE, scale_twists
 from handeye_ros.estimation.least_squares import covariance_from_jacobian
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import (
@@ -83,7 +83,7 @@ def with_free_lengths_if_needed(solution: Solution) -> Solution:
 
 def _shows_scale(estimates: Mapping[str, BlockEstimate]) -> bool:
     """Return whether a scale error of the robot is seen; estimates: by the names of blocks."""
-    scale = estimates.get('robot_scale')
+    scale = estimates.get(ROBOT_SCALE)
     return scale is not None and abs(scale.value) > FREED_FROM_SIGMAS * scale.std
 
 
@@ -117,7 +117,7 @@ def require_one_scale(solution: Solution) -> None:
 
     Raises DataError: scale, or moved where the evidence for a move is decisive.
     """
-    scale = block_estimates(solution.report_posterior).get('robot_scale')
+    scale = block_estimates(solution.report_posterior).get(ROBOT_SCALE)
     if scale and abs(scale.sigmas_off_stated) > SURE_SIGMAS and abs(scale.value) > max(
             MIN_SCALE_ERROR, SURE_SIGMAS * scale.std):
         require_no_sure_move(possible_move(solution))

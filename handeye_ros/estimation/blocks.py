@@ -42,6 +42,8 @@ from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Linearisation, Problem
 import numpy as np
 
+# names that others ask for
+ROBOT_SCALE, ROBOT_SMOOTH, SENSOR_SCALE = 'robot_scale', 'robot_smooth', 'sensor_scale'
 LINE_BEND = 'line_bend'
 DISTORTION_SHARES = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}  # RMS by degree, over noise.distortion
 DEGREES = list(DISTORTION_SHARES)
@@ -123,7 +125,7 @@ def scale_twists(problem: Problem) -> Array:
 def robot_scale(linear: Linearisation) -> Blocks:
     """Yield the block of one scale error of all lengths of the robot."""
     std, twists = linear.problem.config.noise.robot_scale, scale_twists(linear.problem)
-    yield ParameterBlock('robot_scale', linear.wrt_twists(twists) * std, std, twists,
+    yield ParameterBlock(ROBOT_SCALE, linear.wrt_twists(twists) * std, std, twists,
                          reported_as='scale', origin=1.0)
 
 
@@ -155,7 +157,7 @@ def smooth_errors(name: str, linear: Linearisation, basis: Array, std: float,
 def robot_smooth(linear: Linearisation) -> Blocks:
     """Yield the block of the robot's smooth errors, of position and rotation."""
     if std := linear.problem.config.noise.robot_smooth:
-        yield smooth_errors('robot_smooth', linear, linear.problem.smooth_error_basis, std,
+        yield smooth_errors(ROBOT_SMOOTH, linear, linear.problem.smooth_error_basis, std,
                             best_fit=_motions_of_smooth, reported_as=ROBOT_POSITION_ERROR)
 
 
@@ -186,7 +188,7 @@ def sensor_scale(linear: Linearisation) -> Blocks:
     std, gradient = 0.3 * linear.problem.config.noise.robot_scale, linear.wrt_point
     points = points_on_target(linear)
     stretched = (gradient * (points - points.mean(axis=0))).sum(axis=1)
-    yield ParameterBlock('sensor_scale', stretched[:, None] * std, std)
+    yield ParameterBlock(SENSOR_SCALE, stretched[:, None] * std, std)
 
 
 def sensor_distortion(linear: Linearisation) -> Blocks:

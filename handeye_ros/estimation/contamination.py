@@ -51,7 +51,7 @@ def with_possibly_wrong_station(solution: Solution) -> Solution:
     sure = probability[worst] > SURE_ODDS * (1 - probability[worst]) and p_of_others > MIN_P
     return replace(solution, added_covariances={ONE_WRONG: np.tensordot(probability, added, 1)},
                    probability_wrong=float(probability.sum()),
-                   surely_wrong_places=(worst,) if sure else ())
+                   surely_wrong_indices=(worst,) if sure else ())
 
 
 def _each_station_wrong(configured: Posterior) -> tuple[Array, Array, Array]:

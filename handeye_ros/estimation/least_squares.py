@@ -166,14 +166,14 @@ def graduated_fit(start: S, squares: Callable[[S], Array], refit: Callable[[S, A
     state, q = start, squares(start)
     typical, typical_before = typical_square(q), np.inf
     # where a start explains most items, the few others have little weight from the first round on
-    halved = min(float(q.max()), 10.0 * typical)
+    unbounded_mu = min(float(q.max()), 10.0 * typical)
     for _ in range(50):
         least = max(9.0, 3.0 * typical)  # of mu, a squared whitened residual: 3 sigma
-        if halved <= least and typical > 0.99 * typical_before:
+        if unbounded_mu <= least and typical > 0.99 * typical_before:
             break
-        mu = max(halved, least)
+        mu = max(unbounded_mu, least)
         state = refit(state, (mu / (mu + q)) ** 2)
-        q, halved = squares(state), halved / 2
+        q, unbounded_mu = squares(state), unbounded_mu / 2
         typical, typical_before = typical_square(q), typical
     return state
 
@@ -241,7 +241,7 @@ def shared_variance_factor(squares: Array, freedom: NDArray[np.intp] | int) -> f
 def drop_outliers(used: NDArray[np.intp], total: int, fewest: int,
                   fitted: Callable[[F | None, NDArray[np.intp], dict[int, float]], F],
                   left_out_squares: Callable[[F], tuple[Array, NDArray[np.intp] | int]],
-                  surely_wrong_places: Callable[[F], Sequence[int]] = lambda fit: ()) -> F:
+                  surely_wrong_indices: Callable[[F], Sequence[int]] = lambda fit: ()) -> F:
     """
     Return the fit of the items that agree.
 
@@ -252,17 +252,17 @@ def drop_outliers(used: NDArray[np.intp], total: int, fewest: int,
         dropped: the squares of those dropped so far, by item
     left_out_squares(fit): (len(used),) left-out squares of the items used, and their degrees of
         freedom
-    surely_wrong_places(fit): in `used`, of items that are wrong though no square is too large
+    surely_wrong_indices(fit): in `used`, of items that are wrong though no square is too large
     """
     fit, dropped = fitted(None, used, {}), dict[int, float]()
     while True:
         squares, freedom = left_out_squares(fit)
         spare = max(len(used) - fewest, 0)
         wrong = [*worst_outliers(squares, freedom, total, spare)] or [
-            *surely_wrong_places(fit)][:spare]
+            *surely_wrong_indices(fit)][:spare]
         if not wrong:
             return fit
-        dropped = {**dropped, **{int(used[place]): float(squares[place]) for place in wrong}}
+        dropped = {**dropped, **{int(used[index]): float(squares[index]) for index in wrong}}
         used = np.delete(used, wrong)
         fit = fitted(fit, used, dropped)
 

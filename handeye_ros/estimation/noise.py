@@ -54,13 +54,13 @@ class NoiseModel:
     Factors on the configured variances in (3), and tau of blocks.
 
     variance_factors: (5,), see FACE_INDEX
-    block_variances: tau^2 of blocks by name; 1 of those not named
+    tau_squared: tau^2 of blocks by name; 1 of those not named
     blocks_as_noise: whether distortion, the robot's smooth error and the target's feature_errors
         count as errors of each station, and all other blocks are left out
     """
 
     variance_factors: Array = field(default_factory=lambda: np.ones(5))
-    block_variances: Mapping[str, float] = field(default_factory=dict)
+    tau_squared: Mapping[str, float] = field(default_factory=dict)
     blocks_as_noise: bool = False
 
 

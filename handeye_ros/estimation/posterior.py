@@ -89,18 +89,18 @@ class Posterior:
 
     def prior_tau(self, block: ParameterBlock) -> float:
         """Return tau of a block: its sigma over the configured one."""
-        return float(self.noise.block_variances.get(block.name, 1.0) ** 0.5)
+        return float(self.noise.tau_squared.get(block.name, 1.0) ** 0.5)
 
     @property
-    def block_variances(self) -> Array:
+    def tau_squares(self) -> Array:
         """Return tau^2 of each block (d,)."""
-        return np.array([self.noise.block_variances.get(block.name, 1.0) for block in self.blocks])
+        return np.array([self.noise.tau_squared.get(block.name, 1.0) for block in self.blocks])
 
     @cached_property
     def prior_information(self) -> Array:
         """Return the diagonal (u + q,) of P in (5): no information about the unknowns."""
         counts = [block.count for block in self.blocks]
-        return np.append(np.zeros(self.unknown_count), np.repeat(1 / self.block_variances, counts))
+        return np.append(np.zeros(self.unknown_count), np.repeat(1 / self.tau_squares, counts))
 
     @cached_property
     def information(self) -> Array:
@@ -176,20 +176,20 @@ class Posterior:
             np.maximum(trace, 0.0) + FACTOR_FREEDOM)
         return np.asarray(np.clip(after, 1e-4, 1e8))
 
-    def estimated_block_variances(self) -> tuple[Array, Array]:
-        """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
-        variances = np.empty((2, len(self.blocks)))
+    def estimated_tau_squares(self) -> tuple[Array, Array]:
+        """Return tau^2 (d,) of blocks for the estimate and for the report, (6)."""
+        squares = np.empty((2, len(self.blocks)))
         for i, (block, columns) in enumerate(
                 blocks_with_columns(self.blocks, self.unknown_count)):
             found = prior_variances(self.covariance[columns, columns], self.step[columns],
-                                    self.block_variances[i], block.largest_variance)
-            variances[:, i] = np.maximum(found, block.least_variance)
-        return variances[0], variances[1]
+                                    self.tau_squares[i], block.largest_variance)
+            squares[:, i] = np.maximum(found, block.least_variance)
+        return squares[0], squares[1]
 
-    def with_block_variances(self, variances: Array) -> Posterior:
-        """Return the posterior with variances (d,) of blocks, relative to the configured ones."""
-        named = dict(zip([block.name for block in self.blocks], variances.tolist(), strict=True))
-        return replace(self, noise=replace(self.noise, block_variances=named))
+    def with_tau_squares(self, squares: Array) -> Posterior:
+        """Return the posterior with tau^2 (d,) of blocks."""
+        named = dict(zip([block.name for block in self.blocks], squares.tolist(), strict=True))
+        return replace(self, noise=replace(self.noise, tau_squared=named))
 
     def with_estimated_factors(self, prior: Array | float = 1.0) -> Posterior:
         """Return the posterior with variance factors from (7), linearised where this one is."""
@@ -200,14 +200,14 @@ class Posterior:
         """
         Return the posterior at the estimated taus for the report, itself if it is there.
 
-        Ends early if a step hardly changes the variances.
+        Ends early if a step hardly changes them.
         """
         current = self
         for _ in range(steps if self.blocks else 0):
-            _, variances = current.estimated_block_variances()
-            if np.abs(np.log(variances / current.block_variances)).max() < 0.03:
+            _, squares = current.estimated_tau_squares()
+            if np.abs(np.log(squares / current.tau_squares)).max() < 0.03:
                 break
-            current = current.with_block_variances(variances)
+            current = current.with_tau_squares(squares)
         return current
 
     @cached_property

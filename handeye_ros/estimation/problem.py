@@ -65,7 +65,7 @@ class Observations:
     station: (m,) index of the pose, ascending
     points: (m, 2) metres
     kind: (m,) index of the condition in the target's kinds
-    error_factor: (m, 2, 2) factor L: the point's error is L @ e, e of unit covariance
+    error_root: (m, 2, 2) root L: the point's error is L @ e, e of unit covariance
     feature: (m,) number of the feature in its sample
     ending: (m,) how the face ends at an edge point (numbered from 1), 0 for other points; edge
         points have a variance factor of their own
@@ -77,7 +77,7 @@ class Observations:
     station: NDArray[np.intp]
     points: Array
     kind: NDArray[np.intp]
-    error_factor: Array
+    error_root: Array
     feature: NDArray[np.intp]
     ending: NDArray[np.intp]
     outward: Array
@@ -179,7 +179,7 @@ class Problem:
     """
     A calibration problem: poses (n, 4, 4) of the mount in the base, observations, and settings.
 
-    pose_model: parameters that the poses depend on, or None
+    pose_model: parameters that the poses depend on, set by with_pose_parameters; None: none
     pose_parameters: (k,) these
     pose_twists: (n, 6, k) derivatives of the robot's poses by these
     long_errors: whether the robot's smooth error has long wavelengths only
@@ -195,13 +195,9 @@ class Problem:
     long_errors: bool = False
 
     def __post_init__(self) -> None:
-        """Set the pose parameters to 0, and their twists, if it comes without."""
-        if not len(self.pose_parameters):
-            object.__setattr__(self, 'pose_parameters', np.zeros(len(self.pose_parameter_stds)))
+        """Give each pose its derivatives by no parameters, where there are none."""
         if self.pose_model is None:
             object.__setattr__(self, 'pose_twists', np.zeros((len(self.poses), 6, 0)))
-        elif not len(self.pose_twists):
-            object.__setattr__(self, 'pose_twists', self.pose_model.at(self.pose_parameters)[1])
 
     @cached_property
     def free_columns(self) -> NDArray[np.intp]:
@@ -337,8 +333,8 @@ class Linearisation:
     @cached_property
     def wrt_feature(self) -> Array:
         """Return the derivative (..., m, 2) by the feature's unit errors."""
-        factor = self.problem.observations.error_factor
-        return np.asarray(np.einsum('...mi,mij->...mj', self.wrt_point, factor))
+        root = self.problem.observations.error_root
+        return np.asarray(np.einsum('...mi,mij->...mj', self.wrt_point, root))
 
     def wrt_twists(self, twists: Array) -> Array:
         """Return the derivatives (m, k) by parameters that move the poses by twists (n, 6, k)."""

@@ -142,7 +142,7 @@ def refined_solution(agreed: Solution, config: Config | None = None) -> Solution
     return drop_outliers(
         agreed.used_stations, len(full_problem.poses), problem.target.min_samples, fitted,
         lambda solution: solution.report_posterior.left_out_squares(),
-        lambda solution: solution.surely_wrong_places)
+        lambda solution: solution.surely_wrong_indices)
 
 
 def robust_fit(problem: Problem, start: Estimate) -> Linearisation:

@@ -53,7 +53,7 @@ class Solution:
         explains: its mean square in the robust fit, or its left-out square, (12), without blocks
         over the shared variance factor, with blocks at the estimated noise
     probability_wrong: that one of few used stations is wrong
-    surely_wrong_places: in used_stations, of the one that almost surely is; () without one
+    surely_wrong_indices: in used_stations, of the one that almost surely is; () without one
     added_covariances: (6, 6) by cause, added to the reported covariance of the transform, as by
         (10)
     """
@@ -64,7 +64,7 @@ class Solution:
     used_stations: NDArray[np.intp]
     dropped_squares: Mapping[int, float]
     probability_wrong: float = 0.0
-    surely_wrong_places: tuple[int, ...] = ()
+    surely_wrong_indices: tuple[int, ...] = ()
     added_covariances: Mapping[str, Array] = field(default_factory=dict)
 
     @property
@@ -179,9 +179,9 @@ def posteriors_of_fit(problem: Problem, fit: ConvergedFit, previous: Posterior |
     posterior = posterior_at(problem, fit.linear.estimate, fit.noise_of_estimate)
     if len(problem.poses) > len(fit.linear.problem.poses):  # one step from the taus of the part
         at_report_taus = replace(posterior, noise=replace(
-            fit.noise_of_estimate, block_variances=fit.noise_of_report.block_variances))
-        for_estimate, _ = at_report_taus.estimated_block_variances()
-        posterior = posterior.with_block_variances(for_estimate)
+            fit.noise_of_estimate, tau_squared=fit.noise_of_report.tau_squared))
+        for_estimate, _ = at_report_taus.estimated_tau_squares()
+        posterior = posterior.with_tau_squares(for_estimate)
     noise, steps = (previous.noise, 1) if previous else (fit.noise_of_report, LAST_STEPS)
     for_report = posterior_at(replace(problem, long_errors=True), fit.linear.estimate, noise)
     return posterior, for_report.with_taus_for_report(steps)
@@ -201,8 +201,8 @@ def converged_fit(problem: Problem, start: Estimate) -> ConvergedFit:
         return ConvergedFit(reached.linear, reached.noise, reached.noise)
     # the taus of both follow from the posterior at those for the report
     at_report_taus = reached.with_taus_for_report(LAST_STEPS - 1)
-    for_estimate, for_report = map(reached.with_block_variances,
-                                   at_report_taus.estimated_block_variances())
+    for_estimate, for_report = map(reached.with_tau_squares,
+                                   at_report_taus.estimated_tau_squares())
     # the noise of the estimate, at its own taus; that of the report stays as it converged
     for _ in range(LAST_STEPS):
         for_estimate = for_estimate.with_estimated_factors(MAP_PRIOR_FACTORS)
@@ -231,8 +231,8 @@ def _iterated(start: Posterior) -> tuple[Posterior, bool]:
         linear = current.relinearise()
         following = Posterior.of_linear(linear, noise, blocks_at(linear)).with_taus_for_report(1)
         if number >= FULL_STEPS and len(current.blocks) == len(following.blocks):
-            following = following.with_block_variances(
-                np.sqrt(following.block_variances * current.block_variances))
+            following = following.with_tau_squares(
+                np.sqrt(following.tau_squares * current.tau_squares))
         current = following
         if length < CONVERGED_SIGMAS and steady:
             break

@@ -12,7 +12,7 @@ from handeye_ros.calibration import clock_notes
 from handeye_ros.checks.moved import outliers_at_one_end
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
-from handeye_ros.estimation.blocks import LINE_BEND
+from handeye_ros.estimation.blocks import LINE_BEND, ROBOT_SCALE, ROBOT_SMOOTH, SENSOR_SCALE
 from handeye_ros.estimation.budget import budget, CORRECTED_ARM
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import direction_in_words, mount_frame
@@ -25,7 +25,7 @@ from handeye_ros.guidance.view import (
     view_levers,
 )
 from handeye_ros.pipeline import Answer
-from handeye_ros.se3 import mapped_std, worst_direction
+from handeye_ros.se3 import mapped_std, weakest_direction
 from handeye_ros.threads import single_threaded
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -61,9 +61,9 @@ class LimitingFactor(NamedTuple):
 
 
 LIMITING_FACTORS = (
-    LimitingFactor(('robot_smooth',), 'noise.robot_smooth', "the robot's accuracy as configured",
+    LimitingFactor((ROBOT_SMOOTH,), 'noise.robot_smooth', "the robot's accuracy as configured",
                    'robot, or a better statement of its accuracy,'),
-    LimitingFactor(('robot_scale', 'sensor_scale'), 'noise.robot_scale',
+    LimitingFactor((ROBOT_SCALE, SENSOR_SCALE), 'noise.robot_scale',
                    "the scale of the robot's lengths as configured",
                    'robot, or a better statement of its scale,'),
     LimitingFactor(('distortion_',), 'noise.distortion', "the sensor's linearity as configured",
@@ -171,7 +171,7 @@ def sigma_table(covariance: Array, levers: Array, config: Config) -> tuple[Uncer
             ('rotation about', covariance[3:, 3:], config.limits.rotation, 'rad')):
         table += [Uncertainty(f'{what} {axis}', variance ** 0.5, limit, unit)
                   for axis, variance in zip('xyz', np.diag(part).tolist(), strict=True)]
-        largest, axis = worst_direction(part)
+        largest, axis = weakest_direction(part)
         table.append(Uncertainty(
             f'{what} {direction_in_words(axis, mount_frame(config))} (worst)', largest, limit,
             unit))

@@ -26,7 +26,7 @@ def poses_around(poses: Sequence[TimedPose], stamps: Sequence[int]) -> list[Time
     for stamp in stamps:
         indices.add(max(bisect_right(poses, stamp, key=by_stamp) - 1, 0))
         indices.add(min(bisect_left(poses, stamp, key=by_stamp), last))
-    return [poses[place] for place in sorted(indices)]
+    return [poses[index] for index in sorted(indices)]
 
 
 def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:

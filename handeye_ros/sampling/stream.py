@@ -196,13 +196,13 @@ def in_majority_order(stamps: NDArray[np.int64], source: str) -> NDArray[np.bool
 def _longest_rising(stamps: Sequence[int]) -> NDArray[np.bool_]:
     """Return which values make up the longest subsequence that never falls (patience)."""
     ends: list[int] = []  # the smallest last value of a subsequence of each length
-    indices: list[int] = []
+    ranks: list[int] = []
     for stamp in stamps:
-        place = bisect_right(ends, stamp)
-        ends[place:place + 1] = [stamp]
-        indices.append(place)
+        rank = bisect_right(ends, stamp)
+        ends[rank:rank + 1] = [stamp]
+        ranks.append(rank)
     rising, wanted = np.zeros(len(stamps), dtype=bool), len(ends) - 1
     for index in reversed(range(len(stamps))):
-        if indices[index] == wanted:
+        if ranks[index] == wanted:
             rising[index], wanted = True, wanted - 1
     return rising

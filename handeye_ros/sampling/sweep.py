@@ -119,20 +119,19 @@ class ClockedPoses:
         """Return the flange at each sample; offset, lag (s), drift: as in the module's text."""
         shift = np.rint((offset + drift * self.since_middle) * 1e9).astype(np.int64)
         n, moving = len(self.stamps), self.moving
-        instants = self.trajectory.at((self.stamps + shift)[moving], lag)
+        flange = self.trajectory.at((self.stamps + shift)[moving], lag)
         T, twists, inside = self.T_base_flange.copy(), np.zeros((n, 6)), np.ones(n, dtype=bool)
-        T[moving], twists[moving] = instants.T_base_flange, instants.twists
-        inside[moving] = instants.inside
+        T[moving], twists[moving] = flange.T_base_flange, flange.twists
+        inside[moving] = flange.inside
         return FlangeStates(T, twists, inside)
 
-
-def _poses_and_derivatives(clocked: ClockedPoses, clock_values: Array) -> tuple[Array, Array]:
-    """Return poses (n, 4, 4), and their derivatives (n, 6, 3) by offset, lag and drift."""
-    instants = clocked.at(*clock_values)
-    derivatives = np.stack([instants.twists] * len(CLOCK_KEYS), axis=2)
-    derivatives[:, :3, 1] = 0.0  # a lag is of the rotation alone
-    derivatives[:, :, 2] *= clocked.since_middle[:, None]
-    return instants.T_base_flange, derivatives
+    def with_derivatives(self, clock_values: Array) -> tuple[Array, Array]:
+        """Return poses (n, 4, 4), and their derivatives (n, 6, 3) by offset, lag and drift."""
+        flange = self.at(*clock_values)
+        derivatives = np.stack([flange.twists] * len(CLOCK_KEYS), axis=2)
+        derivatives[:, :3, 1] = 0.0  # a lag is of the rotation alone
+        derivatives[:, :, 2] *= self.since_middle[:, None]
+        return flange.T_base_flange, derivatives
 
 
 def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:
@@ -141,8 +140,7 @@ def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:
     clocked = ClockedPoses(samples)
     stds = config.time_offset_std, config.rotation_lag_std, config.clock_drift_std
     model = PoseModel(
-        partial(_poses_and_derivatives, clocked), CLOCK_KEYS, stds,
-        np.arange(len(samples)), least_variance=1.0,
+        clocked.with_derivatives, CLOCK_KEYS, stds, np.arange(len(samples)), least_variance=1.0,
         blocks=partial(errors_in_motion, clocked.stamps),
         jitter=np.array([config.noise.stamps, 0.0, 0.0]))
     clock_values = next(sample.clock_values for sample in samples if sample.moving)
@@ -211,13 +209,13 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> SyncedSa
                      start.estimate)
     # each sample gets the pose of its time
     clock_values = ClockValues(*fit.problem.pose_parameters.tolist())
-    instants = _flange_at(clock_values, clocked, problem)
+    flange = _flange_at(clock_values, clocked, problem)
     timed = [replace(sample, T_base_flange=T, clock_values=clock_values)
              for sample, T, inside in zip(
-                 samples, instants.T_base_flange, instants.inside, strict=True) if inside]
+                 samples, flange.T_base_flange, flange.inside, strict=True) if inside]
     rejects = [Reject(sample.stamp, NO_POSES)
-               for sample, inside in zip(samples, instants.inside, strict=True) if not inside]
-    problem = problem.subset(np.flatnonzero(instants.inside))
+               for sample, inside in zip(samples, flange.inside, strict=True) if not inside]
+    problem = problem.subset(np.flatnonzero(flange.inside))
     return SyncedSamples(timed, rejects, problem.with_pose_parameters(fit.problem.pose_parameters),
                          fit.estimate)
 
@@ -225,12 +223,12 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> SyncedSa
 def _flange_at(clock_values: Iterable[float], clocked: ClockedPoses, problem: Problem
                ) -> FlangeStates:
     """Return the flange at each sample; raises DataError where few have poses at their time."""
-    instants, least = clocked.at(*clock_values), problem.target.min_samples
-    if (count := instants.inside.sum()) < least:
-        raise DataError(f'at the time offset that fits best, {count} of {len(instants.inside)} '
+    flange, least = clocked.at(*clock_values), problem.target.min_samples
+    if (count := flange.inside.sum()) < least:
+        raise DataError(f'at the time offset that fits best, {count} of {len(flange.inside)} '
                         f'profiles have poses of their time, and {problem.target.name} needs '
                         f'{least}: record a longer sweep', code='few')
-    return instants
+    return flange
 
 
 def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Linearisation:

@@ -51,10 +51,10 @@ GRAZING_COSINE = 0.64  # cosine of the incidence below which the range of a face
 STEEPNESS_EXPONENTS = np.array([8, 16, 32])
 
 
-def observations_at(station: int, points: Array, kind: int, error_factor: Array, feature: int = 0,
+def observations_at(station: int, points: Array, kind: int, error_root: Array, feature: int = 0,
                     edge: EdgePoint | None = None) -> Observations:
     """
-    Return a condition for each of points (k, 2), with factors (k, 2, 2); see Observations.
+    Return a condition for each of points (k, 2), with roots (k, 2, 2); see Observations.
 
     edge: that the points are on, or None.
     """
@@ -62,7 +62,7 @@ def observations_at(station: int, points: Array, kind: int, error_factor: Array,
     ending, outward, shape_std = (
         (1 + ENDINGS.index(edge.ending), edge.direction, edge.shape_std) if edge else
         (0, np.zeros(2), 0.0))
-    return Observations(np.full(n, station), points, np.full(n, kind), error_factor,
+    return Observations(np.full(n, station), points, np.full(n, kind), error_root,
                         np.full(n, feature), np.full(n, ending), np.tile(outward, (n, 1)),
                         np.full(n, shape_std))
 
@@ -70,8 +70,8 @@ def observations_at(station: int, points: Array, kind: int, error_factor: Array,
 NO_OBSERVATIONS = observations_at(0, np.empty((0, 2)), 0, np.empty((0, 2, 2)))
 
 
-def edge_error_factor(edge: EdgePoint) -> Array:
-    """Return the factor (2, 2) of an edge point's covariance."""
+def edge_error_root(edge: EdgePoint) -> Array:
+    """Return the root (2, 2) of an edge point's covariance."""
     across = np.array([-edge.direction[1], edge.direction[0]])
     return np.column_stack([edge.direction * edge.std, across * edge.std_across])
 
@@ -119,7 +119,7 @@ class ProfileTarget(Target):
                     for kind in self.unassigned_edge_kinds:
                         parts.append(observations_at(
                             station, self.edge_place(feature)[None], kind,
-                            edge_error_factor(feature)[None], number, feature))
+                            edge_error_root(feature)[None], number, feature))
                 else:
                     points, across = _normal_points(feature)
                     parts.append(observations_at(

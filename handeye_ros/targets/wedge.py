@@ -73,9 +73,9 @@ def corners(observations: Observations, pair: NDArray[np.intp]) -> tuple[Array, 
 
 def _starts(problem: Problem) -> list[Estimate]:
     """Return starts by the crossing of the two lines of each station: these lie on one edge."""
-    obs, factor = problem.observations, CORNER_STD * np.eye(2)[None]
+    obs, root = problem.observations, CORNER_STD * np.eye(2)[None]
     crossings = Observations.concatenated([
-        observations_at(station, corner, kind, factor)
+        observations_at(station, corner, kind, root)
         for station, corner in enumerate(corners(obs, np.zeros_like(obs.kind))[0])
         for kind in (EDGE_Y, EDGE_Z)])
     edges = replace(problem, target=LINE, observations=crossings)

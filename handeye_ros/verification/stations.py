@@ -37,7 +37,7 @@ from handeye_ros.frames import mount_poses, mount_poses_of, T_sensor_plane, targ
 from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
-from handeye_ros.targets.profile_target import edge_error_factor, NO_OBSERVATIONS, observations_at
+from handeye_ros.targets.profile_target import edge_error_root, NO_OBSERVATIONS, observations_at
 from handeye_ros.verification.routines import Routine
 from handeye_ros.verification.station_set import MIN_STATIONS, StationSet
 import numpy as np
@@ -153,7 +153,7 @@ def _observations(routine: Routine, samples: Sequence[Sample], T: Array) -> Obse
         edge = edges[min(np.flatnonzero(stop == number), key=distances.__getitem__)]
         for direction in range(routine.edge_distances):
             parts.append(observations_at(
-                number, edge.point[None], direction, edge_error_factor(edge)[None]))
+                number, edge.point[None], direction, edge_error_root(edge)[None]))
     return Observations.concatenated(parts)
 
 
@@ -271,7 +271,7 @@ def _with_calibrated_times(samples: Sequence[Sample], calibration: Calibration, 
         raise InputError('the calibration has no time offset, which a sweep needs: verify with '
                          'stops, calibrate with a sweep, or state time_offset and time_offset_std '
                          f'({KNOWN_OFFSET_STD * 1e3:g} ms or less)')
-    instants = ClockedPoses(samples).at(offset.value - config.time_offset if offset else 0.0,
-                                        float(calibration.target.get(ROTATION_LAG, 0.0)))
+    flange = ClockedPoses(samples).at(offset.value - config.time_offset if offset else 0.0,
+                                      float(calibration.target.get(ROTATION_LAG, 0.0)))
     return [replace(sample, T_base_flange=T, trajectory=None)
-            for sample, T in zip(samples, instants.T_base_flange, strict=True)]
+            for sample, T in zip(samples, flange.T_base_flange, strict=True)]

@@ -68,11 +68,11 @@ def teeth(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
     good, noise = _without_outliers(
         shape.distance(p, q), np.maximum(wrt_range, MIN_COSINE),
         np.stack([stations.recording_of_point, face, tooth], axis=1),
-        MIN_SCATTER * float(np.median(stations.observations.error_factor[:, 1, 0])))
+        MIN_SCATTER * float(np.median(stations.observations.error_root[:, 1, 0])))
     obs = stations.observations.select(good)
-    factor = np.zeros_like(obs.error_factor)
-    factor[:, 1, 0] = np.maximum(obs.error_factor[:, 1, 0], noise[good])
-    stations = stations.with_observations(replace(obs, error_factor=factor))
+    root = np.zeros_like(obs.error_root)
+    root[:, 1, 0] = np.maximum(obs.error_root[:, 1, 0], noise[good])
+    stations = stations.with_observations(replace(obs, error_root=root))
     return _shape(stations, frame, pitch, height, tooth[good], q)
 
 

@@ -13,7 +13,7 @@ from handeye_ros.checks.refusals import rms_turns_and_axes
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Reject, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.frames import direction_in_words
-from handeye_ros.se3 import worst_direction
+from handeye_ros.se3 import weakest_direction
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS
 from handeye_ros.targets import TARGETS
 import numpy as np
@@ -104,7 +104,7 @@ def test_tilts_of_one_degree_are_too_uncertain(name: str, where: str, frame: str
 def test_the_weakest_direction_is_reported_and_refused_if_uncertain(name: str) -> None:
     simulated_cell = cell(scenario(name), 2)
     calibration = simulated_cell.solve()
-    std, direction = worst_direction(calibration.covariance)
+    std, direction = weakest_direction(calibration.covariance)
     assert calibration.quality.weakest_std == pytest.approx(std)
     assert_names(calibration.quality.weakest_direction, direction, 'flange')
     assert np.sqrt(direction @ calibration.covariance[:3, :3] @ direction) == pytest.approx(std)

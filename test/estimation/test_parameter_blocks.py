@@ -123,8 +123,8 @@ def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
     config = settings_of(scenario)
     solution = pipeline.answer_samples(samples, (), config).require_solution()
     report = solution.report_posterior
-    _, following = report.estimated_block_variances()
-    assert following == pytest.approx(report.block_variances, rel=0.1), 'they have converged'
+    _, following = report.estimated_tau_squares()
+    assert following == pytest.approx(report.tau_squares, rel=0.1), 'they have converged'
     error = se3.difference(solution.estimate.X, truth.T_flange_sensor)
     assert np.abs(error).max() < 1e-4
     lengths = [b.std * solution.posterior.prior_tau(b) for b in solution.posterior.blocks
