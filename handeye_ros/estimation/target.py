@@ -1,6 +1,11 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""What the estimator asks of a target; targets/ holds those that there are."""
+"""
+What is asked of a target; targets/ holds those that there are.
+
+The estimator asks for its conditions, those before it for observations, and checks, calibration
+and page for its words.
+"""
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
@@ -74,21 +79,7 @@ class Target(ABC):
     face_count = 1
     several_in_view = False
 
-    def half_turn_misfit(self, linear: Linearisation) -> tuple[str, float]:
-        """
-        Return about which place of the view half a turn changes least, and by how much (m RMS).
-
-        Half a turn of the sensor plane about a point c makes of a condition r at s, of gradient n,
-        2 n (c - s) + r, as small as before where all lines go through c. The place is the c for
-        which n (c - s) + r is least, in words; that is returned, half of the change.
-        """
-        n, s, r = linear.wrt_point, linear.problem.observations.points, linear.residuals
-        c = np.linalg.lstsq(n, (n * s).sum(axis=1) - r, rcond=None)[0]
-        return 'at one point', rms(r + ((c - s) * n).sum(axis=1))
-
-    def alike_views_in_words(self, problem: Problem, estimate: Estimate) -> str:
-        """Return in words how the views of the target are too much alike, '' if they are not."""
-        return ''
+    # what samples show of it
 
     @abstractmethod
     def observe(self, samples: Sequence[Sample]) -> Observations:
@@ -99,54 +90,11 @@ class Target(ABC):
         """Return all measured points (k, 2) and kinds for the used observations of a sample."""
         return points, kind
 
+    # for the estimator
+
     @abstractmethod
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield estimates to start from, best first, computed on demand."""
-
-    def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
-                         ) -> tuple[Array, Array, Array]:
-        """
-        Return the conditions g (..., m) of points (..., m, 3) in the target's frame.
-
-        And their derivatives by the points, (..., m, 3), and by the measures, (..., m, j). Here
-        the distances from its surfaces, of a target without measures.
-        """
-        normals = self.normals[kind]
-        g = (local * normals).sum(axis=-1)
-        return g, np.broadcast_to(normals, local.shape), np.empty((*g.shape, 0))
-
-    def measures(self, state: Array) -> dict[str, float]:
-        """Return the measures by name, which stated_values may state too; state: (16 + j,)."""
-        names = self.parameter_names[len(self.pose_axes):]
-        return dict(zip(names, state[16:].tolist(), strict=True))
-
-    def axes(self, R: Array) -> Array:
-        """Return the axes (..., 3, 3), in the columns, of the moves of a target turned by R."""
-        return R
-
-    def conditions(self, p: Array, kind: NDArray[np.intp], state: Array, config: Config
-                   ) -> Conditions:
-        """Return what should vanish for points p (..., m, 3) of kinds (m,) in the base."""
-        T = target_pose(state)
-        R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
-        g, dg_dlocal, dg_dmeasures = self.local_conditions(offset @ R, kind, state[..., 16:])
-        dg_dp, axes = dg_dlocal @ np.swapaxes(R, -1, -2), self.axes(R)
-        wrt_pose = -np.concatenate([dg_dp @ axes, np.cross(offset, dg_dp) @ axes], axis=-1)
-        return Conditions(g, dg_dp, np.concatenate(
-            [wrt_pose[..., list(self.pose_axes)], dg_dmeasures], axis=-1))
-
-    def retract(self, state: Array, delta: Array) -> Array:
-        """Return the state after a step delta (..., k) in the parameters, m and rad."""
-        T = target_pose(state)
-        twist, axes = np.zeros((*delta.shape[:-1], 6)), self.axes(T[..., :3, :3])
-        twist[..., list(self.pose_axes)] = delta[..., :len(self.pose_axes)]
-        step = axes[..., None, :, :] @ twist.reshape(*delta.shape[:-1], 2, 3, 1)
-        pose = se3.perturb(T, step.reshape(twist.shape)).reshape(*state.shape[:-1], 16)
-        return np.concatenate([pose, state[..., 16:] + delta[..., len(self.pose_axes):]], axis=-1)
-
-    def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
-        """Return value and 1 sigma of the parameters that are known, by name: no unknowns."""
-        return {}
 
     @abstractmethod
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
@@ -165,6 +113,81 @@ class Target(ABC):
         """Return whether a station shows several surfaces or pairs of them."""
         return self.several_in_view and bool(self.candidates(observations).any())
 
+    def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
+                         ) -> tuple[Array, Array, Array]:
+        """
+        Return the conditions g (..., m) of points (..., m, 3) in the target's frame.
+
+        And their derivatives by the points, (..., m, 3), and by the measures, (..., m, j). Here
+        the distances from its surfaces, of a target without measures.
+        """
+        normals = self.normals[kind]
+        g = (local * normals).sum(axis=-1)
+        return g, np.broadcast_to(normals, local.shape), np.empty((*g.shape, 0))
+
+    def axes(self, R: Array) -> Array:
+        """Return the axes (..., 3, 3), in the columns, of the moves of a target turned by R."""
+        return R
+
+    def conditions(self, p: Array, kind: NDArray[np.intp], state: Array, config: Config
+                   ) -> Conditions:
+        """Return what should vanish for points p (..., m, 3) of kinds (m,) in the base."""
+        T = target_pose(state)
+        R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
+        g, dg_dlocal, dg_dmeasures = self.local_conditions(offset @ R, kind, state[..., 16:])
+        dg_dp, axes = dg_dlocal @ np.swapaxes(R, -1, -2), self.axes(R)
+        wrt_pose = -np.concatenate([dg_dp @ axes, np.cross(offset, dg_dp) @ axes], axis=-1)
+        return Conditions(g, dg_dp, np.concatenate(
+            [wrt_pose[..., list(self.pose_axes)], dg_dmeasures], axis=-1))
+
+    def measures(self, state: Array) -> dict[str, float]:
+        """Return the measures by name, which stated_values may state too; state: (16 + j,)."""
+        names = self.parameter_names[len(self.pose_axes):]
+        return dict(zip(names, state[16:].tolist(), strict=True))
+
+    def retract(self, state: Array, delta: Array) -> Array:
+        """Return the state after a step delta (..., k) in the parameters, m and rad."""
+        T = target_pose(state)
+        twist, axes = np.zeros((*delta.shape[:-1], 6)), self.axes(T[..., :3, :3])
+        twist[..., list(self.pose_axes)] = delta[..., :len(self.pose_axes)]
+        step = axes[..., None, :, :] @ twist.reshape(*delta.shape[:-1], 2, 3, 1)
+        pose = se3.perturb(T, step.reshape(twist.shape)).reshape(*state.shape[:-1], 16)
+        return np.concatenate([pose, state[..., 16:] + delta[..., len(self.pose_axes):]], axis=-1)
+
+    def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
+        """Return value and 1 sigma of the parameters that are known, by name: no unknowns."""
+        return {}
+
+    @abstractmethod
+    def blocks(self, linear: Linearisation) -> Iterable[ParameterBlock]:
+        """Return the blocks of nuisance parameters of its own (see blocks.py)."""
+
+    @abstractmethod
+    def feature_errors(self, linear: Linearisation) -> Array:
+        """
+        Return derivatives (m, 1) of the residuals by a unit-variance error of each feature.
+
+        They replace the blocks during the search.
+        """
+
+    # for the checks and the answer
+
+    def half_turn_misfit(self, linear: Linearisation) -> tuple[str, float]:
+        """
+        Return about which place of the view half a turn changes least, and by how much (m RMS).
+
+        Half a turn of the sensor plane about a point c makes of a condition r at s, of gradient n,
+        2 n (c - s) + r, as small as before where all lines go through c. The place is the c for
+        which n (c - s) + r is least, in words; that is returned, half of the change.
+        """
+        n, s, r = linear.wrt_point, linear.problem.observations.points, linear.residuals
+        c = np.linalg.lstsq(n, (n * s).sum(axis=1) - r, rcond=None)[0]
+        return 'at one point', rms(r + ((c - s) * n).sum(axis=1))
+
+    def alike_views_in_words(self, problem: Problem, estimate: Estimate) -> str:
+        """Return in words how the views of the target are too much alike, '' if they are not."""
+        return ''
+
     @abstractmethod
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """
@@ -178,15 +201,3 @@ class Target(ABC):
                         ) -> str:
         """Return in words where observations lie that are not on the target, '' if unknown."""
         return ''
-
-    @abstractmethod
-    def blocks(self, linear: Linearisation) -> Iterable[ParameterBlock]:
-        """Return the blocks of nuisance parameters of its own (see blocks.py)."""
-
-    @abstractmethod
-    def feature_errors(self, linear: Linearisation) -> Array:
-        """
-        Return derivatives (m, 1) of the residuals by a unit-variance error of each feature.
-
-        They replace the blocks during the search.
-        """
