@@ -161,7 +161,7 @@ def _before_an_answer(text: str, move: AdvisedMove | None = None, refusal: Excep
 
 def sigma_table(covariance: Array, levers: Array, config: Config) -> tuple[Uncertainty, ...]:
     """
-    Return the uncertainty along each axis, in the worst directions, and of mapped points.
+    Return the uncertainty along each axis, in the weakest directions, and of mapped points.
 
     covariance: (6, 6) of the transform; levers: (k, 3) of the points.
     """
