@@ -156,8 +156,7 @@ def _left_out_squares(solution: Solution) -> Array:
     left_out = np.full((len(solution.full_problem.poses), 2), np.inf)
     left_out[solution.used_stations] = posterior.left_out_squares()[0][:, None] * np.column_stack(
         [np.ones(n), metres / np.maximum(whitened, 1e-300)])
-    left_out[solution.stations_with_unused_edges] = np.inf
-    left_out[solution.indispensable_stations] = np.inf
+    left_out[[*solution.stations_with_unused_edges, *solution.indispensable_stations]] = np.inf
     return left_out
 
 
