@@ -19,7 +19,7 @@ from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.scenario import Scenario, SphereTarget, Sweep
 from handeye_ros.simulate.scenes import many_placements, Placements, SCENES
 from handeye_ros.simulate.sensor import FRAMES
-from handeye_ros.simulate.solids import relief, table
+from handeye_ros.simulate.solids import relief, table_top
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
@@ -355,7 +355,7 @@ def _exact(cell: Cell, T_target_sensor: Array, rng: Generator) -> tuple[Array, A
     With the errors that are the same for all profiles of a stop.
     """
     scenario, sensor = cell.scenario, cell.scenario.sensor
-    solids = (table(getattr(scenario.target, 'table', None)) if scenario.empty else
+    solids = (table_top(getattr(scenario.target, 'table', None)) if scenario.empty else
               SCENES[scenario.scene].solids(scenario))
     z, angle = sensors.render(sensor, solids, T_target_sensor, relief(scenario.target, rng))
     if sensor.spot:

@@ -17,7 +17,7 @@ from handeye_ros import se3
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature
 from handeye_ros.simulate.scenario import PlateTarget, Scenario, SphereTarget, WedgeTarget
 from handeye_ros.simulate.sensor import fan, lift
-from handeye_ros.simulate.solids import Ball, box, slab, Solid, table
+from handeye_ros.simulate.solids import Ball, box, slab, Solid, table_top
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
@@ -236,7 +236,7 @@ def plate_features(scenario: Scenario, placed: Placements, rng: Generator) -> Fe
 def plate_solids(scenario: Scenario) -> tuple[Solid, ...]:
     """Return table, plate and, with clutter, a block at each of the edges p and q."""
     target: PlateTarget = scenario.target
-    solids = (*table(target.table), *slab(target))
+    solids = (*table_top(target.table), *slab(target))
     if target.clutter is None:
         return solids
     bottom, (length, width) = -target.thickness, target.size
@@ -374,7 +374,7 @@ def sphere_solids(scenario: Scenario) -> tuple[Solid, ...]:
     target: SphereTarget = scenario.target
     half, bottom = target.stem / 2, -(target.table or 0.2)
     beside = 1.2 * target.radius
-    solids = (*table(target.table), Ball(target.radius),
+    solids = (*table_top(target.table), Ball(target.radius),
               box((-half, -half, bottom), (half, half, 0)))
     if not target.clutter:
         return solids

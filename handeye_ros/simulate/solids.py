@@ -125,7 +125,7 @@ def hidden(solids: Sequence[Solid], points: Array, eye: Array) -> NDArray[np.boo
     return covered
 
 
-def table(depth: float | None) -> tuple[Solid, ...]:
+def table_top(depth: float | None) -> tuple[Solid, ...]:
     """Return a table whose top is at z = -depth, or nothing."""
     return () if depth is None else (box((-1.0, -1.0, -depth - 0.05), (1.0, 1.0, -depth)),)
 
