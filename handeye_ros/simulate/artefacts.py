@@ -50,8 +50,8 @@ def draw_pose(rng: Generator, tilt: float = 0.2, low: float = 0.0) -> Array:
     return se3.transform(turn.as_matrix(), rng.uniform([0.5, -0.3, low], [0.9, 0.3, 0.4]))
 
 
-def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, placed: Placements,
-             rng: Generator, start: float = 0.0) -> Messages:
+def messages_at_stops(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array,
+                      placed: Placements, rng: Generator, start: float = 0.0) -> Messages:
     """
     Return the messages of a robot at stops, without those between the stops.
 
@@ -158,8 +158,8 @@ def measuring_cell(rng: Generator) -> tuple[dict[str, Messages], dict[str, Any]]
         T_ball = np.eye(4)
         T_ball[0, 3] = k * BALL_BAR_LENGTH
         placed = SCENES[wide.scene].placements(wide, rng)
-        recordings[f'ball_{k + 1}'] = rendered(wide, X, T_bar @ T_ball, placed, rng,
-                                               1000.0 * (k + 1))
+        recordings[f'ball_{k + 1}'] = messages_at_stops(
+            wide, X, T_bar @ T_ball, placed, rng, 1000.0 * (k + 1))
     passes = scan_gauge(Gauge(), X, draw_pose(rng), plate.sensor, plate.robot, rng)
     recordings |= {f'pass_{k}': messages for k, messages in enumerate(passes, 1)}
     return recordings, {'T_flange_sensor': se3.transform_values(X), 'artefacts': {

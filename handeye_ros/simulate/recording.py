@@ -133,7 +133,7 @@ class Cell:
     T_fixed_target: the target in the base (eye_in_hand) or in the flange (eye_on_base)
     T_base_flange, T_base_flange_reported: (n, 4, 4), true and with the robot's errors
     T_mount_best: T_mount_sensor as it fits the reported poses best
-    arm, distortion: errors of arm and sensor, if there are any
+    arm_errors, distortion: those of arm and sensor, if there are any
     """
 
     scenario: Scenario
@@ -143,7 +143,7 @@ class Cell:
     T_base_flange: Array
     T_base_flange_reported: Array
     T_mount_best: Array
-    arm: robots.ArmErrors | None = None
+    arm_errors: robots.ArmErrors | None = None
     distortion: sensors.Distortion | None = None
 
     def T_target_sensor(self, T_base_flange: Array) -> Array:
@@ -158,8 +158,8 @@ class Cell:
         if self.distortion:
             T_true_sensor = self.distortion.T_true_reported @ T_true_sensor
         corrected = None
-        if self.arm and self.scenario.calibration_type == 'eye_in_hand':
-            corrected = self.arm.flange @ self.T_mount_sensor @ T_true_sensor
+        if self.arm_errors and self.scenario.calibration_type == 'eye_in_hand':
+            corrected = self.arm_errors.flange @ self.T_mount_sensor @ T_true_sensor
         stops = tuple(TrueStop(*span, *of_stop) for span, *of_stop in zip(
             spans.tolist(), self.placements.labels, self.placements.points, self.T_base_flange,
             self.T_base_flange_reported, strict=True))
@@ -339,8 +339,8 @@ def _sweeping(cell: Cell, sweep: Sweep, rng: Generator) -> Simulated:
     drift = rng.normal(size=(len(drift_times), 6)) * np.repeat(sweep.drift, 3) / np.sqrt(3)
     T = se3.perturb(T, error + CubicSpline(drift_times, drift)(times))
     stamped = np.maximum.accumulate(times + rng.normal(size=len(times)) * sweep.pose_jitter)
-    if cell.arm:
-        T = se3.perturb(T, robots.reported_error(T, cell.arm))
+    if cell.arm_errors:
+        T = se3.perturb(T, robots.reported_error(T, cell.arm_errors))
     step = sweep.resolution
     poses = timed_poses(stamped, np.round(T[:, :3, 3] / step) * step if step else T[:, :3, 3],
                         se3.quaternion(T))
