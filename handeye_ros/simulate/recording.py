@@ -291,8 +291,8 @@ def _stopping(cell: Cell, rng: Generator) -> Simulated:
     T = _between(cell.T_base_flange_reported, *progress(times))
     T = se3.perturb(T, rng.normal(size=(len(T), 6)) * robot.jitter)
     translation, quaternion = T[:, :3, 3], se3.quaternion(T)
-    for name in cell.scenario.convention_errors:
-        translation, quaternion = robots.CONVENTION_ERRORS[name](translation, quaternion)
+    for name in cell.scenario.wrong_conventions:
+        translation, quaternion = robots.WRONG_CONVENTIONS[name](translation, quaternion)
     spans = stamps(np.stack([arrivals, arrivals + robot.dwell], axis=1))
     return Simulated(cell.scenario, profiles, timed_poses(times, translation, quaternion),
                      cell.truth(spans))
@@ -383,7 +383,7 @@ def simulate_samples(scenario: Scenario, rng: Generator) -> tuple[tuple[Sample, 
     Return the samples of a recording, and their truth.
 
     Each feature has exactly its stated noise (white sensor noise, averaged over the profiles of a
-    stop), each pose the robot's error. Standard sensor frame; without convention errors.
+    stop), each pose the robot's error. Standard sensor frame; without wrong conventions.
     """
     scenario = replace(scenario, frame='standard')
     cell, dwell = draw(scenario, rng), scenario.robot.dwell

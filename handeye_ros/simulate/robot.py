@@ -145,7 +145,7 @@ def _euler(quaternion: Array, read_as: str, factor: float) -> Array:
     return np.asarray(Rotation.from_euler(read_as, angles).as_quat())
 
 
-CONVENTION_ERRORS: dict[str, PoseMap] = {
+WRONG_CONVENTIONS: dict[str, PoseMap] = {
     'inverted': _inverted,  # base in flange for flange in base
     # quaternions sent as w x y z
     'wxyz': lambda translation, quaternion: (translation, np.roll(quaternion, 1, axis=1)),

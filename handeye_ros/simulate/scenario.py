@@ -196,7 +196,7 @@ class Scenario:
     bumped: number of stops whose reported pose is grossly wrong
     wrong_edges: number of stops at an edge of the plate that is neither p nor q
     empty: there is no target
-    convention_errors: keys of robot.CONVENTION_ERRORS, applied in order
+    wrong_conventions: keys of robot.WRONG_CONVENTIONS, applied in order
     repeats: number of runs of the programme of stops
     lever: smallest and largest distance of the sensor from its mount
     stated: wrong settings, by dotted key
@@ -218,7 +218,7 @@ class Scenario:
     bumped: int = 0
     wrong_edges: int = 0
     empty: bool = False
-    convention_errors: tuple[str, ...] = ()
+    wrong_conventions: tuple[str, ...] = ()
     repeats: int = 1
     lever: tuple[float, float] = (0.1, 0.2)
     stated: tuple[tuple[str, Any], ...] = ()
@@ -298,8 +298,8 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     changed(PLATE, 'wrong_edges', wrong_edges=2),
     changed(PLATE, 'no_target', empty=True),
     changed(PLATE, 'nothing_in_sight', empty=True, target={'table': None}),
-    changed(PLATE, 'inverted_poses', convention_errors=('inverted',)),
-    *(changed(PLATE, name, convention_errors=(name,))
+    changed(PLATE, 'inverted_poses', wrong_conventions=('inverted',)),
+    *(changed(PLATE, name, wrong_conventions=(name,))
       for name in ('wxyz', 'millimetres', 'degrees', 'intrinsic')),
     # the robot moves all the time
     *(swept(base, f'{base.name}_sweep') for base in BASES),
@@ -312,7 +312,7 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     changed(SPHERE, 'small_arm', robot=replace(WRONG_ARM, rate=20.0), stops=(30, 0),
             sensor=SLOW_BAG | {'thinning': 20, 'columns': 320}),
     changed(COARSE_PLATE, 'small_one_orientation', motion='one_orientation'),
-    changed(COARSE_PLATE, 'small_inverted_poses', convention_errors=('inverted',)),
+    changed(COARSE_PLATE, 'small_inverted_poses', wrong_conventions=('inverted',)),
 )}
 
 
