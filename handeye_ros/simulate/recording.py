@@ -28,6 +28,8 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 START_STAMP = 1_700_000_000_000_000_000  # ns
 EXPOSURE_INSTANTS = 5  # rendered per exposure
+GAP = 0.3  # s: duration of a gap in the poses of a sweep
+DRIFT_TIME = 1.0  # s between the knots of their drift
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,13 +331,13 @@ def _sweeping(cell: Cell, sweep: Sweep, rng: Generator) -> Simulated:
 
     times = np.arange(0.0, knots[-1], 1 / scenario.robot.rate)
     begins = (np.arange(sweep.gaps) + 0.5) * (times[-1] / max(sweep.gaps, 1))
-    missing = (times >= begins[:, None]) & (times < begins[:, None] + sweep.gap)
+    missing = (times >= begins[:, None]) & (times < begins[:, None] + GAP)
     times = times[~missing.any(axis=0)]
     T, T_lagging = (flange_poses(scenario, path(t), cell.T_mount_sensor, cell.T_fixed_target)
                     for t in (times, times - sweep.rotation_lag))
     T = se3.transform(T_lagging[:, :3, :3], T[:, :3, 3])
     error = robots.pose_error(scenario.robot, T, rng)
-    drift_times = np.arange(0.0, times[-1] + 2 * sweep.drift_time, sweep.drift_time)
+    drift_times = np.arange(0.0, times[-1] + 2 * DRIFT_TIME, DRIFT_TIME)
     drift = rng.normal(size=(len(drift_times), 6)) * np.repeat(sweep.drift, 3) / np.sqrt(3)
     T = se3.perturb(T, error + CubicSpline(drift_times, drift)(times))
     stamped = np.maximum.accumulate(times + rng.normal(size=len(times)) * sweep.pose_jitter)

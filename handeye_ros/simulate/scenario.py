@@ -33,7 +33,7 @@ class SensorModel:
     scale: relative error of the coordinates about the middle of the field
     line_bend: y of the light at both ends of the line (at middle range), of a light plane that is
         bent
-    speckle: 1 sigma of an error that is constant during a stop, correlated over speckle_columns
+    speckle: 1 sigma of an error that is constant during a stop, correlated along the line
     spot: 1 sigma of the width of the light along the line; surfaces below the target's face are
         ground times as bright
     smoothing: columns of the driver's mean filter
@@ -56,7 +56,6 @@ class SensorModel:
     scale: float = 0.0
     line_bend: float = 0.0
     speckle: float = 0.0
-    speckle_columns: float = 5.0
     spot: float = 0.0
     ground: float = 1.0
     smoothing: int = 0
@@ -137,7 +136,6 @@ class SphereTarget:
     """
 
     radius: float = 0.040
-    stem: float = 0.012
     table: float | None = 0.030
     clutter: bool = True
 
@@ -163,10 +161,9 @@ class Sweep:
     exposure: averaging time of one profile
     rotation_lag: delay of the reported rotation
     stamp_jitter, pose_jitter: 1 sigma of the stamps
-    gaps: number of gaps in the poses, each of duration gap
+    gaps: number of gaps in the poses
     resolution: rounding of positions (m), 0: none
     drift: RMS of the vectors of an error (translation, rotation) of the poses that varies smoothly
-        over drift_time
     """
 
     knot: float = 1.6
@@ -175,10 +172,8 @@ class Sweep:
     stamp_jitter: float = 0.0
     pose_jitter: float = 0.0
     gaps: int = 0
-    gap: float = 0.3
     resolution: float = 0.0
     drift: tuple[float, float] = (0.0, 0.0)
-    drift_time: float = 1.0
 
 
 @dataclass(frozen=True)

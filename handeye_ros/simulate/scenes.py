@@ -322,6 +322,7 @@ def wedge_solids(scenario: Scenario) -> tuple[Solid, ...]:
 
 
 ARC_POINTS = 12  # mean points that represent an arc
+STEM_WIDTH = 0.012  # m
 
 
 def sphere_placements(scenario: Scenario, rng: Generator) -> Placements:
@@ -372,7 +373,7 @@ def _points_on_circle(centre: Array, radius: float, sine: Array, outwards: Array
 def sphere_solids(scenario: Scenario) -> tuple[Solid, ...]:
     """Return ball, stem, table and, with clutter, a block beside the ball."""
     target: SphereTarget = scenario.target
-    half, bottom = target.stem / 2, -(target.table or 0.2)
+    half, bottom = STEM_WIDTH / 2, -(target.table or 0.2)
     beside = 1.2 * target.radius
     solids = (*table_top(target.table), Ball(target.radius),
               box((-half, -half, bottom), (half, half, 0)))

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import convolve1d, gaussian_filter1d
 
 CHUNK_PROFILES = 32  # profiles cast at once, so that the arrays stay in the cache
-EDGE_COLUMNS = 3
+EDGE_COLUMNS = 3  # on either side of a step, where more points are lost
+SPECKLE_COLUMNS = 5.0  # 1 sigma of the filter that correlates the speckle of neighbours
 
 
 def fan(points: Array) -> Array:
@@ -183,7 +184,7 @@ def _smoothed(sensor: SensorModel, z: Array) -> Array:
 def speckle(sensor: SensorModel, shape: tuple[int, ...], rng: Generator) -> Array:
     """Return an error (m, n) that is correlated along each row."""
     white = rng.normal(size=shape)
-    smooth = gaussian_filter1d(white, sensor.speckle_columns, axis=1, mode='wrap')
+    smooth = gaussian_filter1d(white, SPECKLE_COLUMNS, axis=1, mode='wrap')
     return np.asarray(sensor.speckle * smooth / smooth.std())
 
 
