@@ -212,7 +212,7 @@ def shown(name: str, rng: np.random.Generator, share: int, other: cells.Cell | N
         cell = replace(cell, arm_errors=other.arm_errors, T_mount_sensor=X, T_base_flange=T)
     T = cell.T_base_flange
     T = se3.perturb(T, robot.pose_error(scenario.robot, T, rng))
-    T = se3.perturb(T, robot.reported_error(T, cell.arm_errors))
+    T = se3.perturb(T, robot.arm_pose_error(T, cell.arm_errors))
     features = scene.features(scenario, stops, rng)
     config = with_values(Config(), settings(scenario), 'the scenario')
     samples = [Sample(k, pose, found, 30)

@@ -355,7 +355,7 @@ def samples(scenario: Scenario, count: int, X: Array, T: Array, rng: np.random.G
     offsets = np.array([0, 0, 0, 0, joint, 0.0])
     errors = robots.ArmErrors(np.zeros((6, 6)), offsets, np.zeros(6), np.zeros(6))
     poses = np.array([s.T_base_flange for s in found])
-    reported = se3.perturb(poses, robots.reported_error(poses, errors))
+    reported = se3.perturb(poses, robots.arm_pose_error(poses, errors))
     return [replace(s, T_base_flange=one) for s, one in zip(found, reported, strict=True)]
 
 

@@ -187,9 +187,9 @@ def cell_of(scenario: Scenario, placed: Placements, rng: Generator) -> Cell:
     best, errors = X, None
     if scenario.robot.geometry:
         errors = robots.draw_arm(scenario.robot.geometry, rng)
-        reported = se3.perturb(reported, robots.reported_error(T, errors))
+        reported = se3.perturb(reported, robots.arm_pose_error(T, errors))
         many_poses = flange_poses(scenario, many_placements(scenario).T_target_sensor, X, Z)
-        best = _best_mount(many_poses, robots.reported_error(many_poses, errors), X, scenario)
+        best = _best_mount(many_poses, robots.arm_pose_error(many_poses, errors), X, scenario)
     reported[:, :3, 3] *= 1 + scenario.robot.scale
     reported = robots.bumped(reported, scenario.bumped, rng)
     return Cell(scenario, placed, X, Z, T, reported, best, errors)
@@ -286,7 +286,7 @@ def _stopping(cell: Cell, rng: Generator) -> Simulated:
     places, row = np.unique(np.stack(progress(times), axis=1), axis=0, return_inverse=True)
     row = row.reshape(-1)  # numpy 2.0 alone returns it as a column
     T = _between(cell.T_base_flange, places[:, 0].astype(np.int64), np.asarray(places[:, 1]))
-    z, angle = _exact(cell, cell.T_target_sensor(T), rng)
+    z, angle = _exact_ranges(cell, cell.T_target_sensor(T), rng)
     profiles = _profiles(cell, z[row], angle[row], times + sensor.delay, rng)
 
     times = np.arange(0, duration, 1 / robot.rate)
@@ -325,7 +325,7 @@ def _sweeping(cell: Cell, sweep: Sweep, rng: Generator) -> Simulated:
     instants = times[:, None] + (np.linspace(-0.5, 0.5, EXPOSURE_INSTANTS) * sweep.exposure
                                  if sweep.exposure else np.zeros(1))
     z, angle = (values.reshape(*instants.shape, -1).mean(axis=1)
-                for values in _exact(cell, path(instants.ravel()), rng))
+                for values in _exact_ranges(cell, path(instants.ravel()), rng))
     stamped = times + sensor.delay + rng.normal(size=len(times)) * sweep.stamp_jitter
     profiles = _profiles(cell, z, angle, np.maximum.accumulate(stamped), rng)
 
@@ -342,7 +342,7 @@ def _sweeping(cell: Cell, sweep: Sweep, rng: Generator) -> Simulated:
     T = se3.perturb(T, error + CubicSpline(drift_times, drift)(times))
     stamped = np.maximum.accumulate(times + rng.normal(size=len(times)) * sweep.pose_jitter)
     if cell.arm_errors:
-        T = se3.perturb(T, robots.reported_error(T, cell.arm_errors))
+        T = se3.perturb(T, robots.arm_pose_error(T, cell.arm_errors))
     step = sweep.resolution
     poses = timed_poses(stamped, np.round(T[:, :3, 3] / step) * step if step else T[:, :3, 3],
                         se3.quaternion(T))
@@ -350,7 +350,7 @@ def _sweeping(cell: Cell, sweep: Sweep, rng: Generator) -> Simulated:
     return Simulated(scenario, profiles, poses, replace(truth, time_offset=-sensor.delay))
 
 
-def _exact(cell: Cell, T_target_sensor: Array, rng: Generator) -> tuple[Array, Array]:
+def _exact_ranges(cell: Cell, T_target_sensor: Array, rng: Generator) -> tuple[Array, Array]:
     """
     Return ranges and angles of incidence (m, n) of n columns at poses (m, 4, 4) (m, rad).
 

@@ -21,6 +21,7 @@ class SensorModel:
 
     The field of view is a trapezoid: range (min, max) of z, and |x| <= half_width * z.
 
+    columns, rate: points of a profile, and profiles per second
     sampling: 'fan': columns regular in the angle's tangent; 'x': parallel light, regular in x;
         'fan_x': a fan that the driver resamples, regular in x
     camera: (y, z) of the camera's pinhole, outside the light plane: a step can hide a point from
@@ -82,6 +83,7 @@ class RobotModel:
         no arm
     scale: relative error of reported positions
     jitter: 1 sigma of each streamed pose (m and rad)
+    rate: poses per second
     dwell, move: duration of a stop and of a motion
     """
 
@@ -194,7 +196,7 @@ class Scenario:
     wrong_conventions: keys of robot.WRONG_CONVENTIONS, applied in order
     repeats: number of runs of the programme of stops
     lever: smallest and largest distance of the sensor from its mount
-    stated: wrong settings, by dotted key
+    stated: settings that are not the values of the cell, by dotted key
     sweep: the motion without stops; the repeatability is then drawn for each streamed pose
     """
 
