@@ -24,8 +24,7 @@ from handeye_ros.data import Sample
 from handeye_ros.estimation.noise import NoiseModel
 from handeye_ros.estimation.posterior import posterior_at
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.simulate.recording import simulate_samples
-from handeye_ros.simulate.scenario import Scenario, SCENARIOS
+from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
 import numpy as np
 from scipy.stats import chi2
 import trials

@@ -30,8 +30,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.errors import DataError
 from handeye_ros.frames import mount_poses
 from handeye_ros.published import park1994, wang2015, wu2017
-from handeye_ros.simulate.recording import settings, simulate_samples
-from handeye_ros.simulate.scenario import SCENARIOS
+from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
 from handeye_ros.simulate.tables import (
     CAMERA_STDS,
     laser_tracker,

@@ -55,9 +55,8 @@ from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.features import combined_features
 from handeye_ros.sampling.session import duplicate_pose_reason
 from handeye_ros.sampling.stops import Stop
-from handeye_ros.simulate import sensor
-from handeye_ros.simulate.recording import settings, simulate_samples
-from handeye_ros.simulate.scenario import PlateTarget, Scenario, SCENARIOS, WedgeTarget
+from handeye_ros.simulate import Scenario, SCENARIOS, sensor, settings, simulate_samples
+from handeye_ros.simulate.scenario import PlateTarget, WedgeTarget
 from handeye_ros.simulate.scenes import edge_frames, facing, SCENES, SENSOR_FACING
 import numpy as np
 

@@ -30,9 +30,7 @@ from handeye_ros.robot.selection import ArmSelection, select_model
 from handeye_ros.robot.sources import ArmSamples, fit_of_samples, solve_points
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import recording as cells
-from handeye_ros.simulate import robot
-from handeye_ros.simulate.recording import settings
-from handeye_ros.simulate.scenario import SCENARIOS
+from handeye_ros.simulate import robot, SCENARIOS, settings
 from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.targets import target_for
 import numpy as np

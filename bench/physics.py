@@ -45,8 +45,8 @@ from handeye_ros import pipeline
 from handeye_ros.config import Config, with_values
 from handeye_ros.errors import HandeyeError
 from handeye_ros.results.truth import errors_against
-from handeye_ros.simulate.recording import settings, simulate, simulate_samples
-from handeye_ros.simulate.scenario import changed, FAULTS, Scenario, SCENARIOS, Sweep, swept
+from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings, simulate, simulate_samples
+from handeye_ros.simulate.scenario import changed, Sweep, swept
 import numpy as np
 from scipy.stats import chi2
 import trials

@@ -38,9 +38,8 @@ from handeye_ros.bags import writer
 from handeye_ros.config import Config, with_assignments, with_values
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError, HandeyeError
-from handeye_ros.simulate.recording import settings, simulate, simulate_samples
+from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings, simulate, simulate_samples
 from handeye_ros.simulate.robot import WRONG_CONVENTIONS
-from handeye_ros.simulate.scenario import FAULTS, Scenario, SCENARIOS
 import numpy as np
 from scipy.stats import chi2
 import trials

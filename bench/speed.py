@@ -28,8 +28,7 @@ from handeye_ros import pipeline, targets
 from handeye_ros.bags.recording import read_bag
 from handeye_ros.config import Config
 from handeye_ros.errors import FeatureError
-from handeye_ros.simulate.recording import settings, simulate_samples
-from handeye_ros.simulate.scenario import SCENARIOS
+from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
 import numpy as np
 
 ROOT = Path(__file__).parents[1]

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from handeye_ros import se3
 from handeye_ros.results.truth import field_points
-from handeye_ros.simulate.scenario import Scenario
+from handeye_ros.simulate import Scenario
 from handeye_ros.simulate.sensor import FRAMES
 import numpy as np
 

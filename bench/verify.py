@@ -42,6 +42,7 @@ from handeye_ros.config import Config, NoiseConfig, VerifyConfig, with_values
 from handeye_ros.data import Array, Calibration, EdgePoint, FaceLine, Quality, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.trajectory import trajectory_of
+from handeye_ros.simulate import FAULTS, settings, simulate
 from handeye_ros.simulate import robot as robots
 from handeye_ros.simulate.artefacts import (
     draw_pose,
@@ -50,10 +51,8 @@ from handeye_ros.simulate.artefacts import (
     messages_at_stops,
     scan_gauge,
 )
-from handeye_ros.simulate.recording import settings, simulate
 from handeye_ros.simulate.robot import pose_error
 from handeye_ros.simulate.scenario import (
-    FAULTS,
     PlateTarget,
     RobotModel,
     Scenario,

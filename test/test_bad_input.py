@@ -8,11 +8,10 @@ from dataclasses import replace
 from calibrations import CALIBRATION
 from command import assert_refused, handeye, PLATE
 import handeye_ros
+from handeye_ros import simulate
 from handeye_ros.bags import writer
 from handeye_ros.config import Config
 from handeye_ros.errors import InputError
-from handeye_ros.simulate.recording import simulate
-from handeye_ros.simulate.scenario import SCENARIOS
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -20,14 +19,14 @@ import pytest
 
 pytestmark = pytest.mark.once
 
-BASE = replace(SCENARIOS['plate'], stops=(6, 6))
+BASE = replace(simulate.SCENARIOS['plate'], stops=(6, 6))
 # as short as it gets with the default sampling
 BASE = replace(BASE, robot=replace(BASE.robot, dwell=0.8, move=0.4, rate=50.0),
                sensor=replace(BASE.sensor, columns=640, rate=15.0))
 
 
 def bag_of(path, change=lambda profiles, poses: (profiles, poses), **differs):
-    recording = simulate(replace(BASE, **differs), np.random.default_rng(11))
+    recording = simulate.simulate(replace(BASE, **differs), np.random.default_rng(11))
     writer.write(path, *change(recording.profiles, recording.poses))
     return path
 

@@ -12,7 +12,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.compare import compare, Comparison, EstimatorResult, ESTIMATORS_OWN_FIRST
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.results.truth import errors_against
-from handeye_ros.simulate.scenario import SCENARIOS
+from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import TARGETS
 import numpy as np
 import pytest

@@ -12,8 +12,8 @@ from handeye_ros import Config, gather, se3, solve
 from handeye_ros.config import ProfileConfig, TargetConfig
 from handeye_ros.data import Calibration, EdgePoint, Profile, Reject, TimedPose
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.simulate.recording import settings, simulate_samples
-from handeye_ros.simulate.scenario import FAULTS, PlateTarget, Scenario, SCENARIOS
+from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings, simulate_samples
+from handeye_ros.simulate.scenario import PlateTarget
 import numpy as np
 import pytest
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from cells import recorded, set_to
 from handeye_ros.pipeline import answer_session, gather
 from handeye_ros.review import agreements, samples_table
-from handeye_ros.simulate.scenario import SCENARIOS
+from handeye_ros.simulate import SCENARIOS
 import numpy as np
 import pytest
 

@@ -3,7 +3,19 @@
 """
 Simulated recordings with known truth, without ROS.
 
-`simulate` of `recording` renders profiles and poses; `simulate_samples` makes the features
-directly. `scenario` has the cells, also those with the faults of real ones, and `tables` makes
-files of measured values.
+`simulate` renders profiles and poses; `simulate_samples` makes the features directly; `FAULTS`
+are cells with the faults of real ones; `FILE_SCENES` make files of measured values.
 """
+from handeye_ros.simulate.recording import (
+    settings,
+    simulate,
+    simulate_samples,
+    Simulated,
+    TrueStop,
+    Truth,
+)
+from handeye_ros.simulate.scenario import FAULTS, Scenario, SCENARIOS
+from handeye_ros.simulate.tables import FILE_SCENES, SimulatedFiles
+
+__all__ = ['FAULTS', 'FILE_SCENES', 'SCENARIOS', 'Scenario', 'Simulated', 'SimulatedFiles',
+           'TrueStop', 'Truth', 'settings', 'simulate', 'simulate_samples']

@@ -16,10 +16,7 @@ from handeye_ros.bags.storage import CLOUD_TYPE, JOINTS_TYPE, RecordedMessage, T
 from handeye_ros.config import Config, ProfileConfig
 from handeye_ros.errors import DataError, InputError, UnwritableError
 from handeye_ros.results.truth import true_transform
-from handeye_ros.simulate import robot
-from handeye_ros.simulate.recording import simulate
-from handeye_ros.simulate.scenario import SCENARIOS
-from handeye_ros.simulate.tables import FILE_SCENES
+from handeye_ros.simulate import FILE_SCENES, robot, SCENARIOS, simulate
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder

@@ -15,7 +15,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Calibration, NS, Profile
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.stops import Stop
-from handeye_ros.simulate.scenario import FAULTS, Scenario, SCENARIOS
+from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS
 import numpy as np
 import pytest
 

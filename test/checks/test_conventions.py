@@ -11,9 +11,8 @@ from handeye_ros import pipeline, se3
 from handeye_ros.checks.conventions import orientations_scatter
 from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.simulate.recording import simulate
+from handeye_ros.simulate import SCENARIOS, simulate
 from handeye_ros.simulate.robot import WRONG_CONVENTIONS
-from handeye_ros.simulate.scenario import SCENARIOS
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -15,8 +15,7 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import chi2_isf
 from handeye_ros.guidance.advice import advise
-from handeye_ros.simulate.recording import simulate_samples
-from handeye_ros.simulate.scenario import FAULTS, SCENARIOS
+from handeye_ros.simulate import FAULTS, SCENARIOS, simulate_samples
 import numpy as np
 import pytest
 from streams import in_order

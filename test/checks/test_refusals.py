@@ -14,7 +14,7 @@ from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Reject, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.frames import direction_in_words
 from handeye_ros.se3 import worst_direction
-from handeye_ros.simulate.scenario import FAULTS, Scenario, SCENARIOS
+from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS
 from handeye_ros.targets import TARGETS
 import numpy as np
 import pytest

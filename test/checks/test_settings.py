@@ -12,8 +12,7 @@ from handeye_ros.checks.hypotheses import explain_samples, refuse_by_best
 from handeye_ros.checks.settings import setting_hypotheses, with_few_profiles
 from handeye_ros.config import with_flipped_range
 from handeye_ros.errors import DataError
-from handeye_ros.simulate import scenes
-from handeye_ros.simulate.scenario import FAULTS, Scenario, SCENARIOS
+from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, scenes
 from handeye_ros.simulate.solids import box, Solid
 import numpy as np
 import pytest

@@ -12,8 +12,8 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.simulate.recording import simulate_samples
-from handeye_ros.simulate.scenario import PlateTarget, Scenario, SCENARIOS
+from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
+from handeye_ros.simulate.scenario import PlateTarget
 import numpy as np
 import pytest
 

@@ -13,8 +13,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import with_flipped_range
 from handeye_ros.data import FaceLine
 from handeye_ros.errors import DataError
-from handeye_ros.simulate import scenes
-from handeye_ros.simulate.scenario import Scenario, SCENARIOS
+from handeye_ros.simulate import Scenario, SCENARIOS, scenes
 from handeye_ros.simulate.solids import box, Solid
 import pytest
 

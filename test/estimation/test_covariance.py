@@ -34,8 +34,7 @@ from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, covariance_parts, Nois
 from handeye_ros.estimation.posterior import posterior_at
 from handeye_ros.estimation.search import least_squares_fit
 from handeye_ros.estimation.solution import cover
-from handeye_ros.simulate.recording import simulate_samples
-from handeye_ros.simulate.scenario import FAULTS, SCENARIOS
+from handeye_ros.simulate import FAULTS, SCENARIOS, simulate_samples
 import numpy as np
 import pytest
 from streams import in_order

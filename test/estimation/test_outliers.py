@@ -15,8 +15,7 @@ from handeye_ros.estimation.noise import BLOCKS_AS_NOISE
 from handeye_ros.estimation.posterior import posterior_at
 from handeye_ros.estimation.search import refined_solution
 from handeye_ros.results.truth import errors_against
-from handeye_ros.simulate.recording import simulate_samples
-from handeye_ros.simulate.scenario import FAULTS, SCENARIOS
+from handeye_ros.simulate import FAULTS, SCENARIOS, simulate_samples
 import numpy as np
 import pytest
 

@@ -26,9 +26,8 @@ from handeye_ros.estimation.basis import bent_line, distortion_fields
 from handeye_ros.estimation.blocks import line_bend, points_on_target, sensor_scale
 from handeye_ros.estimation.noise import EDGE_INDEX, FACE_INDEX, POSE_INDEX
 from handeye_ros.estimation.problem import linearise, PoseModel
-from handeye_ros.simulate import sensor
-from handeye_ros.simulate.recording import simulate_samples
-from handeye_ros.simulate.scenario import FAULTS, SCENARIOS, SensorModel
+from handeye_ros.simulate import FAULTS, SCENARIOS, sensor, simulate_samples
+from handeye_ros.simulate.scenario import SensorModel
 import numpy as np
 import pytest
 

@@ -23,7 +23,7 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Estimate, linearise, Problem
 from handeye_ros.estimation.search import quick_solution
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.simulate.scenario import SCENARIOS
+from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import problem_of_known_poses
 import numpy as np
 import pytest

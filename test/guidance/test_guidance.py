@@ -29,7 +29,7 @@ from handeye_ros.guidance.candidates import (
 )
 from handeye_ros.guidance.view import learn_view, next_move
 from handeye_ros.pipeline import Answer
-from handeye_ros.simulate.scenario import SCENARIOS
+from handeye_ros.simulate import SCENARIOS
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -22,8 +22,7 @@ from handeye_ros.node.state import (
     state_of,
     status_message,
 )
-from handeye_ros.simulate.recording import simulate
-from handeye_ros.simulate.scenario import SCENARIOS
+from handeye_ros.simulate import SCENARIOS, simulate
 from live_sessions import changed, computed, fed, feed, feed_one, later, new, SPHERE, update
 import numpy as np
 import pytest

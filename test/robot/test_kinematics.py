@@ -20,8 +20,7 @@ from handeye_ros.robot import sources
 from handeye_ros.robot.sources import solve_points
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import robot as simulated_arm
-from handeye_ros.simulate.recording import simulate_samples
-from handeye_ros.simulate.scenario import SCENARIOS
+from handeye_ros.simulate import SCENARIOS, simulate_samples
 from handeye_ros.targets import target_for
 import numpy as np
 import pytest

@@ -22,8 +22,8 @@ from handeye_ros.sampling.interpolation import interpolate
 from handeye_ros.sampling.stops import StopFinder
 from handeye_ros.sampling.sweep import with_estimated_clocks
 from handeye_ros.sampling.trajectory import trajectory_of
-from handeye_ros.simulate.recording import simulate
-from handeye_ros.simulate.scenario import Scenario, SCENARIOS, Sweep
+from handeye_ros.simulate import Scenario, SCENARIOS, simulate
+from handeye_ros.simulate.scenario import Sweep
 from handeye_ros.targets.plate import Plate
 from hypothesis import given
 from hypothesis import strategies as st

@@ -9,8 +9,15 @@ import math
 from handeye_ros import se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine
-from handeye_ros.simulate.recording import settings, simulate, simulate_samples, TrueStop, Truth
-from handeye_ros.simulate.scenario import Scenario, SCENARIOS
+from handeye_ros.simulate import (
+    Scenario,
+    SCENARIOS,
+    settings,
+    simulate,
+    simulate_samples,
+    TrueStop,
+    Truth,
+)
 from handeye_ros.simulate.sensor import lift
 import numpy as np
 import pytest

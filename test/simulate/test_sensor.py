@@ -7,9 +7,9 @@ import math
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.simulate import SCENARIOS, simulate_samples
 from handeye_ros.simulate import sensor as sensors
-from handeye_ros.simulate.recording import simulate_samples
-from handeye_ros.simulate.scenario import SCENARIOS, SensorModel
+from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.simulate.sensor import lift
 from handeye_ros.simulate.solids import box, Solid
 import numpy as np

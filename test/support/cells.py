@@ -26,8 +26,7 @@ from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solution import converged_fit, posteriors_of_fit, Solution
 from handeye_ros.results.truth import errors_against
-from handeye_ros.simulate.recording import settings, simulate, simulate_samples, Truth
-from handeye_ros.simulate.scenario import Scenario, SCENARIOS
+from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
 from handeye_ros.simulate.sensor import FRAMES
 import numpy as np
 import pytest

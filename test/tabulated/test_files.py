@@ -23,9 +23,8 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.results import calibration_file
 from handeye_ros.results.truth import errors_against, true_transform
-from handeye_ros.simulate import tables
+from handeye_ros.simulate import FILE_SCENES, tables
 from handeye_ros.simulate.scenario import SensorModel
-from handeye_ros.simulate.tables import FILE_SCENES
 from handeye_ros.tabulated import FILE_TARGETS
 from handeye_ros.tabulated.problem import calibrate_table, TableProblem
 import numpy as np

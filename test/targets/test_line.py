@@ -9,7 +9,8 @@ import re
 from cells import cell, ONE_IN_1000, recorded, set_to, squared_error
 from handeye_ros import pipeline
 from handeye_ros.data import EdgePoint, FaceLine
-from handeye_ros.simulate.scenario import PlateTarget, SCENARIOS
+from handeye_ros.simulate import SCENARIOS
+from handeye_ros.simulate.scenario import PlateTarget
 import numpy as np
 import pytest
 

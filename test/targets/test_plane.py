@@ -10,7 +10,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import face_features, plane_features
-from handeye_ros.simulate.scenario import SCENARIOS
+from handeye_ros.simulate import SCENARIOS
 import numpy as np
 import pytest
 

@@ -13,7 +13,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Estimate, linearise, UNUSED
-from handeye_ros.simulate.scenario import SCENARIOS
+from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import TARGETS
 import numpy as np
 import pytest

@@ -12,8 +12,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import FaceLine, Sample
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import face_pair_features
-from handeye_ros.simulate import scenes
-from handeye_ros.simulate.scenario import Scenario, SCENARIOS
+from handeye_ros.simulate import Scenario, SCENARIOS, scenes
 from handeye_ros.simulate.solids import box, Solid
 from handeye_ros.targets import problem_of_known_poses
 from handeye_ros.targets.wedge import WEDGE

@@ -13,7 +13,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Reject
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
-from handeye_ros.simulate.recording import simulate
+from handeye_ros.simulate import simulate
 from handeye_ros.simulate.scenario import FAULTS, RobotModel, Scenario, SCENARIOS
 from handeye_ros.verification.check import CalibratedCell, check, check_recording
 import numpy as np

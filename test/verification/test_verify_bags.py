@@ -12,8 +12,8 @@ from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import ClockEstimate
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import write_calibration
-from handeye_ros.simulate.recording import settings, simulate
-from handeye_ros.simulate.scenario import SCENARIOS, Sweep
+from handeye_ros.simulate import SCENARIOS, settings, simulate
+from handeye_ros.simulate.scenario import Sweep
 from handeye_ros.verification import result_file
 from handeye_ros.verification.routines import ROUTINES
 from handeye_ros.verification.stations import stations_of
