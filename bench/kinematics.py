@@ -207,10 +207,10 @@ def shown(name: str, rng: np.random.Generator, share: int, other: cells.Cell | N
     if other:
         X = other.T_mount_sensor
         T = cell.T_base_flange @ cell.T_mount_sensor @ se3.inverse(X)
-        cell = replace(cell, arm=other.arm, T_mount_sensor=X, T_base_flange=T)
+        cell = replace(cell, arm_errors=other.arm_errors, T_mount_sensor=X, T_base_flange=T)
     T = cell.T_base_flange
     T = se3.perturb(T, robot.pose_error(scenario.robot, T, rng))
-    T = se3.perturb(T, robot.reported_error(T, cell.arm))
+    T = se3.perturb(T, robot.arm_pose_error(T, cell.arm_errors))
     features = scene.features(scenario, stops, rng)
     config = with_values(Config(), settings(scenario), 'the scenario')
     samples = [Sample(k, pose, found, 30)
@@ -238,7 +238,7 @@ def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
     before, after = (float(np.sqrt((m.fit.distances[~used] ** 2).mean())) * 1e3
                      for m in (selection.models[0], selection.chosen))
     return before, after, trials.nees(selection.chosen.fit.X, selection.covariance,
-                                      cell.arm.flange @ cell.T_mount_sensor) / 6
+                                      cell.arm_errors.flange @ cell.T_mount_sensor) / 6
 
 
 def main() -> None:

@@ -39,7 +39,7 @@ from handeye_ros.config import Config, with_assignments, with_values
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings, simulate, simulate_samples
-from handeye_ros.simulate.robot import CONVENTION_ERRORS
+from handeye_ros.simulate.robot import WRONG_CONVENTIONS
 import numpy as np
 from scipy.stats import chi2
 import trials
@@ -69,11 +69,11 @@ def poses_of(samples: list[Sample]) -> Array:
     return np.array([s.T_base_flange for s in samples])
 
 
-def convention_error(name: str) -> Damage:
-    """Return the damage that a convention error of the simulator does to all poses."""
+def wrong_convention(name: str) -> Damage:
+    """Return the damage that a wrong convention of the simulator does to all poses."""
     def apply(samples: list[Sample], rng: np.random.Generator) -> list[Sample]:
         T = poses_of(samples)
-        translation, quaternion = CONVENTION_ERRORS[name](T[:, :3, 3], se3.quaternion(T))
+        translation, quaternion = WRONG_CONVENTIONS[name](T[:, :3, 3], se3.quaternion(T))
         return with_poses(samples, se3.from_quaternion(translation, quaternion))
     return apply
 
@@ -120,10 +120,10 @@ KINDS = {
     'shuffled poses': Kind(False, PLATE, shuffled),
     'shuffled poses, sphere': Kind(False, SPHERE, shuffled),
     '60 % moved 5 mm': Kind(False, PLATE, displaced(0.6, 5e-3, False)),
-    **{f'convention {name}': Kind(False, PLATE, convention_error(name))
-       for name in CONVENTION_ERRORS},
-    **{f'convention {name}, sphere': Kind(False, SPHERE, convention_error(name))
-       for name in CONVENTION_ERRORS},
+    **{f'convention {name}': Kind(False, PLATE, wrong_convention(name))
+       for name in WRONG_CONVENTIONS},
+    **{f'convention {name}, sphere': Kind(False, SPHERE, wrong_convention(name))
+       for name in WRONG_CONVENTIONS},
 }
 
 

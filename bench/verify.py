@@ -44,7 +44,13 @@ from handeye_ros.errors import DataError
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate import FAULTS, settings, simulate
 from handeye_ros.simulate import robot as robots
-from handeye_ros.simulate.artefacts import draw_pose, Gauge, Messages, rendered, scan_gauge
+from handeye_ros.simulate.artefacts import (
+    draw_pose,
+    Gauge,
+    Messages,
+    messages_at_stops,
+    scan_gauge,
+)
 from handeye_ros.simulate.robot import pose_error
 from handeye_ros.simulate.scenario import (
     PlateTarget,
@@ -254,7 +260,7 @@ def take(scenario: Scenario, X: Array, T: Array, stops: Placements, rng: np.rand
     """Return a recording with fewer columns, profiles and poses, to be quick."""
     sensor = replace(scenario.sensor, columns=640, rate=10.0)
     robot = replace(scenario.robot, rate=50.0)
-    return rendered(replace(scenario, sensor=sensor, robot=robot), X, T, stops, rng)
+    return messages_at_stops(replace(scenario, sensor=sensor, robot=robot), X, T, stops, rng)
 
 
 RENDERED = SCENES | {name: partial(scene, take=take) for name, scene in SCENES.items()
@@ -348,7 +354,7 @@ def samples(scenario: Scenario, count: int, X: Array, T: Array, rng: np.random.G
     offsets = np.array([0, 0, 0, 0, joint, 0.0])
     errors = robots.ArmErrors(np.zeros((6, 6)), offsets, np.zeros(6), np.zeros(6))
     poses = np.array([s.T_base_flange for s in found])
-    reported = se3.perturb(poses, robots.reported_error(poses, errors))
+    reported = se3.perturb(poses, robots.arm_pose_error(poses, errors))
     return [replace(s, T_base_flange=one) for s, one in zip(found, reported, strict=True)]
 
 

@@ -486,7 +486,7 @@ def with_values(config: Config, values: Mapping[str, Any], source: str = 'values
     """
     Return a configuration with values by dotted key, such as {'target.type': 'sphere'}.
 
-    source: of the values, for the message. Raises UnknownKeyError and BadValueError.
+    source: of the values, for the message. Raises InputError, also for a value of a wrong type.
     """
     require_type('config', config, Config)
     require_type('values', values, Mapping)

@@ -7,9 +7,10 @@ A session is a folder, and a bag: one .mcap file for each event, which holds the
 a stop, its profiles and poses (and joint values), so that stops can be evaluated again. A file is
 written under another name, synced, renamed, and the folder is synced; then the event is reported.
 If the process is killed at any time, all files are complete bags: a hidden .tmp file may be left,
-and is ignored; a stop that was renamed, but not yet reported, counts. metadata.yaml, for other
-readers of bags, repeats only data of the files: it may lack the last one after a failure, and is
-written again with the next event, and when the session is continued.
+which is ignored, and removed when the session is continued; a stop that was renamed, but not yet
+reported, counts. metadata.yaml, for other readers of bags, repeats only data of the files: it may
+lack the last one after a failure, and is written again with the next event, and when the session
+is continued.
 """
 from __future__ import annotations
 
@@ -125,6 +126,8 @@ class SessionFiles:
                 self._lock = lock_folder(
                     stored.path, f'{stored.path} is in use by another node: end that node first, '
                     'or begin a new session')
+                for unfinished in stored.path.glob('.*.tmp'):
+                    unfinished.unlink()
             _write_metadata(stored.path)
             if config and replace(stored.config, session=config.session) != config:
                 try:
@@ -329,7 +332,8 @@ def _event_of(file: Path) -> tuple[str, Config, Stop]:
             require_format(file, content['format'], FORMAT)
         known_keys = flatten(Config())
         settings = {key: value for key, value in configuration['config'].items()
-                    # those of older versions may be gone
+                    # those of older versions may be gone; a value that is none any more is
+                    # refused: with the default instead, the stops would show something else
                     if key in known_keys or key.startswith(RECORD_PREFIX)}
         stamp, refusal = int(outcome['began']), str(outcome['refused'])
         stop = Stop(stamp, load_messages=partial(load_stop, file, stamp),

@@ -50,8 +50,8 @@ def draw_pose(rng: Generator, tilt: float = 0.2, low: float = 0.0) -> Array:
     return se3.transform(turn.as_matrix(), rng.uniform([0.5, -0.3, low], [0.9, 0.3, 0.4]))
 
 
-def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, placed: Placements,
-             rng: Generator, start: float = 0.0) -> Messages:
+def messages_at_stops(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array,
+                      placed: Placements, rng: Generator, start: float = 0.0) -> Messages:
     """
     Return the messages of a robot at stops, without those between the stops.
 
@@ -70,11 +70,11 @@ def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, p
         again = np.full(len(times), k)
         ranges = sensors.measure(sensor, z[again], angle[again], rng)
         profiles += timed_profiles(begin + times, sensors.plane_points(sensor, ranges))
-        poses += _jittering(robot, pose, begin + np.arange(0.0, STOP_TIME, 1 / robot.rate), rng)
+        poses += _streamed(robot, pose, begin + np.arange(0.0, STOP_TIME, 1 / robot.rate), rng)
     return Messages(tuple(profiles), tuple(poses))
 
 
-def _jittering(robot: RobotModel, T: Array, times: Array, rng: Generator) -> tuple[TimedPose, ...]:
+def _streamed(robot: RobotModel, T: Array, times: Array, rng: Generator) -> tuple[TimedPose, ...]:
     """Return the poses T (4, 4) or (n, 4, 4) as they are streamed at times (n,)."""
     T = se3.perturb(np.broadcast_to(T, (len(times), 4, 4)),
                     rng.normal(size=(len(times), 6)) * robot.jitter)
@@ -92,7 +92,7 @@ GAUGE_PASSES = ((0, 0, 0), (30, 0, 15), (-30, 0, -15), (0, 15, 180), (0, -15, 16
 
 @dataclass(frozen=True)
 class Gauge:
-    """A gauge: pitch, height and flank (its horizontal width); count of teeth, their length."""
+    """A gauge: pitch, height, flank (its horizontal width) and length of count teeth (m)."""
 
     pitch: float = 0.015
     height: float = 0.005
@@ -130,7 +130,7 @@ def scan_gauge(gauge: Gauge, T_flange_sensor: Array, T_base_gauge: Array, sensor
         T = T_base_gauge @ T_gauge_sensor @ se3.inverse(T_flange_sensor)
         T = se3.perturb(T, np.repeat(pose_error(robot, T[:1], rng), len(T), axis=0))
         passes.append(Messages(timed_profiles(times + k * 100.0, points),
-                               _jittering(robot, T, times + k * 100.0, rng)))
+                               _streamed(robot, T, times + k * 100.0, rng)))
     return tuple(passes)
 
 
@@ -155,11 +155,10 @@ def measuring_cell(rng: Generator) -> tuple[dict[str, Messages], dict[str, Any]]
     recordings = {'plate': Messages(simulated.profiles, simulated.poses)}
     wide = changed(SCENARIOS['sphere'], 'ball', target=GAUGE_BALL, stops=(12, 0))
     for k in range(2):
-        T_ball = np.eye(4)
-        T_ball[0, 3] = k * BALL_BAR_LENGTH
+        T_ball = se3.transform(np.eye(3), np.array([k * BALL_BAR_LENGTH, 0.0, 0.0]))
         placed = SCENES[wide.scene].placements(wide, rng)
-        recordings[f'ball_{k + 1}'] = rendered(wide, X, T_bar @ T_ball, placed, rng,
-                                               1000.0 * (k + 1))
+        recordings[f'ball_{k + 1}'] = messages_at_stops(
+            wide, X, T_bar @ T_ball, placed, rng, 1000.0 * (k + 1))
     passes = scan_gauge(Gauge(), X, draw_pose(rng), plate.sensor, plate.robot, rng)
     recordings |= {f'pass_{k}': messages for k, messages in enumerate(passes, 1)}
     return recordings, {'T_flange_sensor': se3.transform_values(X), 'artefacts': {

@@ -19,7 +19,7 @@ from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.scenario import Scenario, SphereTarget, Sweep
 from handeye_ros.simulate.scenes import many_placements, Placements, SCENES
 from handeye_ros.simulate.sensor import FRAMES
-from handeye_ros.simulate.solids import relief, table
+from handeye_ros.simulate.solids import relief, table_top
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
@@ -28,6 +28,8 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 START_STAMP = 1_700_000_000_000_000_000  # ns
 EXPOSURE_INSTANTS = 5  # rendered per exposure
+GAP = 0.3  # s: duration of a gap in the poses of a sweep
+DRIFT_TIME = 1.0  # s between the knots of their drift
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +135,7 @@ class Cell:
     T_fixed_target: the target in the base (eye_in_hand) or in the flange (eye_on_base)
     T_base_flange, T_base_flange_reported: (n, 4, 4), true and with the robot's errors
     T_mount_best: T_mount_sensor as it fits the reported poses best
-    arm, distortion: errors of arm and sensor, if there are any
+    arm_errors, distortion: those of arm and sensor, if there are any
     """
 
     scenario: Scenario
@@ -143,7 +145,7 @@ class Cell:
     T_base_flange: Array
     T_base_flange_reported: Array
     T_mount_best: Array
-    arm: robots.ArmErrors | None = None
+    arm_errors: robots.ArmErrors | None = None
     distortion: sensors.Distortion | None = None
 
     def T_target_sensor(self, T_base_flange: Array) -> Array:
@@ -158,8 +160,8 @@ class Cell:
         if self.distortion:
             T_true_sensor = self.distortion.T_true_reported @ T_true_sensor
         corrected = None
-        if self.arm and self.scenario.calibration_type == 'eye_in_hand':
-            corrected = self.arm.flange @ self.T_mount_sensor @ T_true_sensor
+        if self.arm_errors and self.scenario.calibration_type == 'eye_in_hand':
+            corrected = self.arm_errors.flange @ self.T_mount_sensor @ T_true_sensor
         stops = tuple(TrueStop(*span, *of_stop) for span, *of_stop in zip(
             spans.tolist(), self.placements.labels, self.placements.points, self.T_base_flange,
             self.T_base_flange_reported, strict=True))
@@ -185,9 +187,9 @@ def cell_of(scenario: Scenario, placed: Placements, rng: Generator) -> Cell:
     best, errors = X, None
     if scenario.robot.geometry:
         errors = robots.draw_arm(scenario.robot.geometry, rng)
-        reported = se3.perturb(reported, robots.reported_error(T, errors))
+        reported = se3.perturb(reported, robots.arm_pose_error(T, errors))
         many_poses = flange_poses(scenario, many_placements(scenario).T_target_sensor, X, Z)
-        best = _best_mount(many_poses, robots.reported_error(many_poses, errors), X, scenario)
+        best = _best_mount(many_poses, robots.arm_pose_error(many_poses, errors), X, scenario)
     reported[:, :3, 3] *= 1 + scenario.robot.scale
     reported = robots.bumped(reported, scenario.bumped, rng)
     return Cell(scenario, placed, X, Z, T, reported, best, errors)
@@ -284,15 +286,15 @@ def _stopping(cell: Cell, rng: Generator) -> Simulated:
     places, row = np.unique(np.stack(progress(times), axis=1), axis=0, return_inverse=True)
     row = row.reshape(-1)  # numpy 2.0 alone returns it as a column
     T = _between(cell.T_base_flange, places[:, 0].astype(np.int64), np.asarray(places[:, 1]))
-    z, angle = _exact(cell, cell.T_target_sensor(T), rng)
+    z, angle = _exact_ranges(cell, cell.T_target_sensor(T), rng)
     profiles = _profiles(cell, z[row], angle[row], times + sensor.delay, rng)
 
     times = np.arange(0, duration, 1 / robot.rate)
     T = _between(cell.T_base_flange_reported, *progress(times))
     T = se3.perturb(T, rng.normal(size=(len(T), 6)) * robot.jitter)
     translation, quaternion = T[:, :3, 3], se3.quaternion(T)
-    for name in cell.scenario.convention_errors:
-        translation, quaternion = robots.CONVENTION_ERRORS[name](translation, quaternion)
+    for name in cell.scenario.wrong_conventions:
+        translation, quaternion = robots.WRONG_CONVENTIONS[name](translation, quaternion)
     spans = stamps(np.stack([arrivals, arrivals + robot.dwell], axis=1))
     return Simulated(cell.scenario, profiles, timed_poses(times, translation, quaternion),
                      cell.truth(spans))
@@ -323,24 +325,24 @@ def _sweeping(cell: Cell, sweep: Sweep, rng: Generator) -> Simulated:
     instants = times[:, None] + (np.linspace(-0.5, 0.5, EXPOSURE_INSTANTS) * sweep.exposure
                                  if sweep.exposure else np.zeros(1))
     z, angle = (values.reshape(*instants.shape, -1).mean(axis=1)
-                for values in _exact(cell, path(instants.ravel()), rng))
+                for values in _exact_ranges(cell, path(instants.ravel()), rng))
     stamped = times + sensor.delay + rng.normal(size=len(times)) * sweep.stamp_jitter
     profiles = _profiles(cell, z, angle, np.maximum.accumulate(stamped), rng)
 
     times = np.arange(0.0, knots[-1], 1 / scenario.robot.rate)
     begins = (np.arange(sweep.gaps) + 0.5) * (times[-1] / max(sweep.gaps, 1))
-    missing = (times >= begins[:, None]) & (times < begins[:, None] + sweep.gap)
+    missing = (times >= begins[:, None]) & (times < begins[:, None] + GAP)
     times = times[~missing.any(axis=0)]
     T, T_lagging = (flange_poses(scenario, path(t), cell.T_mount_sensor, cell.T_fixed_target)
                     for t in (times, times - sweep.rotation_lag))
     T = se3.transform(T_lagging[:, :3, :3], T[:, :3, 3])
     error = robots.pose_error(scenario.robot, T, rng)
-    drift_times = np.arange(0.0, times[-1] + 2 * sweep.drift_time, sweep.drift_time)
+    drift_times = np.arange(0.0, times[-1] + 2 * DRIFT_TIME, DRIFT_TIME)
     drift = rng.normal(size=(len(drift_times), 6)) * np.repeat(sweep.drift, 3) / np.sqrt(3)
     T = se3.perturb(T, error + CubicSpline(drift_times, drift)(times))
     stamped = np.maximum.accumulate(times + rng.normal(size=len(times)) * sweep.pose_jitter)
-    if cell.arm:
-        T = se3.perturb(T, robots.reported_error(T, cell.arm))
+    if cell.arm_errors:
+        T = se3.perturb(T, robots.arm_pose_error(T, cell.arm_errors))
     step = sweep.resolution
     poses = timed_poses(stamped, np.round(T[:, :3, 3] / step) * step if step else T[:, :3, 3],
                         se3.quaternion(T))
@@ -348,14 +350,14 @@ def _sweeping(cell: Cell, sweep: Sweep, rng: Generator) -> Simulated:
     return Simulated(scenario, profiles, poses, replace(truth, time_offset=-sensor.delay))
 
 
-def _exact(cell: Cell, T_target_sensor: Array, rng: Generator) -> tuple[Array, Array]:
+def _exact_ranges(cell: Cell, T_target_sensor: Array, rng: Generator) -> tuple[Array, Array]:
     """
     Return ranges and angles of incidence (m, n) of n columns at poses (m, 4, 4) (m, rad).
 
     With the errors that are the same for all profiles of a stop.
     """
     scenario, sensor = cell.scenario, cell.scenario.sensor
-    solids = (table(getattr(scenario.target, 'table', None)) if scenario.empty else
+    solids = (table_top(getattr(scenario.target, 'table', None)) if scenario.empty else
               SCENES[scenario.scene].solids(scenario))
     z, angle = sensors.render(sensor, solids, T_target_sensor, relief(scenario.target, rng))
     if sensor.spot:
@@ -383,7 +385,7 @@ def simulate_samples(scenario: Scenario, rng: Generator) -> tuple[tuple[Sample, 
     Return the samples of a recording, and their truth.
 
     Each feature has exactly its stated noise (white sensor noise, averaged over the profiles of a
-    stop), each pose the robot's error. Standard sensor frame; without convention errors.
+    stop), each pose the robot's error. Standard sensor frame; without wrong conventions.
     """
     scenario = replace(scenario, frame='standard')
     cell, dwell = draw(scenario, rng), scenario.robot.dwell

@@ -101,15 +101,15 @@ def inverse(T: Array) -> Array:
     return np.column_stack([q1, q2, q3, R.as_euler('ZYZ')])
 
 
-def reported_error(T: Array, errors: ArmErrors) -> Array:
-    """Return the errors (n, 6) of the reported poses relative to the true ones (n, 4, 4)."""
+def arm_pose_error(T: Array, errors: ArmErrors) -> Array:
+    """Return the errors (n, 6) (m, rad) of the poses that such an arm reports at T (n, 4, 4)."""
     joints = inverse(T)
     return se3.difference(forward(joints), forward(joints, errors))
 
 
 def pose_error(robot: RobotModel, T: Array, rng: Generator) -> Array:
     """
-    Return errors (n, 6) of the reported poses at T (n, 4, 4), random and smooth.
+    Return errors (n, 6) (m, rad) of the reported poses at T (n, 4, 4), random and smooth.
 
     The smooth part is six sinusoids over position (0.3 m) and orientation (0.5 rad).
     """
@@ -145,7 +145,7 @@ def _euler(quaternion: Array, read_as: str, factor: float) -> Array:
     return np.asarray(Rotation.from_euler(read_as, angles).as_quat())
 
 
-CONVENTION_ERRORS: dict[str, PoseMap] = {
+WRONG_CONVENTIONS: dict[str, PoseMap] = {
     'inverted': _inverted,  # base in flange for flange in base
     # quaternions sent as w x y z
     'wxyz': lambda translation, quaternion: (translation, np.roll(quaternion, 1, axis=1)),

@@ -21,6 +21,7 @@ class SensorModel:
 
     The field of view is a trapezoid: range (min, max) of z, and |x| <= half_width * z.
 
+    columns, rate: points of a profile, and profiles per second
     sampling: 'fan': columns regular in the angle's tangent; 'x': parallel light, regular in x;
         'fan_x': a fan that the driver resamples, regular in x
     camera: (y, z) of the camera's pinhole, outside the light plane: a step can hide a point from
@@ -33,7 +34,7 @@ class SensorModel:
     scale: relative error of the coordinates about the middle of the field
     line_bend: y of the light at both ends of the line (at middle range), of a light plane that is
         bent
-    speckle: 1 sigma of an error that is constant during a stop, correlated over speckle_columns
+    speckle: 1 sigma of an error that is constant during a stop, correlated along the line
     spot: 1 sigma of the width of the light along the line; surfaces below the target's face are
         ground times as bright
     smoothing: columns of the driver's mean filter
@@ -56,7 +57,6 @@ class SensorModel:
     scale: float = 0.0
     line_bend: float = 0.0
     speckle: float = 0.0
-    speckle_columns: float = 5.0
     spot: float = 0.0
     ground: float = 1.0
     smoothing: int = 0
@@ -83,6 +83,7 @@ class RobotModel:
         no arm
     scale: relative error of reported positions
     jitter: 1 sigma of each streamed pose (m and rad)
+    rate: poses per second
     dwell, move: duration of a stop and of a motion
     """
 
@@ -137,7 +138,6 @@ class SphereTarget:
     """
 
     radius: float = 0.040
-    stem: float = 0.012
     table: float | None = 0.030
     clutter: bool = True
 
@@ -163,10 +163,9 @@ class Sweep:
     exposure: averaging time of one profile
     rotation_lag: delay of the reported rotation
     stamp_jitter, pose_jitter: 1 sigma of the stamps
-    gaps: number of gaps in the poses, each of duration gap
+    gaps: number of gaps in the poses
     resolution: rounding of positions (m), 0: none
     drift: RMS of the vectors of an error (translation, rotation) of the poses that varies smoothly
-        over drift_time
     """
 
     knot: float = 1.6
@@ -175,10 +174,8 @@ class Sweep:
     stamp_jitter: float = 0.0
     pose_jitter: float = 0.0
     gaps: int = 0
-    gap: float = 0.3
     resolution: float = 0.0
     drift: tuple[float, float] = (0.0, 0.0)
-    drift_time: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -196,10 +193,10 @@ class Scenario:
     bumped: number of stops whose reported pose is grossly wrong
     wrong_edges: number of stops at an edge of the plate that is neither p nor q
     empty: there is no target
-    convention_errors: keys of robot.CONVENTION_ERRORS, applied in order
+    wrong_conventions: keys of robot.WRONG_CONVENTIONS, applied in order
     repeats: number of runs of the programme of stops
     lever: smallest and largest distance of the sensor from its mount
-    stated: wrong settings, by dotted key
+    stated: settings that are not the values of the cell, by dotted key
     sweep: the motion without stops; the repeatability is then drawn for each streamed pose
     """
 
@@ -218,7 +215,7 @@ class Scenario:
     bumped: int = 0
     wrong_edges: int = 0
     empty: bool = False
-    convention_errors: tuple[str, ...] = ()
+    wrong_conventions: tuple[str, ...] = ()
     repeats: int = 1
     lever: tuple[float, float] = (0.1, 0.2)
     stated: tuple[tuple[str, Any], ...] = ()
@@ -298,8 +295,8 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     changed(PLATE, 'wrong_edges', wrong_edges=2),
     changed(PLATE, 'no_target', empty=True),
     changed(PLATE, 'nothing_in_sight', empty=True, target={'table': None}),
-    changed(PLATE, 'inverted_poses', convention_errors=('inverted',)),
-    *(changed(PLATE, name, convention_errors=(name,))
+    changed(PLATE, 'inverted_poses', wrong_conventions=('inverted',)),
+    *(changed(PLATE, name, wrong_conventions=(name,))
       for name in ('wxyz', 'millimetres', 'degrees', 'intrinsic')),
     # the robot moves all the time
     *(swept(base, f'{base.name}_sweep') for base in BASES),
@@ -312,7 +309,7 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     changed(SPHERE, 'small_arm', robot=replace(WRONG_ARM, rate=20.0), stops=(30, 0),
             sensor=SLOW_BAG | {'thinning': 20, 'columns': 320}),
     changed(COARSE_PLATE, 'small_one_orientation', motion='one_orientation'),
-    changed(COARSE_PLATE, 'small_inverted_poses', convention_errors=('inverted',)),
+    changed(COARSE_PLATE, 'small_inverted_poses', wrong_conventions=('inverted',)),
 )}
 
 

@@ -16,8 +16,8 @@ from typing import TypeAlias
 from handeye_ros import se3
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature
 from handeye_ros.simulate.scenario import PlateTarget, Scenario, SphereTarget, WedgeTarget
-from handeye_ros.simulate.sensor import fan, lift
-from handeye_ros.simulate.solids import Ball, box, slab, Solid, table
+from handeye_ros.simulate.sensor import lift, tangent
+from handeye_ros.simulate.solids import Ball, box, slab, Solid, table_top
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
@@ -93,8 +93,8 @@ def tilts(scenario: Scenario, rng: Generator, counts: tuple[int, ...]) -> Array:
     return np.asarray(Rotation.from_euler('xyz', np.concatenate(groups)).as_matrix())
 
 
-def seeing(scenario: Scenario, rng: Generator, nominal: Array, spots: Array,
-           seen: Array, groups: Sequence[Sequence[str]]) -> Placements:
+def placements_seeing(scenario: Scenario, rng: Generator, nominal: Array, spots: Array,
+                      seen: Array, groups: Sequence[Sequence[str]]) -> Placements:
     """
     Return stops of tilted sensors that see spots of the target at given points of their frame.
 
@@ -106,8 +106,8 @@ def seeing(scenario: Scenario, rng: Generator, nominal: Array, spots: Array,
     return Placements(T, tuple(chain(*groups)), seen[:, [0, 2]])
 
 
-def _places(scenario: Scenario, rng: Generator, n: int, width: float, depth: float,
-            *others: tuple[float, float]) -> Array:
+def _in_view(scenario: Scenario, rng: Generator, n: int, width: float, depth: float,
+             *others: tuple[float, float]) -> Array:
     """
     Return stratified values (n, k + 2): k others (low, high), then points of the field of view.
 
@@ -154,15 +154,15 @@ def _along(T_target_sensor: Array, axis: int, into: Array) -> tuple[Array, Array
     return sense * along, sense * in_target
 
 
-def _lines(scenario: Scenario, start: Array, along: Array, length: Array, noise: Array,
-           sense: Array | float = 1.0) -> tuple[list[FaceLine], Array]:
+def _face_lines(scenario: Scenario, start: Array, along: Array, length: Array, noise: Array,
+                sense: Array | float = 1.0) -> tuple[list[FaceLine], Array]:
     """
     Return the lines of n faces from start along (n, 2), and their numbers of columns (n,).
 
     noise (2, n): of height and slope in sigmas; sense (n,): -1 for lines that point backwards.
     """
     sensor, end = scenario.sensor, start + length[:, None] * along
-    columns = np.abs(fan(end) - fan(start)) / (2 * sensor.half_width) * sensor.columns
+    columns = np.abs(tangent(end) - tangent(start)) / (2 * sensor.half_width) * sensor.columns
     spread = length / np.sqrt(12)
     std = sensor.noise * np.abs(along[:, 0]) / np.sqrt(columns * scenario.profiles_per_stop)
     shift, turn = noise * std
@@ -201,7 +201,7 @@ def plate_placements(scenario: Scenario, rng: Generator) -> Placements:
     for k in rng.permutation(len(labels))[:scenario.wrong_edges]:
         labels[k] += '2'
     fraction, points = np.split(np.concatenate([
-        _places(scenario, rng, n, 0.5, 0.22, (0.0, 1.0)) for n in counts]), [1], axis=1)
+        _in_view(scenario, rng, n, 0.5, 0.22, (0.0, 1.0)) for n in counts]), [1], axis=1)
     if MOTIONS[scenario.motion].shared:
         nominal = Rotation.from_rotvec([0, 0, -math.pi / 4]).as_matrix()
     else:  # the opposite edge is crossed outwards, so that the robot need not turn around
@@ -212,7 +212,7 @@ def plate_placements(scenario: Scenario, rng: Generator) -> Placements:
     along = PLATE_END_MARGIN + fraction[:, 0] * (lengths - 2 * PLATE_END_MARGIN)
     spots = edges[:, :3, 3] + edges[:, :3, 0] * along[:, None]
     groups = labels[:counts[0]], labels[counts[0]:]
-    return seeing(scenario, rng, nominal @ SENSOR_FACING, spots, lift(points), groups)
+    return placements_seeing(scenario, rng, nominal @ SENSOR_FACING, spots, lift(points), groups)
 
 
 def plate_features(scenario: Scenario, placed: Placements, rng: Generator) -> Features:
@@ -225,7 +225,7 @@ def plate_features(scenario: Scenario, placed: Placements, rng: Generator) -> Fe
                                 np.hstack([np.array(scenario.target.size) - start, start]))
     length = np.minimum(_length_in_view(scenario, placed.points, inwards), in_face)
     noise = rng.normal(size=(3, len(T)))
-    faces, columns = _lines(scenario, placed.points, inwards, length, noise[:2])
+    faces, columns = _face_lines(scenario, placed.points, inwards, length, noise[:2])
     return [
         (face, EdgePoint(face.centre - (half + e * std) * face.direction, -face.direction,
                          float(std), float(face.std * np.sqrt(1 + (half / face.spread)**2))))
@@ -236,7 +236,7 @@ def plate_features(scenario: Scenario, placed: Placements, rng: Generator) -> Fe
 def plate_solids(scenario: Scenario) -> tuple[Solid, ...]:
     """Return table, plate and, with clutter, a block at each of the edges p and q."""
     target: PlateTarget = scenario.target
-    solids = (*table(target.table), *slab(target))
+    solids = (*table_top(target.table), *slab(target))
     if target.clutter is None:
         return solids
     bottom, (length, width) = -target.thickness, target.size
@@ -254,9 +254,9 @@ def plane_placements(scenario: Scenario, rng: Generator) -> Placements:
     target: PlateTarget = scenario.target
     n = sum(scenario.stops)
     third = (1 / 3, 2 / 3)
-    in_face, points = np.split(_places(scenario, rng, n, 0.3, 0.3, third, third), [2], axis=1)
+    in_face, points = np.split(_in_view(scenario, rng, n, 0.3, 0.3, third, third), [2], axis=1)
     spots = np.column_stack([in_face * target.size, np.zeros(n)])
-    return seeing(scenario, rng, SENSOR_FACING, spots, lift(points), [['plane'] * n])
+    return placements_seeing(scenario, rng, SENSOR_FACING, spots, lift(points), [['plane'] * n])
 
 
 def plane_features(scenario: Scenario, placed: Placements, rng: Generator) -> Features:
@@ -266,7 +266,7 @@ def plane_features(scenario: Scenario, placed: Placements, rng: Generator) -> Fe
     before, beyond = (_length_in_view(scenario, placed.points, way) for way in (-along, along))
     noise = rng.normal(size=(len(along), 2)).T
     start = placed.points - before[:, None] * along
-    return [(face,) for face in _lines(scenario, start, along, before + beyond, noise)[0]]
+    return [(face,) for face in _face_lines(scenario, start, along, before + beyond, noise)[0]]
 
 
 # -- wedge
@@ -288,9 +288,9 @@ def wedge_placements(scenario: Scenario, rng: Generator) -> Placements:
     target: WedgeTarget = scenario.target
     n = sum(scenario.stops)
     ends = WEDGE_END_MARGIN, target.length - WEDGE_END_MARGIN
-    along, points = np.split(_places(scenario, rng, n, 0.35, 0.3, ends), [1], axis=1)
+    along, points = np.split(_in_view(scenario, rng, n, 0.35, 0.3, ends), [1], axis=1)
     spots = np.column_stack([along, np.zeros((n, 2))])
-    return seeing(scenario, rng, facing(target), spots, lift(points), [['wedge'] * n])
+    return placements_seeing(scenario, rng, facing(target), spots, lift(points), [['wedge'] * n])
 
 
 def wedge_features(scenario: Scenario, placed: Placements, rng: Generator) -> Features:
@@ -303,8 +303,8 @@ def wedge_features(scenario: Scenario, placed: Placements, rng: Generator) -> Fe
     for k, (normal, into) in enumerate(((2, np.array([0.0, 1.0, 0.0])), (1, upwards))):
         along, _ = _along(T, normal, into)
         length = _length_in_view(scenario, placed.points, along)
-        faces.append(_lines(scenario, placed.points, along, length, noise[:, k].T,
-                            np.sign(along[:, 0]))[0])
+        faces.append(_face_lines(scenario, placed.points, along, length, noise[:, k].T,
+                                 np.sign(along[:, 0]))[0])
     return [(a, b) if a.centre[0] < b.centre[0] else (b, a) for a, b in zip(*faces, strict=True)]
 
 
@@ -322,6 +322,7 @@ def wedge_solids(scenario: Scenario) -> tuple[Solid, ...]:
 
 
 ARC_POINTS = 12  # mean points that represent an arc
+STEM_WIDTH = 0.012  # m
 
 
 def sphere_placements(scenario: Scenario, rng: Generator) -> Placements:
@@ -335,7 +336,7 @@ def sphere_placements(scenario: Scenario, rng: Generator) -> Placements:
     centre = strata(rng, n, low, high)  # of the ball in the sensor frame; z: top of the arc
     centre[:, 2] += np.sqrt(radius**2 - centre[:, 1]**2)
     down = np.diag([1.0, -1.0, -1.0])
-    return seeing(scenario, rng, down, np.zeros(3), centre, [['sphere'] * n])
+    return placements_seeing(scenario, rng, down, np.zeros(3), centre, [['sphere'] * n])
 
 
 def sphere_features(scenario: Scenario, placed: Placements, rng: Generator) -> Features:
@@ -353,7 +354,7 @@ def _arc(scenario: Scenario, centre: Array, radius: float, rng: Generator) -> Ar
     pitch = 2 * sensor.half_width * (centre[1] - radius) / sensor.columns
     sine = np.arange(-rim, rim, pitch / radius)
     points = _points_on_circle(centre, radius, sine, np.zeros(len(sine)))
-    sine = sine[(np.abs(fan(points)) < sensor.half_width) & (points[:, 1] < sensor.range[1])]
+    sine = sine[(np.abs(tangent(points)) < sensor.half_width) & (points[:, 1] < sensor.range[1])]
     width = len(sine) // ARC_POINTS
     bins = sine[:len(sine) // width * width].reshape(-1, width)
     middle = bins.mean(axis=1)
@@ -372,9 +373,9 @@ def _points_on_circle(centre: Array, radius: float, sine: Array, outwards: Array
 def sphere_solids(scenario: Scenario) -> tuple[Solid, ...]:
     """Return ball, stem, table and, with clutter, a block beside the ball."""
     target: SphereTarget = scenario.target
-    half, bottom = target.stem / 2, -(target.table or 0.2)
+    half, bottom = STEM_WIDTH / 2, -(target.table or 0.2)
     beside = 1.2 * target.radius
-    solids = (*table(target.table), Ball(target.radius),
+    solids = (*table_top(target.table), Ball(target.radius),
               box((-half, -half, bottom), (half, half, 0)))
     if not target.clutter:
         return solids

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import convolve1d, gaussian_filter1d
 
 CHUNK_PROFILES = 32  # profiles cast at once, so that the arrays stay in the cache
-EDGE_COLUMNS = 3
+EDGE_COLUMNS = 3  # on either side of a step, where more points are lost
+SPECKLE_COLUMNS = 5.0  # 1 sigma of the filter that correlates the speckle of neighbours
 
 
-def fan(points: Array) -> Array:
+def tangent(points: Array) -> Array:
     """Return the tangent x / z of the ray's angle of points (..., 2) in the sensor plane."""
     return np.asarray(points[..., 0] / points[..., 1])
 
@@ -30,7 +31,7 @@ def lift(points: Array) -> Array:
     return np.stack([points[..., 0], np.zeros(points.shape[:-1]), points[..., 1]], axis=-1)
 
 
-def columns(sensor: SensorModel) -> tuple[Array, Array]:
+def rays(sensor: SensorModel) -> tuple[Array, Array]:
     """
     Return origins and directions (3, n) of the rays of the columns, standard sensor frame.
 
@@ -62,7 +63,7 @@ def render(sensor: SensorModel, solids: Sequence[Solid], T: Array,
 
 def _render(sensor: SensorModel, solids: Sequence[Solid], T: Array, relief: Relief | None
             ) -> tuple[Array, Array]:
-    origin, direction = columns(sensor)
+    origin, direction = rays(sensor)
     o = np.einsum('mij,jn->imn', T[:, :3, :3], origin) + T[:, :3, 3].T[:, :, None]
     d = np.einsum('mij,jn->imn', T[:, :3, :3], direction)
     raised: Array | float = 0.0
@@ -89,7 +90,7 @@ def measure(sensor: SensorModel, z: Array, angle: Array, rng: Generator,
     """Return the reported ranges (m, n) of exact ones (m) and their angles of incidence (rad)."""
     rim = (angle / sensor.max_incidence)**8
     noise = sensor.noise * (1 + 4 * rim) * rng.normal(size=z.shape)
-    exact = z + distortion.ranges(z) if distortion else z
+    exact = z + distortion.range_errors(z) if distortion else z
     measured = exact + noise + sensor.rim_bias * rim**4
     row, before = np.nonzero(steps(sensor, z))
     # a point between the two levels at some of the steps
@@ -128,10 +129,10 @@ def steps(sensor: SensorModel, z: Array) -> NDArray[np.bool_]:
 def plane_points(sensor: SensorModel, ranges: Array, distortion: Distortion | None = None
                  ) -> Array:
     """Return the points (m, n, 2) of ranges (m, n) in the standard sensor plane (m)."""
-    origin, direction = columns(sensor)
+    origin, direction = rays(sensor)
     points = np.stack([origin[0] + direction[0] * ranges, ranges], axis=-1)
     if distortion:
-        points = distortion.points(points)
+        points = distortion.scaled(points)
     if sensor.resolution:
         points = np.round(points / sensor.resolution) * sensor.resolution
     return points
@@ -181,9 +182,9 @@ def _smoothed(sensor: SensorModel, z: Array) -> Array:
 
 
 def speckle(sensor: SensorModel, shape: tuple[int, ...], rng: Generator) -> Array:
-    """Return an error (m, n) that is correlated along each row."""
+    """Return range errors (m) of a shape (m, n), which are correlated along each row."""
     white = rng.normal(size=shape)
-    smooth = gaussian_filter1d(white, sensor.speckle_columns, axis=1, mode='wrap')
+    smooth = gaussian_filter1d(white, SPECKLE_COLUMNS, axis=1, mode='wrap')
     return np.asarray(sensor.speckle * smooth / smooth.std())
 
 
@@ -201,8 +202,8 @@ class Distortion:
     sensor: SensorModel
     weights: Array
 
-    def ranges(self, z: Array) -> Array:
-        """Return the range errors (m, n), one row for each profile."""
+    def range_errors(self, z: Array) -> Array:
+        """Return the errors (m, n) of ranges z (m, n) (m), one row for each profile."""
         near, far = self.sensor.range
         x = np.linspace(-1, 1, z.shape[1])
         depth = (z - (near + far) / 2) / ((far - near) / 2)
@@ -210,7 +211,7 @@ class Distortion:
         weights = self.weights.reshape(4, 4) * np.outer(unit, unit)
         return np.asarray(legval2d(np.broadcast_to(x, z.shape), depth, weights))
 
-    def points(self, points: Array) -> Array:
+    def scaled(self, points: Array) -> Array:
         """Return points (..., 2) of the standard sensor plane with the error of the scale."""
         middle = np.array([0.0, sum(self.sensor.range) / 2])
         return np.asarray(middle + (1 + self.sensor.scale) * (points - middle))
@@ -221,10 +222,10 @@ class Distortion:
         z, across = np.meshgrid(
             np.linspace(*self.sensor.range, GRID_POINTS),
             np.linspace(-1, 1, GRID_POINTS) * self.sensor.half_width, indexing='ij')
-        distorted = z + self.ranges(z)
+        distorted = z + self.range_errors(z)
         x = across * (distorted if self.sensor.sampling == 'fan' else z)
         true = lift(np.stack([across * z, z], axis=-1)).reshape(-1, 3)
-        reported = lift(self.points(np.stack([x, distorted], axis=-1))).reshape(-1, 3)
+        reported = lift(self.scaled(np.stack([x, distorted], axis=-1))).reshape(-1, 3)
         return se3.align_points(reported, true)
 
 

@@ -86,12 +86,12 @@ class Rod:
 Solid: TypeAlias = Polyhedron | Ball | Rod
 
 
-def _through_circle(origin: Array, direction: Array, radius: float) -> Crossings:
+def _through_circle(origin: Array, direction: Array, radius: float) -> tuple[Array, ...]:
     """
-    Return where rays are inside a circle or ball around the origin, and their squared lengths.
+    Return the middle of the way of rays inside a circle or ball around the origin, and half of it.
 
-    origin, direction: (2 or 3, m, n). The parameters of the middle of the way inside and of half
-    of it, 0 for a miss.
+    Both as parameters of the ray (m, n), half 0 for a miss; third the squared lengths of the
+    directions. origin, direction: (2 or 3, m, n).
     """
     square = np.maximum((direction**2).sum(axis=0), 1e-300)
     middle = -(origin * direction).sum(axis=0) / square
@@ -105,15 +105,19 @@ def _unless_missed(hit: NDArray[np.bool_], enter: Array, leave: Array) -> tuple[
 
 
 def cast(solids: Sequence[Solid], origin: Array, direction: Array) -> tuple[Array, Array]:
-    """Return the parameter of the first point on any solid (inf: none), and its incidence."""
+    """
+    Return the parameters (m, n) of the first points of rays on a solid, the cosines of incidence.
+
+    origin, direction: (3, m, n). The parameter of a ray that meets none is inf, its cosine 0.
+    """
     shape = np.broadcast_shapes(origin.shape, direction.shape)[1:]
-    nearest, squareness = np.full(shape, np.inf), np.zeros(shape)
+    nearest, cosines = np.full(shape, np.inf), np.zeros(shape)
     for solid in solids:
         enter, _, cosine = solid.crossings(origin, direction)
         nearer = (enter > 0) & (enter < nearest)
         nearest = np.where(nearer, enter, nearest)
-        squareness = np.where(nearer, cosine, squareness)
-    return nearest, squareness
+        cosines = np.where(nearer, cosine, cosines)
+    return nearest, cosines
 
 
 def hidden(solids: Sequence[Solid], points: Array, eye: Array) -> NDArray[np.bool_]:
@@ -125,7 +129,7 @@ def hidden(solids: Sequence[Solid], points: Array, eye: Array) -> NDArray[np.boo
     return covered
 
 
-def table(depth: float | None) -> tuple[Solid, ...]:
+def table_top(depth: float | None) -> tuple[Solid, ...]:
     """Return a table whose top is at z = -depth, or nothing."""
     return () if depth is None else (box((-1.0, -1.0, -depth - 0.05), (1.0, 1.0, -depth)),)
 

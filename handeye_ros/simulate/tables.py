@@ -133,7 +133,7 @@ TRACKER_NOISE = 2e-5
 JOINT_READING_STD = 1e-6  # 1 sigma of the readings of P3 (m)
 
 
-def arm(turn: float, q3: float) -> Array:
+def frame_3(turn: float, q3: float) -> Array:
     """Return frame 3 (4, 4) of the arm in its frame 1; turn: of R2 (rad); q3: of P3 (m)."""
     R = (Rotation.from_euler('z', turn) * Rotation.from_euler('x', np.pi / 2)).as_matrix()
     return se3.transform(R, R[:, 2] * q3)
@@ -154,10 +154,11 @@ def laser_tracker(rng: Generator, sensor: SensorModel = FILE_SENSOR,
     nominal = np.array([[-1.0, 0, 1], [0, 2 ** 0.5, 0], [-1, 0, -1]]) / 2 ** 0.5
     tilt = Rotation.from_euler('xyz', rng.uniform(-8, 8, 3), degrees=True).as_matrix()
     T_sensor_target = se3.transform(tilt @ nominal, np.array([0.0, 0.0, 0.184]))
-    T_base_target = arm(SWEEP_ANGLE, 0.0) @ X @ T_sensor_target
+    T_base_target = frame_3(SWEEP_ANGLE, 0.0) @ X @ T_sensor_target
 
     q3 = np.linspace(-0.03, 0.11, 151)
-    T, times = np.array([arm(SWEEP_ANGLE, q) for q in q3]), np.arange(len(q3)) / FILE_SENSOR.rate
+    T = np.array([frame_3(SWEEP_ANGLE, q) for q in q3])
+    times = np.arange(len(q3)) / FILE_SENSOR.rate
     exact = sensors.render(sensor, SOLIDS, se3.inverse(T_base_target) @ T @ X)
     profiles = timed_profiles(times, sensors.plane_points(
         sensor, sensors.measure(sensor, *exact, rng)))
@@ -180,8 +181,8 @@ def _reflector(T_base_target: Array, rng: Generator) -> dict[str, Array]:
     T_tracker_base = se3.transform(Rotation.from_euler('xyz', [3, -4, 50], degrees=True
                                                        ).as_matrix(), np.array([3.0, 1.7, -0.6]))
     reflector = np.array([[0.02, H0 + H1, 0.25]])
-    arc = [se3.apply(arm(turn, 0.0), reflector)[0] for turn in np.linspace(-1.0, 1.0, 40)]
-    line = [se3.apply(arm(SWEEP_ANGLE, q), reflector)[0] for q in np.linspace(-0.1, 0.1, 30)]
+    arc = [se3.apply(frame_3(turn, 0.0), reflector)[0] for turn in np.linspace(-1.0, 1.0, 40)]
+    line = [se3.apply(frame_3(SWEEP_ANGLE, q), reflector)[0] for q in np.linspace(-0.1, 0.1, 30)]
     along, down = rng.uniform([0.035, -0.04], [0.095, RIDGE_X - 0.003], (2, 40, 2)).transpose(
         2, 0, 1)
     top = np.full(40, RIDGE_X)

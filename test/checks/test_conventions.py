@@ -12,7 +12,7 @@ from handeye_ros.checks.conventions import orientations_scatter
 from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.simulate import SCENARIOS, simulate
-from handeye_ros.simulate.robot import CONVENTION_ERRORS as SIMULATED
+from handeye_ros.simulate.robot import WRONG_CONVENTIONS
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -28,7 +28,7 @@ def with_poses(cell: Cell, change: Change) -> list[Sample]:
 
 def simulated(error: str) -> Change:
     """Return what the simulator makes of poses with this error."""
-    return lambda T: se3.from_quaternion(*SIMULATED[error](T[:, :3, 3], se3.quaternion(T)))
+    return lambda T: se3.from_quaternion(*WRONG_CONVENTIONS[error](T[:, :3, 3], se3.quaternion(T)))
 
 
 def read(change: Callable[[Rotation], Rotation]) -> Change:

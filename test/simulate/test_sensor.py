@@ -88,7 +88,7 @@ def test_the_distortion_is_smooth_and_of_the_stated_size() -> None:
     sensor, rms = SensorModel(columns=200, **{**CLEAN, 'distortion': 1e-4}), []
     z = np.tile(np.linspace(*sensor.range, 100)[:, None], (1, 200))
     for seed in range(40):
-        error = sensors.draw_distortion(sensor, np.random.default_rng(seed)).ranges(z)
+        error = sensors.draw_distortion(sensor, np.random.default_rng(seed)).range_errors(z)
         assert np.abs(np.diff(error, axis=1)).max() < 6e-5
         rms.append(np.sqrt((error**2).mean()))
     assert np.median(rms) == pytest.approx(1e-4, rel=0.1)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.published import jing2020
-from handeye_ros.simulate.tables import arm, BALL_RADIUS, H0, H1, SWEEP_ANGLE
+from handeye_ros.simulate.tables import BALL_RADIUS, frame_3, H0, H1, SWEEP_ANGLE
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -50,9 +50,9 @@ def session(seed: int, tracker_noise: float = 0.0, sensor_noise: float = 0.0,
     T_tracker_arm = se3.transform(Rotation.from_euler('xyz', [3, -4, 50], True).as_matrix(),
                                   np.array([3.0, 1.7, -0.6]))
     reflector = np.array([[0.02, H0 + H1, 0.25]])
-    arc = np.array([se3.apply(arm(turn, 0.0), reflector)[0]
+    arc = np.array([se3.apply(frame_3(turn, 0.0), reflector)[0]
                     for turn in np.deg2rad(np.linspace(-60, 60, 40))])
-    line = np.array([se3.apply(arm(SWEEP_ANGLE, q), reflector)[0]
+    line = np.array([se3.apply(frame_3(SWEEP_ANGLE, q), reflector)[0]
                      for q in np.linspace(-0.1, 0.1, 30)])
     ridge, normals, ball = block(rng, skew)
     along = T_flange_sensor[2, :3]
@@ -60,7 +60,7 @@ def session(seed: int, tracker_noise: float = 0.0, sensor_noise: float = 0.0,
     steps = np.linspace(-0.06, 0.06, 41)
     faces = [face_profiles(n, ridge, ridge[0] + s * x, steps[20:], along)
              for n, s in zip(normals, (-1, 1), strict=True)]
-    T_tracker_sensor = T_tracker_arm @ arm(SWEEP_ANGLE, Q30) @ T_flange_sensor
+    T_tracker_sensor = T_tracker_arm @ frame_3(SWEEP_ANGLE, Q30) @ T_flange_sensor
     spots = [se3.apply(T_tracker_sensor, jing2020.swept(f[::6], Q30, along)) for f in faces]
     truth = [se3.apply(T_tracker_arm, arc), se3.apply(T_tracker_arm, line),
              se3.apply(T_tracker_sensor, ball[None]), *spots]
