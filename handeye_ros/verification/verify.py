@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 import math
 
 from handeye_ros import output
@@ -51,9 +52,11 @@ class StationResult:
 
     kind: stop, profile or pass; it is written to no file
     recording: its number, from 1
-    number: of the stop among those of this recording that show the artefact, from 1
+    number: from 1, of the stop among all of this recording, as a check counts them; of a profile
+        among those used
     stamp: its time in nanoseconds
-    distance, std: the largest distance of its points from the fit, and its 1 sigma (m)
+    distance, std: the largest distance of its points from the fit, and its 1 sigma (m), nan where
+        it is not used
     p: probability that a good stop is as far off, whatever the error of the calibration
     reason: why it is not used
     """
@@ -84,7 +87,7 @@ class Verification:
         (an error of the calibration as large as the tolerance would not have shown)
     reasons: sentences
     tolerance (m), angle_tolerance (rad): as configured
-    stations: number of stops used, of a sweep of profiles
+    stations: number of stops used, of a sweep or of passes that of profiles
     quantities: those of the fit, the scatter of each face or ball, and the error of the
         calibration that the points suggest, as the largest displacement of one of them
     fit: of the shape of the routine
@@ -114,15 +117,16 @@ class Verification:
 
 
 def verify_stations(routine: Routine, stations: StationSet, calibration: Calibration,
-                    rejects: Sequence[Reject] = ()) -> Verification:
+                    rejects: Sequence[Sequence[Reject]] = ()) -> Verification:
     """
     Return the result of a routine: its fit, and the verdict on the calibration.
 
     stations: of the recordings in the order that the routine expects, with the settings verify.*
-    of the artefact; rejects: the stops that gave no sample. Raises DataError, and InputError where
-    two recordings are one, or the covariance of the calibration is impossible.
+    of the artefact; rejects: the stops of each recording that gave no sample. Raises DataError,
+    and InputError where two recordings are one, or the covariance of the calibration is
+    impossible.
     """
-    stations.require_enough(rejects)
+    stations.require_enough([*chain.from_iterable(rejects)])
     config, artefact = stations.problem.config, stations.problem.config.verify
     stops = np.column_stack([stations.stamps, stations.problem.poses.reshape(-1, 16)])
     if len(np.unique(stops, axis=0)) < len(stops):
@@ -146,7 +150,8 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
     quantities = (*fit.quantities, *routine.form_errors(shape.stations, fit.distances), Quantity(
         'likeliest error of the calibration', fit.error.largest, fit.error.largest_std))
     kind = 'pass' if routine.in_passes else 'profile' if config.sampling.moving else 'stop'
-    per_station = _station_results(kind, stations, shape.stations, fit, p, dropped)
+    per_station = _station_results(
+        kind, stations, shape.stations, fit, p, dropped, rejects if kind == 'stop' else ())
     verdict, reasons = _decide(fit, quantities, per_station, artefact, smooth_std)
     return Verification(
         routine.name, calibration.name, verdict, reasons, artefact.tolerance,
@@ -163,27 +168,31 @@ def verify_stops(routine: Routine, recordings: Sequence[Sequence[Sample | Reject
     config: Routine.settings. Raises as stations_of and verify_stations do.
     """
     samples = [[stop for stop in stops if isinstance(stop, Sample)] for stops in recordings]
-    rejects = [stop for stops in recordings for stop in stops if isinstance(stop, Reject)]
+    rejects = [[stop for stop in stops if isinstance(stop, Reject)] for stops in recordings]
     return verify_stations(routine, stations_of(routine, samples, calibration, config),
                            calibration, rejects)
 
 
 def _station_results(kind: str, stations: StationSet, used: StationSet, fit: ShapeFit,
-                     p: Mapping[int, float], dropped: Sequence[int]) -> tuple[StationResult, ...]:
+                     p: Mapping[int, float], dropped: Sequence[int],
+                     rejects: Sequence[Sequence[Reject]]) -> tuple[StationResult, ...]:
     """
     Return the results of all stops or passes that have points, or contradict the others.
 
-    used: the stations as fitted, without contradicting ones (dropped); p: of each group.
+    used: the stations as fitted, without contradicting ones (dropped); p: of each group; rejects:
+    stops of each recording that count too, but gave no sample.
     """
     results = []
     groups, recordings = stations.group_of_pose, stations.recording_of_pose
     for group, first in zip(*np.unique(groups, return_index=True), strict=True):
         recording = int(recordings[first])
         first_group = groups[np.searchsorted(recordings, recording)]
-        identity = kind, recording + 1, int(group - first_group) + 1, int(stations.stamps[first])
+        stamp = int(stations.stamps[first])
+        before = sum(reject.stamp < stamp for reject in chain(*rejects[recording:recording + 1]))
+        identity = kind, recording + 1, int(group - first_group) + before + 1, stamp
         rows = np.flatnonzero(used.group_of_point == group)
         if group in dropped:
-            results.append(StationResult(*identity, 0.0, 0.0, p[group], False, (
+            results.append(StationResult(*identity, math.nan, math.nan, p[group], False, (
                 'it contradicts the others under every possible calibration')))
         elif len(rows):
             worst = rows[np.argmax(np.abs(fit.distances[rows]))]
