@@ -253,9 +253,8 @@ def read_arm(path: Path) -> Arm:
         arm = Arm(str(content['base']), str(content['flange']), joints,
                   transform_from(path, 'end', content['end']), kinds, np.array(values), covariance,
                   np.array(content['configurations'], dtype=float).reshape(-1, len(joints)))
-        if arm.is_estimated.sum() != len(values) or any(
-                joint.get('follows', joint['name']) != joint['name'] for joint in stored):
-            raise ValueError('errors of some joints are missing, or some mimic others')
+        if arm.is_estimated.sum() != len(values) or not len(arm.configurations):
+            raise ValueError('errors of some joints, or all configurations, are missing')
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise unusable_file(
             path, 'it is no kinematics.yaml as "handeye kinematics" writes it') from error

@@ -50,7 +50,7 @@ class ArmAnswer:
 
     @property
     def joints(self) -> list[dict[str, Any]]:
-        """Return of each joint what the URDF states, and the columns by kind of error."""
+        """Return the entries `joints` of kinematics.yaml: as stated, with the errors by kind."""
         arm, entries = self.selection.arm, []
         columns = {'value': arm.error_values, 'std': np.sqrt(np.diag(arm.covariance)),
                    'undetermined': self.selection.undetermined}
@@ -68,7 +68,7 @@ class ArmAnswer:
 
     def save(self, urdf: str, folder: Path, formats: Sequence[str]) -> str:
         """
-        Write calibration.yaml, kinematics.yaml and corrected.urdf; return their paths.
+        Write calibration.yaml, kinematics.yaml and corrected.urdf; return what was written.
 
         urdf: the stated one of the robot. The calibration names the kinematics file.
         """
@@ -97,7 +97,7 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
         'models': [{'parameters': list(m.fit.arm.error_kinds), 'residual_rms': m.fit.residual_rms,
                     'left_out_rms': m.left_out_rms, 'chosen': m is selection.chosen}
                    for m in selection.models],
-        'robot_smooth_error': selection.smooth_error_rms,
+        'robot_smooth_error': selection.robot_smooth,
         'covariance': arm.covariance.tolist(),
         'configurations': arm.configurations.round(6).tolist(),
         'provenance': {**with_origin(calibration).provenance, 'warnings': list(answer.warnings)}}
@@ -123,4 +123,4 @@ def table(answer: ArmAnswer) -> RenderableType:
         Text(f'model: {", ".join(answer.selection.arm.error_kinds) or UNCHANGED_ARM}; points that '
              f'were left out: {stated.left_out_rms * 1e3:.2f} mm RMS before, '
              f'{chosen.left_out_rms * 1e3:.2f} mm after; what is left of the error of the robot: '
-             f'{answer.selection.smooth_error_rms * 1e3:.2f} mm (RMS, each axis)'))
+             f'{answer.selection.robot_smooth * 1e3:.2f} mm (RMS, each axis)'))

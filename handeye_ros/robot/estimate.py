@@ -9,8 +9,8 @@ the axes of the sensor; s is the measured point, c the position of the target. S
 one at several positions, have sensor and arm in common; the errors of the arm act through the
 twists of the flange.
 
-Estimate and reported covariance follow docs/estimator.md: the data determine the variance of each
-kind of error, its most likely value for the estimate and a conservative one for the covariance.
+As of the blocks in sections 3 and 4 of docs/estimator.md, the data determine the variance of each
+kind of error: its most likely value for the estimate, a conservative one for the covariance.
 """
 from __future__ import annotations
 
@@ -171,15 +171,20 @@ class ArmFit:
 
     @cached_property
     def station(self) -> Indices:
-        """Return the stop (m,) of each residual."""
+        """Return the stop (r,) of each residual, of unused stops too."""
         first = np.cumsum([0, *(len(data.q) for data in self.measured)])[:-1]
         return np.concatenate([start + residual.station
                                for start, residual in zip(first, self.residuals, strict=True)])
 
     @property
     def used_rows(self) -> Indices:
-        """Return the numbers (m,) of the residuals of used stops, among all."""
+        """Return the numbers (m,) of the residuals of used stops, among all r."""
         return np.flatnonzero(self.used[self.station])
+
+    @property
+    def axis(self) -> Indices:
+        """Return the axis (m,) of each residual of used stops: points have x, y, z in turn."""
+        return self.used_rows % len(self.noise)
 
     @property
     def robot_errors(self) -> Array:
@@ -230,7 +235,7 @@ class ArmFit:
         wrt_targets = block_diag(*(residual.wrt_X_and_target[:, 6:]
                                    for residual in self.residuals))
         rows = np.column_stack([values, wrt_X, wrt_errors, wrt_targets])[self.used_rows]
-        rows /= self.noise[self.used_rows % len(self.noise), None]
+        rows /= self.noise[self.axis, None]
         return rows[:, 0], rows[:, 1:]
 
     @cached_property
@@ -284,7 +289,7 @@ def noise_and_variances(fit: ArmFit, conservative: bool = False) -> tuple[Array,
         covariance = fit.covariance[np.ix_(6 + of_kind, 6 + of_kind)] / np.outer(stated, stated)
         variances[kind] = prior_variances(covariance, fit.robot_errors[of_kind] / stated, present,
                                           MAX_VARIANCE)[int(conservative)]
-    (r, J), axis = fit.whitened_rows, fit.used_rows % len(fit.noise)
+    (r, J), axis = fit.whitened_rows, fit.axis
     redundancy = 1 - np.einsum('mi,mi->m', J @ fit.covariance, J)
     freedom, squares = np.bincount(axis, redundancy), np.bincount(axis, (r * fit.noise[axis]) ** 2)
     pooled = squares.sum() / max(freedom.sum(), 1.0)

@@ -133,13 +133,13 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
         raise InputError('two recordings hold the same stops: give one recording of each face, '
                          'ball or pass')
     X = calibration.T_flange_sensor @ T_sensor_plane(config)
-    smooth_std = float(calibration.target.get(ROBOT_POSITION_ERROR, 0.0))
+    robot_smooth = float(calibration.target.get(ROBOT_POSITION_ERROR, 0.0))
     (shape, fit), p, dropped = fit_without_outliers(
         np.unique(stations.group_of_point), lambda groups: fit_shape(
             routine.shape(stations.of_groups(groups), X, artefact), X,
-            calibration.covariance, smooth_std))
+            calibration.covariance, robot_smooth))
     if max(fit.scatter.p, fit.error.p_explained) < UNEXPLAINED_P and not routine.in_passes:
-        freed = refit_shape(shape, X, calibration.covariance, smooth_std)
+        freed = refit_shape(shape, X, calibration.covariance, robot_smooth)
         if freed.error.p_explained < UNEXPLAINED_P and freed.scatter.maximum > artefact.tolerance:
             raise DataError(
                 f'this is not what "{routine.name}" measures: no small error of the calibration '
@@ -152,7 +152,7 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
     kind = 'pass' if routine.in_passes else 'profile' if config.sampling.moving else 'stop'
     per_station = _station_results(
         kind, stations, shape.stations, fit, p, dropped, rejects if kind == 'stop' else ())
-    verdict, reasons = _decide(fit, quantities, per_station, artefact, smooth_std)
+    verdict, reasons = _decide(fit, quantities, per_station, artefact, robot_smooth)
     return Verification(
         routine.name, calibration.name, verdict, reasons, artefact.tolerance,
         artefact.angle_tolerance, len(np.unique(shape.stations.observations.station)), quantities,
@@ -203,19 +203,19 @@ def _station_results(kind: str, stations: StationSet, used: StationSet, fit: Sha
 
 
 def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[StationResult],
-            artefact: VerifyConfig, smooth_std: float) -> tuple[str, tuple[str, ...]]:
+            artefact: VerifyConfig, robot_smooth: float) -> tuple[str, tuple[str, ...]]:
     """
     Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences.
 
-    smooth_std: 1 sigma (m) of the robot's smooth error, which more stops do not reduce.
+    robot_smooth: 1 sigma (m) of the robot's smooth error, which more stops do not reduce.
     """
     used = sum(result.used for result in results)
 
     def remedy(size: float, largest: float) -> str:
         """Return what makes a size that is too large, but not hopelessly so, small enough."""
-        if DETECTION_SIGMAS * smooth_std > artefact.tolerance:
+        if DETECTION_SIGMAS * robot_smooth > artefact.tolerance:
             return (f': the smooth error of the robot that the calibration found '
-                    f'({mm(smooth_std)}) hides less')
+                    f'({mm(robot_smooth)}) hides less')
         return '' if size >= 10 * largest else (
             f': measure at about {math.ceil(used * (size / largest) ** 2)} stops like these, or '
             'turn the sensor more between them')

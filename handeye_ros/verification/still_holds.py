@@ -266,7 +266,12 @@ class CalibratedCell(NamedTuple):
 
     @classmethod
     def of_calibration(cls, calibration: Calibration, config: Config) -> CalibratedCell:
-        """Return the cell of a stored calibration; raises InputError where it holds no target."""
+        """
+        Return the cell of a stored calibration.
+
+        Raises InputError where it holds no target, is of another target.type, or has a negative
+        variance.
+        """
         method, found, configured = calibration.method, calibration.target, config.noise
         if method != config.target.type and method in TARGETS:
             raise InputError(
@@ -297,7 +302,11 @@ class CalibratedCell(NamedTuple):
 
 def _observed(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Reject]
               ) -> Problem:
-    """Return the samples as a problem, with only what they show of the calibrated target."""
+    """
+    Return the samples as a problem, with only what they show of the calibrated target.
+
+    Raises DataError for too few stations.
+    """
     target, estimate, config = cell.target, cell.estimate, cell.config
     observations = target.observe(samples)
     problem = Problem(target, frames.mount_poses_of(samples, config), observations, config,

@@ -59,7 +59,9 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial import KDTree
 
-MAX_GAP = NS  # 1 s, between a sample and joint values
+# 1 s, between a sample and joint values: these rest at a stop, so it is more than
+# sampling.max_pose_gap
+MAX_GAP = NS
 UNCORRECTED_STD = 5e-4  # 1 sigma of the robot's error before its correction (m)
 MAX_X_DIFFERENCE = 0.05  # m and rad: largest difference of X between targets
 INACCURATE_RMS = 1e-3  # 1 sigma (m) of the residuals of an inaccurate robot
@@ -101,7 +103,8 @@ def arm_samples_of(session: Session, recording: Recording, arm: Arm, config: Con
     samples = sorted(session.samples, key=lambda sample: sample.stamp)
     require_samples(samples, session.rejects, target_for(config))
     require_enough(len(samples))
-    assert recording.joints is not None
+    if recording.joints is None:
+        raise InputError('the recording was read without an arm, so without its joint values')
     # as pipeline.answer_samples prepares them, none dropped
     samples = with_common_edge_shape(samples)
     samples = with_estimated_clocks(samples, config).samples
@@ -208,7 +211,11 @@ def _calibrated(part: ArmSamples, arm: Arm) -> Calibration:
 
 
 def _combined(calibrations: Sequence[Calibration], X: Array, covariance: Array) -> Calibration:
-    """Return one calibration for all targets, with the transform that they have in common."""
+    """
+    Return one calibration for all targets, with the transform that they have in common.
+
+    It has the name and the target of the first, and the largest residuals.
+    """
     qualities = [calibration.quality for calibration in calibrations]
     quality = replace(qualities[0], samples_used=sum(q.samples_used for q in qualities),
                       samples_rejected=sum(q.samples_rejected for q in qualities),
@@ -248,7 +255,7 @@ def read_arm_points(path: Path, arm: Arm, in_hand: bool
             [*unused, *_unmoved_notes(arm, q)])
 
 
-def solve_points(measured: Sequence[ArmPoints], arm: Arm, limit: float) -> ArmSelection:
+def select_from_points(measured: Sequence[ArmPoints], arm: Arm, limit: float) -> ArmSelection:
     """Return the corrected arm; limit: the largest valid residual (m); raises DataError."""
     stop_count = sum(len(points.q) for points in measured)
     require_enough(stop_count)
@@ -276,7 +283,7 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     inputs: path and sha256 of the files. Raises HandeyeError.
     """
     measured, rows, notes = read_arm_points(path, arm, config.in_hand)
-    selection = solve_points(measured, arm, config.limits.residual)
+    selection = select_from_points(measured, arm, config.limits.residual)
     fit, covariance = selection.chosen.fit, selection.covariance
     config = replace(config, robot_base_frame=arm.base, robot_effector_frame=arm.flange)
     require_certain(covariance, config, 'move all joints, and bring the target to different '
@@ -289,7 +296,7 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     calibration = assemble_calibration(
         config, 'kinematics', config.sensor_frame, fit.X, covariance,
         fit.residual_rms, selection.chosen.left_out_rms,
-        {**target, ROBOT_POSITION_ERROR: selection.smooth_error_rms},
+        {**target, ROBOT_POSITION_ERROR: selection.robot_smooth},
         sorted(reports, key=attrgetter('stamp')), {'inputs': list(inputs)})
     return ArmAnswer(selection, replace(calibration, name=config.name or calibration.method),
                      (*notes, *selection.notes))
