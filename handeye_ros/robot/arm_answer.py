@@ -59,7 +59,7 @@ class ArmAnswer:
             rows_of = {kind: (joint_of == j) & (ERROR_KINDS[column_of] == kind)
                        for kind in arm.error_kinds}
             entries.append({
-                'name': joint.name, 'type': joint.kind,
+                'name': joint.name, 'type': joint.type,
                 'origin': se3.transform_values(joint.origin),
                 'axis': joint.axis.tolist(), 'lower': joint.lower, 'upper': joint.upper,
                 **{kind: {name: column[rows].tolist() for name, column in columns.items()}
@@ -92,7 +92,7 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
         'zero_offsets_degrees': {
             joint.name: round(math.degrees(offset), 5)
             for joint, offset in zip(arm.joints, arm.errors[:, 0].tolist(), strict=True)
-            if joint.kind == REVOLUTE},
+            if joint.type == REVOLUTE},
         'transform': se3.transform_values(calibration.T_flange_sensor),
         'models': [{'parameters': list(m.fit.arm.error_kinds), 'residual_rms': m.fit.residual_rms,
                     'left_out_rms': m.left_out_rms, 'chosen': m is selection.chosen}

@@ -119,7 +119,7 @@ def arm_samples_of(session: Session, recording: Recording, arm: Arm, config: Con
 def _require_within_limits(arm: Arm, q: Array) -> None:
     """Raise DataError for values (n, joints) beyond the limits of a joint."""
     for joint, low, high in zip(arm.joints, q.min(axis=0), q.max(axis=0), strict=True):
-        tolerance = MAX_EXTRAPOLATION[joint.kind]
+        tolerance = MAX_EXTRAPOLATION[joint.type]
         if low < joint.lower - tolerance or high > joint.upper + tolerance:
             raise DataError(
                 f'{joint.name} goes from {low:.4g} to {high:.4g}, and the URDF limits it to '
@@ -131,8 +131,8 @@ def _require_within_limits(arm: Arm, q: Array) -> None:
 def _unmoved_notes(arm: Arm, q: Array) -> Iterator[str]:
     """Yield a sentence for each joint whose error values (n, joints) do not determine."""
     for joint, spread in zip(arm.joints, np.ptp(q, axis=0).tolist(), strict=True):
-        if spread < UNMOVED_SPREAD[joint.kind]:
-            size = (degrees if joint.kind == REVOLUTE else mm)(spread)
+        if spread < UNMOVED_SPREAD[joint.type]:
+            size = (degrees if joint.type == REVOLUTE else mm)(spread)
             yield (f'{joint.name} moves by {size} only: these configurations do not determine its '
                    'error')
 
@@ -240,7 +240,7 @@ def read_arm_points(path: Path, arm: Arm, in_hand: bool
     peculiarity is a sentence. Raises InputError and DataError.
     """
     table = CsvTable(path)
-    kinds = {j.name: LENGTH if j.kind == PRISMATIC else ANGLE for j in arm.joints}
+    kinds = {j.name: LENGTH if j.type == PRISMATIC else ANGLE for j in arm.joints}
     readings = {name: table.values([name], kind)[:, 0] for name, kind in kinds.items()
                 if name in table.columns}
     q, points = arm.joint_values(readings, path), table.values(['x', 'y', 'z'], LENGTH)
