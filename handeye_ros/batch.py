@@ -257,7 +257,7 @@ def earlier_row(job: Job, out: Path) -> JobRow | None:
     """Return the row of a job from its folder below out, None where the job must be run."""
     try:
         previous = json.loads((out / job.label / JOB_FILE).read_text(encoding='utf-8'))
-        same = (previous['state'] == job.fingerprint()
+        same = (previous['fingerprint'] == job.fingerprint()
                 and previous['row']['exit_code'] != CRASH_EXIT_CODE)
     except (OSError, ValueError, KeyError, TypeError):
         return None
@@ -286,7 +286,7 @@ def run(job: Job, out: Path, run_verb: RunVerb) -> JobRow:
            'cause': cause, 'warnings': sum(line.startswith('warning:') for line in lines),
            'seconds': round(time.perf_counter() - start, 3), **_figures_in(unfinished)}
     write_atomically(unfinished / JOB_FILE,
-                     json.dumps({'state': fingerprint, 'row': row}, indent=1))
+                     json.dumps({'fingerprint': fingerprint, 'row': row}, indent=1))
     shutil.rmtree(folder, ignore_errors=True)
     unfinished.replace(folder)
     return {**row, 'computed': True}

@@ -178,13 +178,12 @@ class ArmFit:
 
     @property
     def used_rows(self) -> Indices:
-        """Return the numbers (m,) of the residuals of used stops, among all r."""
-        return np.flatnonzero(self.used[self.station])
+        """
+        Return the numbers (m,) of the residuals of used stops, among all r.
 
-    @property
-    def axis(self) -> Indices:
-        """Return the axis (m,) of each residual of used stops: points have x, y, z in turn."""
-        return self.used_rows % len(self.noise)
+        Points have x, y and z in turn, so the remainder by the axes of `noise` is the axis.
+        """
+        return np.flatnonzero(self.used[self.station])
 
     @property
     def robot_errors(self) -> Array:
@@ -235,7 +234,7 @@ class ArmFit:
         wrt_targets = block_diag(*(residual.wrt_X_and_target[:, 6:]
                                    for residual in self.residuals))
         rows = np.column_stack([values, wrt_X, wrt_errors, wrt_targets])[self.used_rows]
-        rows /= self.noise[self.axis, None]
+        rows /= self.noise[self.used_rows % len(self.noise), None]
         return rows[:, 0], rows[:, 1:]
 
     @cached_property
@@ -289,7 +288,7 @@ def noise_and_variances(fit: ArmFit, conservative: bool = False) -> tuple[Array,
         covariance = fit.covariance[np.ix_(6 + of_kind, 6 + of_kind)] / np.outer(stated, stated)
         variances[kind] = prior_variances(covariance, fit.robot_errors[of_kind] / stated, present,
                                           MAX_VARIANCE)[int(conservative)]
-    (r, J), axis = fit.whitened_rows, fit.axis
+    (r, J), axis = fit.whitened_rows, fit.used_rows % len(fit.noise)
     redundancy = 1 - np.einsum('mi,mi->m', J @ fit.covariance, J)
     freedom, squares = np.bincount(axis, redundancy), np.bincount(axis, (r * fit.noise[axis]) ** 2)
     pooled = squares.sum() / max(freedom.sum(), 1.0)

@@ -111,7 +111,7 @@ class Check:
     """
     Result of a check.
 
-    stamp: of the first sample (ns)
+    stamps: of all samples (ns); the file has the first
     verdict: unchanged, or the causes: target, sensor (it moved, or the robot's base did that is
         fixed to the other), robot (its pose errors changed), clock, with "or" or "and"
     sentence: the verdict for the user, with what to do
@@ -124,10 +124,9 @@ class Check:
     contradicting: numbers of the stops, of a sweep of the passes, with what contradicts the others
         and is not used
     time_offset_changed: change of the time offset of a sweep, and its 1 sigma (s)
-    stamps: of all samples (ns); they are written to no file
     """
 
-    stamp: int
+    stamps: Sequence[int]
     verdict: str
     sentence: str
     stations: int
@@ -141,7 +140,6 @@ class Check:
     contradicting: list[int]
     time_offset_changed: float = math.nan
     time_offset_changed_std: float = math.nan
-    stamps: Sequence[int] = ()
 
 
 def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
@@ -219,9 +217,9 @@ def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Rej
         what = 'profiles of the passes' if pass_stamps else 'stops'
         sentence += f'. Not used, as they contradict the others: {what} {contradicting}'
     return Check(
-        samples[0].stamp, verdict, sentence, len(prediction.linear.problem.poses), off,
-        math.exp(min(log_evidence, 700.0)), odds, target.move, sensor.move, sensor.displacement,
-        sensor.std, contradicting, stamps=[sample.stamp for sample in samples])
+        [sample.stamp for sample in samples], verdict, sentence,
+        len(prediction.linear.problem.poses), off, math.exp(min(log_evidence, 700.0)), odds,
+        target.move, sensor.move, sensor.displacement, sensor.std, contradicting)
 
 
 def _verdict_of_change(target: _Cause, sensor: _Cause, odds: Mapping[str, float], off: float
@@ -511,7 +509,8 @@ def _with_offset(result: Check, offset: ClockEstimate, before: ClockEstimate) ->
 
 def plain_values(checks: Sequence[tuple[str, Check]], against: str) -> dict[str, Any]:
     """Return checks, each with the name of its recording, as plain values."""
-    contents = [{'input': recording, **asdict(result)} for recording, result in checks]
+    contents = [{'input': recording, 'stamp': result.stamps[0], **asdict(result)}
+                for recording, result in checks]
     for content in contents:
         del content['stamps']
         content['left_out'] = content.pop('contradicting')

@@ -50,7 +50,7 @@ class StationResult:
     """
     Result of one stop, of a sweep of one profile, of a routine in passes of one pass.
 
-    kind: stop, profile or pass; it is written to no file
+    label: what it is called in a sentence; it is written to no file
     recording: its number, from 1
     number: from 1, of the stop among all of this recording, as a check counts them; of a profile
         among those used
@@ -61,7 +61,7 @@ class StationResult:
     reason: why it is not used
     """
 
-    kind: str
+    label: str
     recording: int
     number: int
     stamp: int
@@ -70,11 +70,6 @@ class StationResult:
     p: float
     used: bool = True
     reason: str = ''
-
-    @property
-    def name(self) -> str:
-        """Return the name of the stop, profile or pass."""
-        return f'{self.kind} {self.number} of recording {self.recording}'
 
 
 @dataclass(frozen=True)
@@ -179,8 +174,8 @@ def _station_results(kind: str, stations: StationSet, used: StationSet, fit: Sha
     """
     Return the results of all stops or passes that have points, or contradict the others.
 
-    used: the stations as fitted, without contradicting ones (dropped); p: of each group; rejects:
-    stops of each recording that count too, but gave no sample.
+    kind: of them, stop, profile or pass; used: the stations as fitted, without contradicting ones
+    (dropped); p: of each group; rejects: stops of each recording that count, but gave no sample.
     """
     results = []
     groups, recordings = stations.group_of_pose, stations.recording_of_pose
@@ -189,7 +184,8 @@ def _station_results(kind: str, stations: StationSet, used: StationSet, fit: Sha
         first_group = groups[np.searchsorted(recordings, recording)]
         stamp = int(stations.stamps[first])
         before = sum(reject.stamp < stamp for reject in chain(*rejects[recording:recording + 1]))
-        identity = kind, recording + 1, int(group - first_group) + before + 1, stamp
+        number = int(group - first_group) + before + 1
+        identity = f'{kind} {number} of recording {recording + 1}', recording + 1, number, stamp
         rows = np.flatnonzero(used.group_of_point == group)
         if group in dropped:
             results.append(StationResult(*identity, math.nan, math.nan, p[group], False, (
@@ -282,7 +278,7 @@ def _point_findings(fit: ShapeFit, results: Sequence[StationResult], artefact: V
     if outside:
         worst = max(outside, key=lambda s: s.distance)
         yield VIOLATES, (f'points lie up to {mm(worst.distance)} from the fit (too far in '
-                         f'{len(outside)} of {len(results)}, the worst: {worst.name})')
+                         f'{len(outside)} of {len(results)}, the worst: {worst.label})')
     size, std = fit.error.largest, fit.error.largest_std
     outcome = decision(size, ONE_SIDED_95 * std, artefact.tolerance)
     error = (f'an error of the calibration of {mm(size)} ± {mm(COVERAGE_FACTOR * std)} '
@@ -292,7 +288,7 @@ def _point_findings(fit: ShapeFit, results: Sequence[StationResult], artefact: V
     elif fit.error.p_chance <= SIGNIFICANCE and outcome != CONFORMS:
         yield UNDECIDED, OTHER_SIZE if other_size else (
             f'the points suggest {error}, which may exceed the tolerance: measure at more stops')
-    contradicting = [s.name for s in results if s.used and s.p * len(results) < FALSE_ALARM]
+    contradicting = [s.label for s in results if s.used and s.p * len(results) < FALSE_ALARM]
     if contradicting:
         yield UNDECIDED, (f'{", ".join(contradicting)} contradict the others under every possible '
                           'calibration, and without them too little would be left: measure again')
@@ -300,7 +296,7 @@ def _point_findings(fit: ShapeFit, results: Sequence[StationResult], artefact: V
 
 def _notes(fit: ShapeFit, other_size: bool, results: Sequence[StationResult]) -> Iterator[str]:
     """Yield the sentences that qualify a verdict."""
-    yield from (f'{s.name} is not used: {s.reason}' for s in results if not s.used)
+    yield from (f'{s.label} is not used: {s.reason}' for s in results if not s.used)
     if fit.scatter.p < INCONSISTENT_P:
         yield ('the points disagree by more than calibration, noise.sensor and noise.robot_* '
                f'explain (p = {fit.scatter.p:.1g}): the calibration is worse than it claims, the '

@@ -222,7 +222,7 @@ def test_a_few_contradicting_stops_are_left_out_and_named():
     moved = with_poses(artefact, {4: [2e-3, 2e-3, 2e-3, 0, 0, 0]})
     verification = assess('line', moved, calibration)
     assert verification.verdict == 'pass' and verification.stations == len(artefact.bags[0]) - 1
-    assert [s.name for s in verification.per_station if not s.used] == ['stop 5 of recording 1']
+    assert [s.label for s in verification.per_station if not s.used] == ['stop 5 of recording 1']
     assert verification.reasons[0].startswith('stop 5 of recording 1 is not used')
     written = yaml.safe_load(yaml_text(plain_values(verification)))['per_station'][4]
     assert (written['used'], written['number']) == (False, 5) and math.isnan(written['distance'])
@@ -240,7 +240,7 @@ def test_a_stop_keeps_its_number_where_another_gave_no_sample():
     samples, = moved.bags
     rejects = [Reject(samples[0].stamp - 1, 'too dark'), Reject(samples[-1].stamp + 1, 'too dark')]
     verification = assess('line', replace(moved, bags=((*samples, *rejects),)), calibration)
-    assert [s.name for s in verification.per_station if not s.used] == ['stop 6 of recording 1']
+    assert [s.label for s in verification.per_station if not s.used] == ['stop 6 of recording 1']
     assert [s.number for s in verification.per_station] == [*range(2, len(samples) + 2)]
 
 
