@@ -81,6 +81,7 @@ UNSEEN_SHIFT = 0.01  # m: a shift that would show only from here on is called un
 NO_MOVE = np.zeros(6)
 MOVABLE = 'target', 'sensor'
 CAUSES = *MOVABLE, 'robot'
+# names in FORMAT of the fields of a Move; that of `contradicting` is left_out
 MOVE_KEYS = {'shift': 'moved', 'turn': 'turned', 'smallest_shifts': 'shows', 'axes': 'axes'}
 ROBOT_CHANGED = ('the poses of the robot err otherwise than before (mastering, a joint, wear), '
                  'or repeat worse than noise.robot_* says: check the robot before the sensor')

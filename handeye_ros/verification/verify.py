@@ -180,9 +180,8 @@ def _station_results(kind: str, stations: StationSet, used: StationSet, fit: Sha
     results = []
     groups, recordings = stations.group_of_pose, stations.recording_of_pose
     for group, first in zip(*np.unique(groups, return_index=True), strict=True):
-        recording = int(recordings[first])
+        recording, stamp = int(recordings[first]), int(stations.stamps[first])
         first_group = groups[np.searchsorted(recordings, recording)]
-        stamp = int(stations.stamps[first])
         before = sum(reject.stamp < stamp for reject in chain(*rejects[recording:recording + 1]))
         number = int(group - first_group) + before + 1
         identity = f'{kind} {number} of recording {recording + 1}', recording + 1, number, stamp
