@@ -134,7 +134,7 @@ def by_tracker(seed: int) -> dict[str, np.ndarray]:
     for row, (kind, *point) in enumerate(csv.reader(cell.tables['tracker.csv'].splitlines()[1:])):
         pieces.setdefault(kind, []).append(Piece(row, 1e-3 * np.array([point], dtype=float)))
     session = TrackerProblem(config, {**pieces, **swept}, q30)
-    found = session.published_answer(session.readings).T_flange_sensor
+    found = session.result.T_flange_sensor
     x, z = np.meshgrid((-0.02, 0.0, 0.02), (0.16, 0.175, 0.19))
     field = np.column_stack([x.ravel(), np.zeros(x.size), z.ravel()])
     return {'Jing 2020': trials.errors(found, cell.T_flange_sensor, field)}

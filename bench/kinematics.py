@@ -27,7 +27,7 @@ from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mount_poses
 from handeye_ros.robot.estimate import ArmFit, ArmPoints, with_estimated_weights
 from handeye_ros.robot.selection import ArmSelection, select_model
-from handeye_ros.robot.sources import ArmSamples, fit_of_samples, solve_points
+from handeye_ros.robot.solve import ArmSamples, fit_of_samples, select_from_points
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import recording as cells
 from handeye_ros.simulate import robot, SCENARIOS, settings
@@ -262,7 +262,7 @@ def main() -> None:
             first = np.arange(len(cell.data.q)) < given.stops
             began = time.perf_counter()
             seen, held = selected(cell.data, first), selected(cell.exact, ~first)
-            selection = solve_points([seen], cell.arm.with_errors_of(()), LIMIT)
+            selection = select_from_points([seen], cell.arm.with_errors_of(()), LIMIT)
             times.append(time.perf_counter() - began)
             rows.append((*judged(cell, case, selection, held),
                          bound(cell, seen, held)))

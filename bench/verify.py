@@ -63,10 +63,10 @@ from handeye_ros.simulate.scenario import (
 from handeye_ros.simulate.scenes import Placements, tilts
 from handeye_ros.simulate.scenes import SCENES as TARGET_SCENES
 from handeye_ros.simulate.sensor import lift
-from handeye_ros.verification.check import CalibratedCell, Check, check
 from handeye_ros.verification.routines import Routine, ROUTINES
 from handeye_ros.verification.station_set import StationSet
 from handeye_ros.verification.stations import stations_of, stations_of_passes
+from handeye_ros.verification.still_holds import CalibratedCell, Check, check
 from handeye_ros.verification.verify import Verification, verify_stations
 import numpy as np
 from scipy.spatial.transform import Rotation

@@ -47,13 +47,13 @@ class Joint:
     A movable joint.
 
     origin: (4, 4) its frame in that of the previous joint, at zero
-    kind: REVOLUTE or PRISMATIC
+    type: REVOLUTE or PRISMATIC
     axis: (3,) unit vector in its frame
     lower, upper: its limits (rad or m)
     """
 
     name: str
-    kind: str
+    type: str
     origin: Array
     axis: Array
     lower: float = -np.inf
@@ -78,7 +78,7 @@ class Joint:
         That is its translation and rotation for a unit of its value.
         """
         zero = np.zeros(3)
-        return np.append(zero, self.axis) if self.kind == REVOLUTE else np.append(self.axis, zero)
+        return np.append(zero, self.axis) if self.type == REVOLUTE else np.append(self.axis, zero)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ class Arm:
     @cached_property
     def priors(self) -> Array:
         """Return the prior 1 sigma (joints, 5) of all errors (rad or m), 0 where there is none."""
-        return np.array([PRIOR_STDS[joint.kind] for joint in self.joints])
+        return np.array([PRIOR_STDS[joint.type] for joint in self.joints])
 
     @cached_property
     def is_estimated(self) -> NDArray[np.bool_]:
@@ -162,7 +162,7 @@ class Arm:
         pinocchio = _pinocchio()
         model, parent = pinocchio.Model(), 0
         for joint, D in zip(self.joints, self.displacements, strict=True):
-            kind = (pinocchio.JointModelRevoluteUnaligned if joint.kind == REVOLUTE
+            kind = (pinocchio.JointModelRevoluteUnaligned if joint.type == REVOLUTE
                     else pinocchio.JointModelPrismaticUnaligned)
             parent = model.addJoint(parent, kind(joint.axis), pinocchio.SE3(joint.origin @ D),
                                     joint.name)
@@ -253,9 +253,8 @@ def read_arm(path: Path) -> Arm:
         arm = Arm(str(content['base']), str(content['flange']), joints,
                   transform_from(path, 'end', content['end']), kinds, np.array(values), covariance,
                   np.array(content['configurations'], dtype=float).reshape(-1, len(joints)))
-        if arm.is_estimated.sum() != len(values) or any(
-                joint.get('follows', joint['name']) != joint['name'] for joint in stored):
-            raise ValueError('errors of some joints are missing, or some mimic others')
+        if arm.is_estimated.sum() != len(values) or not len(arm.configurations):
+            raise ValueError('errors of some joints, or all configurations, are missing')
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise unusable_file(
             path, 'it is no kinematics.yaml as "handeye kinematics" writes it') from error
@@ -340,7 +339,7 @@ def _joint(element: ElementTree.Element, origin: Array) -> Joint:
     lower, upper = (float(limit.get(end, 0.0)) for end in ('lower', 'upper'))
     if kind == 'continuous' or not lower < upper:
         lower, upper = -np.inf, np.inf  # not stated
-    return Joint(name, URDF_TYPES[kind], origin, along / np.linalg.norm(along), lower, upper)
+    return Joint(name, URDF_TYPES[kind], origin, se3.unit(along), lower, upper)
 
 
 def corrected_urdf(urdf: str, arm: Arm) -> str:

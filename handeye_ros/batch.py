@@ -28,6 +28,8 @@ from handeye_ros.se3 import AXES
 from handeye_ros.verification.routines import ROUTINES
 from handeye_ros.words import count_of, without_numbers
 
+# of the table: label, bag, verb, exit_code, cause, warnings, seconds, computed (not taken from
+# before), and figures of the result
 JobRow: TypeAlias = dict[str, Any]
 # runs `handeye` with arguments, the verb first, in its process; returns the exit code
 RunVerb: TypeAlias = Callable[[list[str]], int]
@@ -160,14 +162,16 @@ def arguments_of(args: str, config: Path | str | None, settings: Iterable[str],
     except ValueError as error:
         raise InputError(f'args: {args!r} has a quotation mark that is not closed') from error
     arguments += [argument for text in settings for argument in ('--set', text)]
-    for k, (option, argument) in enumerate(zip(['', *arguments], arguments, strict=False)):
+
+    def with_absolute_path(option: str, argument: str) -> str:
+        """Return an argument after another one, an option or not."""
         key, equals, value = argument.partition('=') if option == '--set' else ('', '', argument)
         is_path = (key in PATH_KEYS if option == '--set' else
                    option in PATH_OPTIONS if option[:2] == '--' else value not in ROUTINES)
-        if is_path and value and (folder / value).exists():
-            arguments[k] = f'{key}{equals}{(folder / value).absolute()}'
+        return (f'{key}{equals}{(folder / value).absolute()}'
+                if is_path and value and (folder / value).exists() else argument)
     files = ['--config', str((folder / config).absolute())] if config else []
-    return (*arguments, *files)
+    return (*map(with_absolute_path, ['', *arguments], arguments), *files)
 
 
 def _jobs_of_list(path: Path, verb: str, arguments: tuple[str, ...]) -> Iterator[Job]:
@@ -253,7 +257,7 @@ def earlier_row(job: Job, out: Path) -> JobRow | None:
     """Return the row of a job from its folder below out, None where the job must be run."""
     try:
         previous = json.loads((out / job.label / JOB_FILE).read_text(encoding='utf-8'))
-        same = (previous['state'] == job.fingerprint()
+        same = (previous['fingerprint'] == job.fingerprint()
                 and previous['row']['exit_code'] != CRASH_EXIT_CODE)
     except (OSError, ValueError, KeyError, TypeError):
         return None
@@ -282,7 +286,7 @@ def run(job: Job, out: Path, run_verb: RunVerb) -> JobRow:
            'cause': cause, 'warnings': sum(line.startswith('warning:') for line in lines),
            'seconds': round(time.perf_counter() - start, 3), **_figures_in(unfinished)}
     write_atomically(unfinished / JOB_FILE,
-                     json.dumps({'state': fingerprint, 'row': row}, indent=1))
+                     json.dumps({'fingerprint': fingerprint, 'row': row}, indent=1))
     shutil.rmtree(folder, ignore_errors=True)
     unfinished.replace(folder)
     return {**row, 'computed': True}

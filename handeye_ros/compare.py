@@ -190,7 +190,7 @@ def _from_files(pairs: PairedRows) -> Array:
 
 def _park(pairs: PosePairs) -> Array:
     """Return X (4, 4) by the closed form of Park and Martin 1994; raises DataError."""
-    pairs.require_determined()
+    pairs.require_usable()
     return pairs.closed_form()
 
 

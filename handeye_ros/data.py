@@ -25,7 +25,9 @@ NS = 1_000_000_000  # nanoseconds in a second: stamps are in ns
 # keys of estimated values: two times (s), and the seconds that the clock of the profiles loses in
 # a second
 TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT = 'time_offset', 'rotation_lag', 'clock_drift'
-ROBOT_POSITION_ERROR = 'robot_position_error'  # 1 sigma of its smooth error (m)
+# noise.robot_smooth as found: 1 sigma of the smooth error of the robot along each axis (m); in
+# kinematics.yaml `robot_smooth_error`
+ROBOT_POSITION_ERROR = 'robot_position_error'
 QUATERNION_TOLERANCE = 1e-3  # of its length
 ENDINGS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; see EdgePoint
 SIGMA_OF_MEDIAN = 1.4826  # 1 sigma of a normal distribution over its median absolute deviation

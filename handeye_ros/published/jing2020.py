@@ -77,13 +77,13 @@ class Result:
 
     direction: (3,) of the sweep in the sensor frame, per metre of q3
     radius: of the ball as swept
-    angles: (2,) between the faces as the tracker and the profiler saw them (radians)
+    face_angle: between the faces as the tracker saw them (radians)
     """
 
     T_flange_sensor: Array
     direction: Array
     radius: float
-    angles: Array
+    face_angle: float
 
 
 def solve(measured: Readings, direction: Array = SWEEP) -> Result:
@@ -100,7 +100,7 @@ def solve(measured: Readings, direction: Array = SWEEP) -> Result:
     T_tracker_sensor = (block_frame(parts['ball'][0], *by_tracker)
                         @ se3.inverse(block_frame(ball, *by_sweep)))
     return Result(se3.inverse(link_frame(measured)) @ T_tracker_sensor, direction, radius,
-                  np.array([face_angle(*by_tracker), face_angle(*by_sweep)]))
+                  face_angle(*by_tracker))
 
 
 def link_frame(measured: Readings) -> Array:
@@ -181,7 +181,7 @@ def fit_swept_ball(points: Array, q30: float, direction: Array) -> tuple[Array, 
 
     def at(unknown: Array) -> Array:
         turned = direction + unknown[:2] @ aside
-        return np.asarray(turned / np.linalg.norm(turned))
+        return se3.unit(turned)
 
     def residuals(unknown: Array) -> Array:
         cloud = swept(points, q30, at(unknown))

@@ -132,7 +132,7 @@ def _penalty(problem: _Problem, x: Array, k: int) -> Array:
 
 
 def minimise(problem: _Problem, x: Array, factor: float) -> Array:
-    """Return the minimum of M(., factor) by the modified Powell method, steps (1) to (7)."""
+    """Return where M(., factor) is least, by the modified Powell method, steps (1) to (7)."""
     directions = np.eye(len(x))
     for _ in range(MAX_ROUNDS):
         start, values = x, [problem.along(x, directions[0], factor)[0]]
@@ -165,7 +165,7 @@ def quartic(coefficients: Sequence[float], s: float) -> float:
 
 
 def line_search(line: Sequence[float]) -> float:
-    """Return the minimum of a quartic near 0: advance and retreat, then the 0.618 method."""
+    """Return where a quartic is least near 0: advance and retreat, then the 0.618 method."""
     try:
         s = float(golden(lambda s: quartic(line, s), brack=(0.0, FIRST_ADVANCE), maxiter=45))
     except RuntimeError:  # it falls to neither side

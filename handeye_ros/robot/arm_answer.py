@@ -50,7 +50,7 @@ class ArmAnswer:
 
     @property
     def joints(self) -> list[dict[str, Any]]:
-        """Return of each joint what the URDF states, and the columns by kind of error."""
+        """Return the entries `joints` of kinematics.yaml: as stated, with the errors by kind."""
         arm, entries = self.selection.arm, []
         columns = {'value': arm.error_values, 'std': np.sqrt(np.diag(arm.covariance)),
                    'undetermined': self.selection.undetermined}
@@ -59,7 +59,7 @@ class ArmAnswer:
             rows_of = {kind: (joint_of == j) & (ERROR_KINDS[column_of] == kind)
                        for kind in arm.error_kinds}
             entries.append({
-                'name': joint.name, 'type': joint.kind,
+                'name': joint.name, 'type': joint.type,
                 'origin': se3.transform_values(joint.origin),
                 'axis': joint.axis.tolist(), 'lower': joint.lower, 'upper': joint.upper,
                 **{kind: {name: column[rows].tolist() for name, column in columns.items()}
@@ -68,7 +68,7 @@ class ArmAnswer:
 
     def save(self, urdf: str, folder: Path, formats: Sequence[str]) -> str:
         """
-        Write calibration.yaml, kinematics.yaml and corrected.urdf; return their paths.
+        Write calibration.yaml, kinematics.yaml and corrected.urdf; return what was written.
 
         urdf: the stated one of the robot. The calibration names the kinematics file.
         """
@@ -92,12 +92,12 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
         'zero_offsets_degrees': {
             joint.name: round(math.degrees(offset), 5)
             for joint, offset in zip(arm.joints, arm.errors[:, 0].tolist(), strict=True)
-            if joint.kind == REVOLUTE},
+            if joint.type == REVOLUTE},
         'transform': se3.transform_values(calibration.T_flange_sensor),
         'models': [{'parameters': list(m.fit.arm.error_kinds), 'residual_rms': m.fit.residual_rms,
                     'left_out_rms': m.left_out_rms, 'chosen': m is selection.chosen}
                    for m in selection.models],
-        'robot_smooth_error': selection.smooth_error_rms,
+        'robot_smooth_error': selection.robot_smooth,
         'covariance': arm.covariance.tolist(),
         'configurations': arm.configurations.round(6).tolist(),
         'provenance': {**with_origin(calibration).provenance, 'warnings': list(answer.warnings)}}
@@ -123,4 +123,4 @@ def table(answer: ArmAnswer) -> RenderableType:
         Text(f'model: {", ".join(answer.selection.arm.error_kinds) or UNCHANGED_ARM}; points that '
              f'were left out: {stated.left_out_rms * 1e3:.2f} mm RMS before, '
              f'{chosen.left_out_rms * 1e3:.2f} mm after; what is left of the error of the robot: '
-             f'{answer.selection.smooth_error_rms * 1e3:.2f} mm (RMS, each axis)'))
+             f'{answer.selection.robot_smooth * 1e3:.2f} mm (RMS, each axis)'))

@@ -9,8 +9,8 @@ the axes of the sensor; s is the measured point, c the position of the target. S
 one at several positions, have sensor and arm in common; the errors of the arm act through the
 twists of the flange.
 
-Estimate and reported covariance follow docs/estimator.md: the data determine the variance of each
-kind of error, its most likely value for the estimate and a conservative one for the covariance.
+As of the blocks in sections 3 and 4 of docs/estimator.md, the data determine the variance of each
+kind of error: its most likely value for the estimate, a conservative one for the covariance.
 """
 from __future__ import annotations
 
@@ -171,14 +171,18 @@ class ArmFit:
 
     @cached_property
     def station(self) -> Indices:
-        """Return the stop (m,) of each residual."""
+        """Return the stop (r,) of each residual, of unused stops too."""
         first = np.cumsum([0, *(len(data.q) for data in self.measured)])[:-1]
         return np.concatenate([start + residual.station
                                for start, residual in zip(first, self.residuals, strict=True)])
 
     @property
     def used_rows(self) -> Indices:
-        """Return the numbers (m,) of the residuals of used stops, among all."""
+        """
+        Return the numbers (m,) of the residuals of used stops, among all r.
+
+        Points have x, y and z in turn, so the remainder by the axes of `noise` is the axis.
+        """
         return np.flatnonzero(self.used[self.station])
 
     @property

@@ -37,7 +37,7 @@ MAX_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis, if the URDF belongs
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class ValidatedFit:
     """
     A fit with some kinds of errors of the arm, and its cross-validation.
 
@@ -64,16 +64,16 @@ class ArmSelection:
     arm: the corrected arm with its k errors, their covariance, and where they were found
     covariance: (6, 6) of the hand-eye transform X
     undetermined: (k,) posterior over prior sigma of each error, 1 where the data say nothing
-    smooth_error_rms: RMS of the smooth remaining error of the robot, per axis (m)
+    robot_smooth: RMS of the smooth remaining error of the robot, per axis (m)
     notes: sentences for the user
     """
 
-    models: tuple[Model, ...]
-    chosen: Model
+    models: tuple[ValidatedFit, ...]
+    chosen: ValidatedFit
     arm: Arm
     covariance: Array
     undetermined: Array
-    smooth_error_rms: float
+    robot_smooth: float
     notes: tuple[str, ...]
 
 
@@ -109,6 +109,7 @@ def select_model(fit: ArmFit, stop_count: int, limit: float) -> ArmSelection:
         chosen = richer if _predicts_better(richer, chosen) else chosen
     _require_same_robot(chosen.fit.arm)
     covariance, smooth = arm_covariance(richest, chosen.fit)
+    # by how much its left-out stops are further off than even the richest model predicts
     covariance *= models[-1].variance_ratio
     arm = replace(chosen.fit.arm, covariance=covariance[6:, 6:], configurations=fit.q)
     return ArmSelection(tuple(models), chosen, arm, covariance[:6, :6],
@@ -131,7 +132,7 @@ def _regions(q: Array, most: int = REGION_COUNT) -> Indices:
     return region
 
 
-def _validated(fit: ArmFit, fold: Indices) -> Model:
+def _validated(fit: ArmFit, fold: Indices) -> ValidatedFit:
     """Return the model of a fit; fold: (n,) regions of the stops, left out one by one."""
     errors, variance_ratio = np.empty(len(fold)), 1.0
     for number in np.unique(fold):
@@ -142,10 +143,10 @@ def _validated(fit: ArmFit, fold: Indices) -> Model:
         r, J = replace(without, used=fit.used & in_fold).whitened_rows
         predicted = len(r) + np.sum((J @ without.covariance) * J)
         variance_ratio = max(variance_ratio, float(r @ r / max(predicted, 1.0)))
-    return Model(fit, errors, variance_ratio)
+    return ValidatedFit(fit, errors, variance_ratio)
 
 
-def _predicts_better(richer: Model, simpler: Model) -> bool:
+def _predicts_better(richer: ValidatedFit, simpler: ValidatedFit) -> bool:
     """Return whether a model predicts left-out stops better by more than one standard error."""
     used = richer.fit.used
     gain = simpler.left_out[used] ** 2 - richer.left_out[used] ** 2
@@ -170,7 +171,7 @@ def _require_same_robot(arm: Arm) -> None:
                 'the error of any real arm: the URDF is of another robot, or of a variant of it')
 
 
-def _notes(models: Sequence[Model], chosen: Model) -> Iterator[str]:
+def _notes(models: Sequence[ValidatedFit], chosen: ValidatedFit) -> Iterator[str]:
     """Yield a sentence for contradicting stops, and for a richer model that is not used."""
     richest = models[-1]
     if dropped := int((~richest.fit.used).sum()):

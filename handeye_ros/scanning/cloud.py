@@ -76,7 +76,6 @@ def read_cloud(path: Path) -> Array:
 
     The file may be ASCII or binary (little-endian). Raises InputError for other files.
     """
-    require_suffix(path)
     layout = _ply_layout if path.suffix.lower() == '.ply' else _pcd_layout
     try:
         # loadtxt warns of a file without points, which is told below or by who needs them

@@ -70,7 +70,8 @@ class Scanner:
 
     frame: the id of the frame of the points
     profiles, without_pose: the number of profiles so far, and of those without a pose
-    returns, out_of_limits, thinned: the number of returns, and of those that are left out
+    returns, out_of_limits, thinned: the number of returns of the profiles with a pose, and of
+        those that are left out
     lag: by which the robot reports its rotation later than its position (s)
     """
 
@@ -128,6 +129,10 @@ class Scanner:
     def _one_in_each_cube(self, cloud: Points) -> Points:
         """Return the points that are the first in their cube, in the order of the cloud."""
         points = np.stack([cloud['x'], cloud['y'], cloud['z']], axis=1)
+        least = float(np.abs(points).max(initial=0.0)) / (1 << CELL_BITS - 1)
+        if self.options.voxel <= least:  # distant cubes would have one number
+            raise BadValueError('--voxel', self.options.voxel, (
+                f'more than {least:.2g} m, as points are so far away; --range leaves them out'))
         cell = np.floor(points / self.options.voxel).astype(np.int64) & (1 << CELL_BITS) - 1
         cubes, first = np.unique(cell @ [1 << 2 * CELL_BITS, 1 << CELL_BITS, 1],
                                  return_index=True)

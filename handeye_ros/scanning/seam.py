@@ -20,8 +20,9 @@ from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError
 from handeye_ros.output import csv_text, write_atomically, yaml_text
 from handeye_ros.scanning.curves import Curve, spline
-from handeye_ros.scanning.rough_seam import FLAT_RATIO, rough_seam_of, sheets_of
+from handeye_ros.scanning.rough_seam import rough_seam_of
 from handeye_ros.scanning.seam_sections import edges_of_seam, SeamSections
+from handeye_ros.scanning.sheets import FLAT_RATIO, sheets_of
 from handeye_ros.se3 import unit
 from handeye_ros.words import mm
 import numpy as np
@@ -102,8 +103,8 @@ def find_seam(points: Array, widest: float = DEFAULT_WIDEST,
 
     widest: the largest distance between the edges of a seam (m)
     towards: a direction (3,) within 90 degrees of the approach of the tool
-    line: the line that the path follows, see Seam; auto: the root of V and fillet, the centre of
-        butt and lap
+    line: the line that the path follows: root, centre, first, second (edge), or auto, the root of
+        V and fillet and the centre of butt and lap
     start: a point (3,) near the end where the seam begins
 
     Raises DataError where there is no seam, where there are several, and where the only one is

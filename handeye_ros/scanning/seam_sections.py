@@ -14,13 +14,8 @@ from dataclasses import dataclass, replace
 from handeye_ros.data import Array, Indices, robust_std
 from handeye_ros.errors import DataError
 from handeye_ros.scanning.curves import Curve, spline, STIFF_ONLY
-from handeye_ros.scanning.rough_seam import (
-    MIN_GAP_WIDTH,
-    position_text,
-    RoughSeam,
-    SAME_PLANE,
-    Sheets,
-)
+from handeye_ros.scanning.rough_seam import MIN_GAP_WIDTH, position_text, RoughSeam
+from handeye_ros.scanning.sheets import SAME_PLANE, Sheets
 from handeye_ros.se3 import unit
 from handeye_ros.words import mm
 import numpy as np

@@ -264,7 +264,7 @@ class PointPairs(PairedRows):
                          'signs and the order of the axes of both lists',
                          replace(self, seen=-self.seen))
 
-    def require_determined(self) -> None:
+    def require_usable(self) -> None:
         """Raise DataError for few points, and for points that are (nearly) collinear."""
         require_count('the transform between two sets of points', self.fewest, 'points',
                       len(self))
@@ -331,7 +331,7 @@ class PosePairs(PairedRows):
                 self.from_table(table.renamed(dict(zip(columns, names, strict=True))),
                                 with_values(self.config, {'target.angles': name})))
 
-    def require_determined(self) -> None:
+    def require_usable(self) -> None:
         """Raise DataError for few poses, and for poses that turn about one axis or none."""
         require_count('A X = X B', self.fewest, 'poses', len(self))
         require_rotations(self.robot, mount_frame(self.config), 'the position along it is free')

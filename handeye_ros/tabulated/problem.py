@@ -4,7 +4,18 @@
 Targets solved from files of measured values: what they have in common, answer and refusals.
 
 A table is read, an estimator answers, and where the values contradict each other, they are tried
-as other units and notations would give them: what fits is named, never used.
+as other units and notations would give them: what fits is named, never used. These refuse, in this
+order:
+
+1. reading: `CsvTable`; of pairs `require_plausible`, for rows that repeat and units of no cell; of
+   a tracker `read_reflector_points` and `sweep_from`, for points or profiles that are missing and
+   another motion than along a line
+2. `require_usable`: too few values, without spread or in the wrong order
+3. `estimate`; of a tracker `require_agreement`: a part or a row is further off than the noise
+4. `TableAnswer.agrees`: too many samples were dropped, or the others do not fit
+5. `TableAnswer.require_trusted`: the answer is beyond the limits of the configuration
+
+After a refusal of steps 2 to 4 the misreadings are tried.
 """
 from __future__ import annotations
 
@@ -78,8 +89,8 @@ class TableProblem(ABC):
         """Return the number of the row, or the stamp (ns), and the kind of each sample."""
 
     @abstractmethod
-    def require_determined(self) -> None:
-        """Raise DataError for values that leave something of the transform free."""
+    def require_usable(self) -> None:
+        """Raise DataError for values that leave the transform free, or are in the wrong order."""
 
     @abstractmethod
     def estimate(self) -> TableAnswer:
@@ -165,7 +176,7 @@ def answer_table(problem: TableProblem) -> TableAnswer:
     The refusal names a misreading that explains the values, if all that do give the same answer.
     """
     try:
-        problem.require_determined()
+        problem.require_usable()
         answer = problem.estimate()
         if answer.agrees:
             return answer
@@ -179,7 +190,7 @@ def answer_table(problem: TableProblem) -> TableAnswer:
     explaining = list[tuple[Array, str]]()
     for description, remedy, misread in problem.misreadings:
         with suppress(DataError):
-            misread.require_determined()
+            misread.require_usable()
             answer = misread.estimate()
             if answer.agrees and answer.residual_rms < MISREADING_RMS:
                 explaining.append((

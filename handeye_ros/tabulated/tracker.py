@@ -128,12 +128,17 @@ class TrackerProblem(TableProblem):
         parts['ball'] = parts['ball'].mean(axis=0, keepdims=True)
         return jing2020.Readings(parts, self.config.tracker.h0 + self.config.tracker.h1, self.q30)
 
+    @cached_property
+    def result(self) -> jing2020.Result:
+        """Return the published answer of the readings; raises DataError."""
+        return self.published_answer(self.readings)
+
     def published_answer(self, readings: jing2020.Readings) -> jing2020.Result:
         """Return the answer of Jing 2020, of the sensor plane; raises DataError."""
         direction = self.T_sensor_plane[:3, :3].T @ np.array(self.config.tracker.direction)
-        return jing2020.solve(readings, direction / np.linalg.norm(direction))
+        return jing2020.solve(readings, se3.unit(direction))
 
-    def require_determined(self) -> None:
+    def require_usable(self) -> None:
         """Raise DataError for points in the wrong order, and for a sweep beside the line."""
         arc, line = self.readings.parts['arc'], self.readings.parts['line']
         centre, axis = jing2020.fit_arc(arc)
@@ -143,8 +148,8 @@ class TrackerProblem(TableProblem):
             if steps.sum() < MIN_FORWARD_SHARE * np.abs(steps).sum():
                 raise DataError(f'the points of the {part} go back and forth; list them in the '
                                 'order measured')
-        answer = self.published_answer(self.readings)
-        turn = math.acos(min(1.0, float(answer.direction @ answer.T_flange_sensor[2, :3])))
+        along_line = self.result.direction @ self.result.T_flange_sensor[2, :3]
+        turn = math.acos(min(1.0, float(along_line)))
         if turn > MAX_TURN:
             raise DataError(
                 f'the sweep runs {math.degrees(turn):.0f} degrees beside the line of the '
@@ -153,8 +158,7 @@ class TrackerProblem(TableProblem):
 
     def estimate(self) -> TableAnswer:
         """Return the published answer, its covariance by draws of noise; raises DataError."""
-        answer = self.published_answer(self.readings)
-        distances = self.distances(answer)
+        answer, distances = self.result, self.distances(self.result)
         counts = [len(piece.points) for part in PARTS for piece in self.pieces[part]]
         residuals = rms_by(np.repeat(np.arange(len(counts)), counts),
                            np.concatenate([distances[part] for part in PARTS]), len(counts))
@@ -164,7 +168,7 @@ class TrackerProblem(TableProblem):
             answer.T_flange_sensor, self.covariance(answer.T_flange_sensor, distances),
             np.ones(len(residuals), dtype=bool), residuals, residual_rms,
             residual_rms / (1 - UNKNOWNS / sum(counts)),  # generalised cross-validation
-            target={'radius': answer.radius, 'face_angle': float(answer.angles[0])})
+            target={'radius': answer.radius, 'face_angle': answer.face_angle})
 
     def require_agreement(self, distances: Mapping[str, Array], residuals: Array) -> None:
         """Raise DataError where a part or a row is further off than the noise of instruments."""

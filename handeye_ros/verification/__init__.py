@@ -1,3 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Verification of a calibration: routines on known artefacts, and checks on its own target."""
+"""
+Verification of a calibration: routines on known artefacts, and checks on its own target.
+
+`handeye check` is still_holds.py; what an answer is refused for is in checks/.
+"""

@@ -225,25 +225,26 @@ class GroupFit(NamedTuple, Generic[Result]):
     group: Indices
 
 
-def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float
+def fit_shape(shape: Shape, X: Array, C: Array, robot_smooth: float
               ) -> GroupFit[tuple[Shape, ShapeFit]]:
     """
     Return a shape with its fit; raises InputError for an impossible covariance.
 
-    X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; smooth_std: 1 sigma (m) of the
+    X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; robot_smooth: 1 sigma (m) of the
     smooth error of the robot. The settings of the stations hold the uncertainty of nominal values.
     """
     stations, problem = shape.stations, shape.stations.problem
-    groups = replace(problem.observations, station=stations.group_of_point).station_groups
+    # of groups of poses with one error of the robot: those of as many rows together
+    batches = replace(problem.observations, station=stations.group_of_point).station_groups
 
     def whitening(linear: Linearisation) -> Whitening:
-        return Whitening(tuple(group.rows for group in groups), tuple(
-            inverse_roots(_covariance(linear, group)) for group in groups))
+        return Whitening(tuple(batch.rows for batch in batches), tuple(
+            inverse_roots(_covariance(linear, batch)) for batch in batches))
 
     q = shape.fit_unknowns(problem.points_in_base(X), lambda q: whitening(shape.linear(X, q)))
     linear = shape.linear(X, q)
     basis = problem.smooth_error_basis[problem.observations.station]
-    by_robot = wrt_smooth(linear.wrt_pose, basis * smooth_std)
+    by_robot = wrt_smooth(linear.wrt_pose, basis * robot_smooth)
     white = whitening(linear)
     r, J = white(linear.residuals), white(linear.jacobian[:, 6:])
     E = white(np.hstack([linear.jacobian[:, :6], by_robot]))
@@ -265,8 +266,8 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float
     scatter = Scatter(len(sizes), float(sizes.mean()), float(sizes.std()), rms(sizes),
                       float(sizes.max()), float(chi2_sf(square, degrees_of_freedom)))
     variances = np.square(by_robot).sum(axis=1)  # of the distances, due to robot and sensor
-    for group in groups:
-        variances[group.rows] += np.einsum('nii->ni', _covariance(linear, group))
+    for batch in batches:
+        variances[batch.rows] += np.einsum('nii->ni', _covariance(linear, batch))
     error = _calibration_error(np.vstack([E_left, -deviation_wrt_errors]),
                                np.append(r_left, deviation), degrees_of_freedom + known, linear)
     fit = ShapeFit(quantities, scatter, linear.residuals, np.sqrt(variances), chi2, known,
@@ -301,11 +302,11 @@ def _calibration_error(A: Array, b: Array, conditions: int, linear: Linearisatio
         *_weakest(covariance, linear.lever, mount_frame(linear.problem.config)))
 
 
-def _covariance(linear: Linearisation, group: StationGroup) -> Array:
-    """Return the covariance (stations, c, c) of noise and range errors of steep faces."""
-    total = total_covariance(linear, group, WITHOUT_LOCAL_DISTORTION)
+def _covariance(linear: Linearisation, batch: StationGroup) -> Array:
+    """Return the covariance (groups, c, c) of noise and range errors of steep faces."""
+    total = total_covariance(linear, batch, WITHOUT_LOCAL_DISTORTION)
     for block in grazing(linear):
-        columns = block.columns[group.rows] * block.largest_variance ** 0.5
+        columns = block.columns[batch.rows] * block.largest_variance ** 0.5
         total += columns @ np.swapaxes(columns, 1, 2)
     return total
 
@@ -383,10 +384,10 @@ def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
             f'{motion} {direction_in_words(axis, mount)}')
 
 
-def refit_shape(shape: Shape, X: Array, C: Array, smooth_std: float) -> ShapeFit:
+def refit_shape(shape: Shape, X: Array, C: Array, robot_smooth: float) -> ShapeFit:
     """Return the fit with the calibration error estimated as well, for errors of any size."""
     for _ in range(REFIT_COUNT):
-        _, fit = fit_shape(shape, X, C, smooth_std).result
+        _, fit = fit_shape(shape, X, C, robot_smooth).result
         if not fit.error.largest < MAX_SHIFT:
             break
         X = se3.perturb(X, -fit.error.twist)
@@ -408,7 +409,8 @@ def fit_without_outliers(groups: Indices, fit_groups: Callable[[Indices], GroupF
     Return the fit of the groups that agree, the p-value of each group, and the contradicting ones.
 
     fit_groups: fits some of the groups. The p-value of a contradicting one is that of the last fit
-    in which it took part. All are used where these would be too many, or the others too few.
+    in which it took part. All are used where these would be too many, or the others too few;
+    raises DataError where all are.
     """
     p_values, most = dict[int, float](), int(MAX_OUTLIER_SHARE * len(groups))
 
@@ -422,6 +424,7 @@ def fit_without_outliers(groups: Indices, fit_groups: Callable[[Indices], GroupF
 
     with suppress(DataError):
         result, _, _, dropped = drop_outliers(
+            # one more than `most` may go, which shows that there are too many
             groups, len(groups), len(groups) - most - 1, of_groups, lambda fit: fit[1:3])
         if len(dropped) <= most:
             return result, p_values, dropped

@@ -42,19 +42,21 @@ CHARACTERISTICS = {
     'F': ('flatness measurement error: span of the distances from the plane', 1.0),
     'E': ('length measurement error', 1.0)}
 
-# of fields that are named otherwise
-KEYS = {'measures': 'says', 'recording': 'bag', 'std_by_calibration': 'claimed'}
+# the names in FORMAT of fields that the code calls otherwise
+KEYS = {'measures': 'says', 'recording': 'bag', 'std_by_calibration': 'claimed', 'chi2': 'region',
+        'degrees_of_freedom': 'freedom', 'p_calibration': 'claim_p'}
 
 
 def plain_values(verification: Verification, inputs: Iterable[object] = (),
                  calibration_file: Path | None = None) -> dict[str, Any]:
     """Return a verification as the content of its YAML, with its inputs and the time of now."""
-    fit, values = verification.fit, asdict(verification, dict_factory=lambda items: {
-        KEYS.get(name, name): value for name, value in items if name not in ('fit', 'kind')})
+    values = asdict(verification, dict_factory=lambda items: {
+        KEYS.get(name, name): value for name, value in items if name != 'label'})
+    fit = values.pop('fit')
     return {'format': FORMAT, 'version': __version__, 'k': COVERAGE_FACTOR, **values,
-            'scatter': asdict(fit.scatter), 'smallest_error': fit.error.smallest_detectable,
-            'weakest_direction': fit.error.weakest_direction, 'region': fit.chi2,
-            'freedom': fit.degrees_of_freedom, 'claim_p': fit.p_calibration,
+            'scatter': fit['scatter'], 'smallest_error': fit['error'].smallest_detectable,
+            'weakest_direction': fit['error'].weakest_direction,
+            **{key: fit[key] for key in ('region', 'freedom', 'claim_p')},
             'inputs': list(map(str, inputs)),
             'calibration_file': input_provenance(calibration_file) if calibration_file else {},
             'created': now_text()}

@@ -79,7 +79,7 @@ def planes(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
         """Return the normal (count, 3) of each plane, and its height (count,) over its middle."""
         slopes, heights = q[:2 * blocks].reshape(blocks, 2), q[2 * blocks:]
         n = frames[:, :, 2] + np.einsum('kij,kj->ki', frames[:, :, :2], slopes)
-        return (n / np.linalg.norm(n, axis=1)[:, None])[block], heights
+        return se3.unit(n)[block], heights
 
     def distance(p: Array, q: Array) -> Array:
         normals, heights = normals_and_heights(q)

@@ -43,10 +43,10 @@ def teeth(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
     Raises DataError where they lie on no such teeth.
     """
     pitch, height = artefact.lengths
-    flank = artefact.flank or pitch / 4
+    flank_length = artefact.flank or pitch / 4
     p = stations.problem.points_in_base(X)
-    frame = _frame(p, pitch, height, flank)
-    q = np.append(np.zeros(8), flank / height)
+    frame = _frame(p, pitch, height, flank_length)
+    q = np.append(np.zeros(8), flank_length / height)
     for _ in range(ROUND_COUNT):
         rows, face, tooth = _faces(_local(p, frame, q), pitch, height, q)
         share = len(rows) / len(p)
@@ -121,9 +121,9 @@ def _shape(stations: StationSet, frame: Array, pitch: float, height: float, toot
         x, _, z = _local(p, frame, q).T
         pitch_off, height_off, outwards, slope = q[TEETH]
         out = side * (x - (pitch + pitch_off) * tooth) - (pitch / 4 + outwards)
-        flank = (out + slope * (z - height / 2)) / np.hypot(1.0, slope)
+        from_flank = (out + slope * (z - height / 2)) / np.hypot(1.0, slope)
         return np.asarray(np.where(face == TOP, z - height - height_off,
-                                   np.where(face == VALLEY, z, flank)))
+                                   np.where(face == VALLEY, z, from_flank)))
 
     return Shape(stations, start, distance, lambda q: [pitch, height] + q[TEETH][:2],
                  (Quantity('pitch', nominal=pitch, characteristic='E'),
@@ -146,15 +146,15 @@ def _faces(local: Array, pitch: float, height: float, q: Array
     reach = slope * height / 2
     on_top, in_valley = out < -reach - margin, out > reach + margin
     on_flank = np.abs(z - height / 2) < height / 2 - margin
-    flank = np.where(from_middle < 0, RISING, FALLING)
-    face = np.where(on_top, TOP, np.where(in_valley, VALLEY, flank))
+    flank_label = np.where(from_middle < 0, RISING, FALLING)
+    face = np.where(on_top, TOP, np.where(in_valley, VALLEY, flank_label))
     distance = np.where(on_top, z - height, np.where(in_valley, z, out + slope * (z - height / 2)))
     rows = np.flatnonzero((np.abs(distance) < OFF_ALL_FACES * height) & (
         on_top | in_valley | on_flank & (np.abs(out) < reach + margin)))
     return rows, face[rows].astype(np.intp), tooth[rows]
 
 
-def _frame(p: Array, pitch: float, height: float, flank: float) -> Array:
+def _frame(p: Array, pitch: float, height: float, flank_length: float) -> Array:
     """
     Return the approximate pose of the gauge in the base (4, 4).
 
@@ -183,7 +183,7 @@ def _frame(p: Array, pitch: float, height: float, flank: float) -> Array:
     def misfit(phase: float) -> float:
         """Return the median distance of the heights from those of nominal teeth."""
         out = np.abs((x - phase + pitch / 2) % pitch - pitch / 2) - pitch / 4
-        return float(np.median(np.abs(z - np.clip(0.5 - out / flank, 0.0, 1.0) * height)))
+        return float(np.median(np.abs(z - np.clip(0.5 - out / flank_length, 0.0, 1.0) * height)))
 
     phase = min(np.linspace(0, pitch, 120, endpoint=False), key=misfit)
     return se3.transform(R, middle + R @ [phase, 0.0, (low + high) / 2 - height / 2])

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 import math
 
 from handeye_ros import output
@@ -49,16 +50,18 @@ class StationResult:
     """
     Result of one stop, of a sweep of one profile, of a routine in passes of one pass.
 
-    kind: stop, profile or pass; it is written to no file
+    label: what it is called in a sentence; it is written to no file
     recording: its number, from 1
-    number: of the stop among those of this recording that show the artefact, from 1
+    number: from 1, of the stop among all of this recording, as a check counts them; of a profile
+        among those used
     stamp: its time in nanoseconds
-    distance, std: the largest distance of its points from the fit, and its 1 sigma (m)
+    distance, std: the largest distance of its points from the fit, and its 1 sigma (m), nan where
+        it is not used
     p: probability that a good stop is as far off, whatever the error of the calibration
     reason: why it is not used
     """
 
-    kind: str
+    label: str
     recording: int
     number: int
     stamp: int
@@ -67,11 +70,6 @@ class StationResult:
     p: float
     used: bool = True
     reason: str = ''
-
-    @property
-    def name(self) -> str:
-        """Return the name of the stop, profile or pass."""
-        return f'{self.kind} {self.number} of recording {self.recording}'
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,7 @@ class Verification:
         (an error of the calibration as large as the tolerance would not have shown)
     reasons: sentences
     tolerance (m), angle_tolerance (rad): as configured
-    stations: number of stops used, of a sweep of profiles
+    stations: number of stops used, of a sweep or of passes that of profiles
     quantities: those of the fit, the scatter of each face or ball, and the error of the
         calibration that the points suggest, as the largest displacement of one of them
     fit: of the shape of the routine
@@ -114,28 +112,29 @@ class Verification:
 
 
 def verify_stations(routine: Routine, stations: StationSet, calibration: Calibration,
-                    rejects: Sequence[Reject] = ()) -> Verification:
+                    rejects: Sequence[Sequence[Reject]] = ()) -> Verification:
     """
     Return the result of a routine: its fit, and the verdict on the calibration.
 
     stations: of the recordings in the order that the routine expects, with the settings verify.*
-    of the artefact; rejects: the stops that gave no sample. Raises DataError, and InputError where
-    two recordings are one, or the covariance of the calibration is impossible.
+    of the artefact; rejects: the stops of each recording that gave no sample. Raises DataError,
+    and InputError where two recordings are one, or the covariance of the calibration is
+    impossible.
     """
-    stations.require_enough(rejects)
+    stations.require_enough([*chain.from_iterable(rejects)])
     config, artefact = stations.problem.config, stations.problem.config.verify
     stops = np.column_stack([stations.stamps, stations.problem.poses.reshape(-1, 16)])
     if len(np.unique(stops, axis=0)) < len(stops):
         raise InputError('two recordings hold the same stops: give one recording of each face, '
                          'ball or pass')
     X = calibration.T_flange_sensor @ T_sensor_plane(config)
-    smooth_std = float(calibration.target.get(ROBOT_POSITION_ERROR, 0.0))
+    robot_smooth = float(calibration.target.get(ROBOT_POSITION_ERROR, 0.0))
     (shape, fit), p, dropped = fit_without_outliers(
         np.unique(stations.group_of_point), lambda groups: fit_shape(
             routine.shape(stations.of_groups(groups), X, artefact), X,
-            calibration.covariance, smooth_std))
+            calibration.covariance, robot_smooth))
     if max(fit.scatter.p, fit.error.p_explained) < UNEXPLAINED_P and not routine.in_passes:
-        freed = refit_shape(shape, X, calibration.covariance, smooth_std)
+        freed = refit_shape(shape, X, calibration.covariance, robot_smooth)
         if freed.error.p_explained < UNEXPLAINED_P and freed.scatter.maximum > artefact.tolerance:
             raise DataError(
                 f'this is not what "{routine.name}" measures: no small error of the calibration '
@@ -146,8 +145,9 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
     quantities = (*fit.quantities, *routine.form_errors(shape.stations, fit.distances), Quantity(
         'likeliest error of the calibration', fit.error.largest, fit.error.largest_std))
     kind = 'pass' if routine.in_passes else 'profile' if config.sampling.moving else 'stop'
-    per_station = _station_results(kind, stations, shape.stations, fit, p, dropped)
-    verdict, reasons = _decide(fit, quantities, per_station, artefact, smooth_std)
+    per_station = _station_results(
+        kind, stations, shape.stations, fit, p, dropped, rejects if kind == 'stop' else ())
+    verdict, reasons = _decide(fit, quantities, per_station, artefact, robot_smooth)
     return Verification(
         routine.name, calibration.name, verdict, reasons, artefact.tolerance,
         artefact.angle_tolerance, len(np.unique(shape.stations.observations.station)), quantities,
@@ -163,27 +163,31 @@ def verify_stops(routine: Routine, recordings: Sequence[Sequence[Sample | Reject
     config: Routine.settings. Raises as stations_of and verify_stations do.
     """
     samples = [[stop for stop in stops if isinstance(stop, Sample)] for stops in recordings]
-    rejects = [stop for stops in recordings for stop in stops if isinstance(stop, Reject)]
+    rejects = [[stop for stop in stops if isinstance(stop, Reject)] for stops in recordings]
     return verify_stations(routine, stations_of(routine, samples, calibration, config),
                            calibration, rejects)
 
 
 def _station_results(kind: str, stations: StationSet, used: StationSet, fit: ShapeFit,
-                     p: Mapping[int, float], dropped: Sequence[int]) -> tuple[StationResult, ...]:
+                     p: Mapping[int, float], dropped: Sequence[int],
+                     rejects: Sequence[Sequence[Reject]]) -> tuple[StationResult, ...]:
     """
     Return the results of all stops or passes that have points, or contradict the others.
 
-    used: the stations as fitted, without contradicting ones (dropped); p: of each group.
+    kind: of them, stop, profile or pass; used: the stations as fitted, without contradicting ones
+    (dropped); p: of each group; rejects: stops of each recording that count, but gave no sample.
     """
     results = []
     groups, recordings = stations.group_of_pose, stations.recording_of_pose
     for group, first in zip(*np.unique(groups, return_index=True), strict=True):
-        recording = int(recordings[first])
+        recording, stamp = int(recordings[first]), int(stations.stamps[first])
         first_group = groups[np.searchsorted(recordings, recording)]
-        identity = kind, recording + 1, int(group - first_group) + 1, int(stations.stamps[first])
+        before = sum(reject.stamp < stamp for reject in chain(*rejects[recording:recording + 1]))
+        number = int(group - first_group) + before + 1
+        identity = f'{kind} {number} of recording {recording + 1}', recording + 1, number, stamp
         rows = np.flatnonzero(used.group_of_point == group)
         if group in dropped:
-            results.append(StationResult(*identity, 0.0, 0.0, p[group], False, (
+            results.append(StationResult(*identity, math.nan, math.nan, p[group], False, (
                 'it contradicts the others under every possible calibration')))
         elif len(rows):
             worst = rows[np.argmax(np.abs(fit.distances[rows]))]
@@ -194,19 +198,19 @@ def _station_results(kind: str, stations: StationSet, used: StationSet, fit: Sha
 
 
 def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[StationResult],
-            artefact: VerifyConfig, smooth_std: float) -> tuple[str, tuple[str, ...]]:
+            artefact: VerifyConfig, robot_smooth: float) -> tuple[str, tuple[str, ...]]:
     """
     Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences.
 
-    smooth_std: 1 sigma (m) of the robot's smooth error, which more stops do not reduce.
+    robot_smooth: 1 sigma (m) of the robot's smooth error, which more stops do not reduce.
     """
     used = sum(result.used for result in results)
 
     def remedy(size: float, largest: float) -> str:
         """Return what makes a size that is too large, but not hopelessly so, small enough."""
-        if DETECTION_SIGMAS * smooth_std > artefact.tolerance:
+        if DETECTION_SIGMAS * robot_smooth > artefact.tolerance:
             return (f': the smooth error of the robot that the calibration found '
-                    f'({mm(smooth_std)}) hides less')
+                    f'({mm(robot_smooth)}) hides less')
         return '' if size >= 10 * largest else (
             f': measure at about {math.ceil(used * (size / largest) ** 2)} stops like these, or '
             'turn the sensor more between them')
@@ -273,7 +277,7 @@ def _point_findings(fit: ShapeFit, results: Sequence[StationResult], artefact: V
     if outside:
         worst = max(outside, key=lambda s: s.distance)
         yield VIOLATES, (f'points lie up to {mm(worst.distance)} from the fit (too far in '
-                         f'{len(outside)} of {len(results)}, the worst: {worst.name})')
+                         f'{len(outside)} of {len(results)}, the worst: {worst.label})')
     size, std = fit.error.largest, fit.error.largest_std
     outcome = decision(size, ONE_SIDED_95 * std, artefact.tolerance)
     error = (f'an error of the calibration of {mm(size)} ± {mm(COVERAGE_FACTOR * std)} '
@@ -283,7 +287,7 @@ def _point_findings(fit: ShapeFit, results: Sequence[StationResult], artefact: V
     elif fit.error.p_chance <= SIGNIFICANCE and outcome != CONFORMS:
         yield UNDECIDED, OTHER_SIZE if other_size else (
             f'the points suggest {error}, which may exceed the tolerance: measure at more stops')
-    contradicting = [s.name for s in results if s.used and s.p * len(results) < FALSE_ALARM]
+    contradicting = [s.label for s in results if s.used and s.p * len(results) < FALSE_ALARM]
     if contradicting:
         yield UNDECIDED, (f'{", ".join(contradicting)} contradict the others under every possible '
                           'calibration, and without them too little would be left: measure again')
@@ -291,7 +295,7 @@ def _point_findings(fit: ShapeFit, results: Sequence[StationResult], artefact: V
 
 def _notes(fit: ShapeFit, other_size: bool, results: Sequence[StationResult]) -> Iterator[str]:
     """Yield the sentences that qualify a verdict."""
-    yield from (f'{s.name} is not used: {s.reason}' for s in results if not s.used)
+    yield from (f'{s.label} is not used: {s.reason}' for s in results if not s.used)
     if fit.scatter.p < INCONSISTENT_P:
         yield ('the points disagree by more than calibration, noise.sensor and noise.robot_* '
                f'explain (p = {fit.scatter.p:.1g}): the calibration is worse than it claims, the '

@@ -16,8 +16,8 @@ from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
-from handeye_ros.robot import sources
-from handeye_ros.robot.sources import solve_points
+from handeye_ros.robot import solve
+from handeye_ros.robot.solve import select_from_points
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import robot as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples
@@ -137,7 +137,7 @@ def test_a_wrong_row_is_left_out_and_several_points_are_distinguished():
     points[30:] = se3.apply(se3.inverse(T[30:]), second[None])[:, 0]
     is_first, data = np.arange(40) < 30, replace(cell.data, points=points)
     both = [bench.selected(data, is_first), bench.selected(data, ~is_first)]
-    fit = solve_points(both, cell.arm.with_errors_of(()), 1e-3).chosen.fit
+    fit = select_from_points(both, cell.arm.with_errors_of(()), 1e-3).chosen.fit
     assert np.flatnonzero(~fit.used).tolist() == [7, 20]
     first, other = fit.targets
     np.testing.assert_allclose(other - first, [0.02, 0.01, 0.0], atol=2e-4)
@@ -154,12 +154,12 @@ def test_bad_tables_are_refused_in_a_sentence(from_table, tmp_path, change, word
     table = tmp_path / 'points.csv'
     table.write_text(change((from_table[2] / 'points.csv').read_text()))
     with pytest.raises(HandeyeError, match=words):
-        sources.solve_table(table, arm_of(bench.urdf(bench.SIX)), Config(), ())
+        solve.solve_table(table, arm_of(bench.urdf(bench.SIX)), Config(), ())
 
 
 def test_few_poses_do_not_make_an_error_less_certain_than_before():
     cell = bench.draw(bench.CASES['six'], 17, 2)
-    arm = solve_points([cell.data], cell.arm.with_errors_of(()), 1e-3).arm
+    arm = select_from_points([cell.data], cell.arm.with_errors_of(()), 1e-3).arm
     assert (np.sqrt(np.diag(arm.covariance)) < 1.2 * arm.priors[arm.is_estimated]).all()
 
 
@@ -169,9 +169,8 @@ def test_few_poses_do_not_make_an_error_less_certain_than_before():
 def test_joint_values_that_contradict_the_points_are_refused(from_table, joints, in_hand):
     cell, data = from_table[0], from_table[0].data
     with pytest.raises(HandeyeError, match='check that .* the sign of each .* calibration_type'):
-        solve_points([replace(data, q=data.q @ joints.T, in_hand=in_hand)],
-                     cell.arm.with_errors_of(()),
-                     1e-3)
+        select_from_points([replace(data, q=data.q @ joints.T, in_hand=in_hand)],
+                           cell.arm.with_errors_of(()), 1e-3)
 
 
 @pytest.mark.parametrize(('urdf', 'flange', 'words'), [
@@ -189,9 +188,11 @@ def test_bad_urdfs_are_refused_in_a_sentence(urdf, flange, words):
 
 def test_a_damaged_kinematics_file_is_refused(from_table, tmp_path):
     text = (from_table[2] / 'out/kinematics.yaml').read_text()
-    (tmp_path / 'kinematics.yaml').write_text(text.replace('\n  direction:', '\n  directions:', 1))
-    with pytest.raises(HandeyeError, match='no kinematics.yaml'):
-        read_arm(tmp_path)
+    for damaged in (text.replace('\n  direction:', '\n  directions:', 1),
+                    yaml.dump(yaml.safe_load(text) | {'configurations': []})):
+        (tmp_path / 'kinematics.yaml').write_text(damaged)
+        with pytest.raises(HandeyeError, match='no kinematics.yaml'):
+            read_arm(tmp_path)
 
 
 def test_the_file_of_an_arm_without_errors_is_read(from_table, tmp_path):
@@ -259,8 +260,8 @@ def test_two_recordings_give_one_answer(recorded):
     """Also with other axes of the profile: the features are those of its plane."""
     arm, session, recording, config = recorded
     config = replace(config, profile=replace(config.profile, axes=('y', 'z')))
-    source = sources.arm_samples_of(session, recording, arm, config)
-    from_two, from_one = (sources.solve_samples(parts, arm) for parts in (
+    source = solve.arm_samples_of(session, recording, arm, config)
+    from_two, from_one = (solve.solve_samples(parts, arm) for parts in (
         [every_other(source, 0), every_other(source, 1)], [source]))
     assert from_two.selection.arm.error_kinds == ALL_KINDS
     assert from_two.selection.chosen.left_out_rms < 6e-5
@@ -273,7 +274,7 @@ def test_stops_without_joint_values_are_counted(recorded):
     most = len(recording.poses) * 6 // 10
     recording = replace(recording, poses=recording.poses[:most], joints=recording.joints[:most])
     with pytest.raises(HandeyeError, match='11 of 30 samples have no joint values'):
-        sources.arm_samples_of(session, recording, arm, config)
+        solve.arm_samples_of(session, recording, arm, config)
 
 
 @pytest.mark.parametrize(('setting', 'words'), [
@@ -291,7 +292,7 @@ def test_a_urdf_of_another_robot_is_refused(recorded):
         joint, origin=se3.transform(joint.origin[:3, :3], 1.1 * joint.origin[:3, 3]))
         for joint in arm.joints))
     with pytest.raises(HandeyeError, match='the URDF is of another robot'):
-        sources.solve_samples([sources.arm_samples_of(session, recording, longer, config)], longer)
+        solve.solve_samples([solve.arm_samples_of(session, recording, longer, config)], longer)
 
 
 def test_a_solve_with_a_corrected_arm_carries_its_uncertainty(tmp_path):
@@ -307,8 +308,8 @@ def test_a_solve_with_a_corrected_arm_carries_its_uncertainty(tmp_path):
     config = Config(target=TargetConfig(type='sphere'), robot_effector_frame='flange')
     method = target_for(config)
     problem = Problem(method, stated.forward(q), method.observe(samples), config)
-    measured = sources.ArmSamples(Session(config), samples, problem, q)
-    answer = sources.solve_samples([measured], stated)
+    measured = solve.ArmSamples(Session(config), samples, problem, q)
+    answer = solve.solve_samples([measured], stated)
     answer.save(simulated_arm.URDF, tmp_path, ())
     corrected = [replace(s, T_base_flange=T) for s, T in zip(
         samples, read_arm(tmp_path).forward(q), strict=True)]

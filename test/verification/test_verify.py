@@ -10,7 +10,7 @@ import re
 
 from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig, with_values
-from handeye_ros.data import Arc, FaceLine
+from handeye_ros.data import Arc, FaceLine, Reject
 from handeye_ros.errors import DataError, InputError, looked_up
 from handeye_ros.output import yaml_text
 from handeye_ros.simulate.robot import pose_error
@@ -222,12 +222,26 @@ def test_a_few_contradicting_stops_are_left_out_and_named():
     moved = with_poses(artefact, {4: [2e-3, 2e-3, 2e-3, 0, 0, 0]})
     verification = assess('line', moved, calibration)
     assert verification.verdict == 'pass' and verification.stations == len(artefact.bags[0]) - 1
-    assert [s.name for s in verification.per_station if not s.used] == ['stop 5 of recording 1']
+    assert [s.label for s in verification.per_station if not s.used] == ['stop 5 of recording 1']
     assert verification.reasons[0].startswith('stop 5 of recording 1 is not used')
+    written = yaml.safe_load(yaml_text(plain_values(verification)))['per_station'][4]
+    assert (written['used'], written['number']) == (False, 5) and math.isnan(written['distance'])
+    page = protocol(yaml.safe_load(yaml_text(plain_values(verification))))
+    assert 'nan' not in page.partition('id="stops"')[2]
     half = with_poses(artefact, {k: [*[6e-5 * (k - 6)] * 3, 0, 0, 0] for k in range(0, 14, 2)}
                       | {5: [2e-3, 2e-3, 2e-3, 0, 0, 0]})  # no outliers, but a disagreement
     with pytest.raises(DataError, match='not what "line" measures'):
         assess('line', half, calibration)
+
+
+def test_a_stop_keeps_its_number_where_another_gave_no_sample():
+    artefact, calibration = measure('line')
+    moved = with_poses(artefact, {4: [2e-3, 2e-3, 2e-3, 0, 0, 0]})
+    samples, = moved.bags
+    rejects = [Reject(samples[0].stamp - 1, 'too dark'), Reject(samples[-1].stamp + 1, 'too dark')]
+    verification = assess('line', replace(moved, bags=((*samples, *rejects),)), calibration)
+    assert [s.label for s in verification.per_station if not s.used] == ['stop 6 of recording 1']
+    assert [s.number for s in verification.per_station] == [*range(2, len(samples) + 2)]
 
 
 def test_of_an_artefact_on_the_flange_the_truth_lies_in_the_stated_region():

@@ -59,7 +59,9 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial import KDTree
 
-MAX_GAP = NS  # 1 s, between a sample and joint values
+# 1 s, between a sample and joint values: these rest at a stop, so it is more than
+# sampling.max_pose_gap
+MAX_GAP = NS
 UNCORRECTED_STD = 5e-4  # 1 sigma of the robot's error before its correction (m)
 MAX_X_DIFFERENCE = 0.05  # m and rad: largest difference of X between targets
 INACCURATE_RMS = 1e-3  # 1 sigma (m) of the residuals of an inaccurate robot
@@ -101,7 +103,8 @@ def arm_samples_of(session: Session, recording: Recording, arm: Arm, config: Con
     samples = sorted(session.samples, key=lambda sample: sample.stamp)
     require_samples(samples, session.rejects, target_for(config))
     require_enough(len(samples))
-    assert recording.joints is not None
+    if recording.joints is None:
+        raise InputError('the recording was read without an arm, so without its joint values')
     # as pipeline.answer_samples prepares them, none dropped
     samples = with_common_edge_shape(samples)
     samples = with_estimated_clocks(samples, config).samples
@@ -116,7 +119,7 @@ def arm_samples_of(session: Session, recording: Recording, arm: Arm, config: Con
 def _require_within_limits(arm: Arm, q: Array) -> None:
     """Raise DataError for values (n, joints) beyond the limits of a joint."""
     for joint, low, high in zip(arm.joints, q.min(axis=0), q.max(axis=0), strict=True):
-        tolerance = MAX_EXTRAPOLATION[joint.kind]
+        tolerance = MAX_EXTRAPOLATION[joint.type]
         if low < joint.lower - tolerance or high > joint.upper + tolerance:
             raise DataError(
                 f'{joint.name} goes from {low:.4g} to {high:.4g}, and the URDF limits it to '
@@ -128,8 +131,8 @@ def _require_within_limits(arm: Arm, q: Array) -> None:
 def _unmoved_notes(arm: Arm, q: Array) -> Iterator[str]:
     """Yield a sentence for each joint whose error values (n, joints) do not determine."""
     for joint, spread in zip(arm.joints, np.ptp(q, axis=0).tolist(), strict=True):
-        if spread < UNMOVED_SPREAD[joint.kind]:
-            size = (degrees if joint.kind == REVOLUTE else mm)(spread)
+        if spread < UNMOVED_SPREAD[joint.type]:
+            size = (degrees if joint.type == REVOLUTE else mm)(spread)
             yield (f'{joint.name} moves by {size} only: these configurations do not determine its '
                    'error')
 
@@ -208,7 +211,11 @@ def _calibrated(part: ArmSamples, arm: Arm) -> Calibration:
 
 
 def _combined(calibrations: Sequence[Calibration], X: Array, covariance: Array) -> Calibration:
-    """Return one calibration for all targets, with the transform that they have in common."""
+    """
+    Return one calibration for all targets, with the transform that they have in common.
+
+    It has the name and the target of the first, and the largest residuals.
+    """
     qualities = [calibration.quality for calibration in calibrations]
     quality = replace(qualities[0], samples_used=sum(q.samples_used for q in qualities),
                       samples_rejected=sum(q.samples_rejected for q in qualities),
@@ -233,7 +240,7 @@ def read_arm_points(path: Path, arm: Arm, in_hand: bool
     peculiarity is a sentence. Raises InputError and DataError.
     """
     table = CsvTable(path)
-    kinds = {j.name: LENGTH if j.kind == PRISMATIC else ANGLE for j in arm.joints}
+    kinds = {j.name: LENGTH if j.type == PRISMATIC else ANGLE for j in arm.joints}
     readings = {name: table.values([name], kind)[:, 0] for name, kind in kinds.items()
                 if name in table.columns}
     q, points = arm.joint_values(readings, path), table.values(['x', 'y', 'z'], LENGTH)
@@ -248,7 +255,7 @@ def read_arm_points(path: Path, arm: Arm, in_hand: bool
             [*unused, *_unmoved_notes(arm, q)])
 
 
-def solve_points(measured: Sequence[ArmPoints], arm: Arm, limit: float) -> ArmSelection:
+def select_from_points(measured: Sequence[ArmPoints], arm: Arm, limit: float) -> ArmSelection:
     """Return the corrected arm; limit: the largest valid residual (m); raises DataError."""
     stop_count = sum(len(points.q) for points in measured)
     require_enough(stop_count)
@@ -276,7 +283,7 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     inputs: path and sha256 of the files. Raises HandeyeError.
     """
     measured, rows, notes = read_arm_points(path, arm, config.in_hand)
-    selection = solve_points(measured, arm, config.limits.residual)
+    selection = select_from_points(measured, arm, config.limits.residual)
     fit, covariance = selection.chosen.fit, selection.covariance
     config = replace(config, robot_base_frame=arm.base, robot_effector_frame=arm.flange)
     require_certain(covariance, config, 'move all joints, and bring the target to different '
@@ -289,7 +296,7 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     calibration = assemble_calibration(
         config, 'kinematics', config.sensor_frame, fit.X, covariance,
         fit.residual_rms, selection.chosen.left_out_rms,
-        {**target, ROBOT_POSITION_ERROR: selection.smooth_error_rms},
+        {**target, ROBOT_POSITION_ERROR: selection.robot_smooth},
         sorted(reports, key=attrgetter('stamp')), {'inputs': list(inputs)})
     return ArmAnswer(selection, replace(calibration, name=config.name or calibration.method),
                      (*notes, *selection.notes))

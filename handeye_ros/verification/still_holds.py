@@ -81,6 +81,7 @@ UNSEEN_SHIFT = 0.01  # m: a shift that would show only from here on is called un
 NO_MOVE = np.zeros(6)
 MOVABLE = 'target', 'sensor'
 CAUSES = *MOVABLE, 'robot'
+# names in FORMAT of the fields of a Move; that of `contradicting` is left_out
 MOVE_KEYS = {'shift': 'moved', 'turn': 'turned', 'smallest_shifts': 'shows', 'axes': 'axes'}
 ROBOT_CHANGED = ('the poses of the robot err otherwise than before (mastering, a joint, wear), '
                  'or repeat worse than noise.robot_* says: check the robot before the sensor')
@@ -111,7 +112,7 @@ class Check:
     """
     Result of a check.
 
-    stamp: of the first sample (ns)
+    stamps: of all samples (ns); the file has the first
     verdict: unchanged, or the causes: target, sensor (it moved, or the robot's base did that is
         fixed to the other), robot (its pose errors changed), clock, with "or" or "and"
     sentence: the verdict for the user, with what to do
@@ -124,10 +125,9 @@ class Check:
     contradicting: numbers of the stops, of a sweep of the passes, with what contradicts the others
         and is not used
     time_offset_changed: change of the time offset of a sweep, and its 1 sigma (s)
-    stamps: of all samples (ns); they are written to no file
     """
 
-    stamp: int
+    stamps: Sequence[int]
     verdict: str
     sentence: str
     stations: int
@@ -141,7 +141,6 @@ class Check:
     contradicting: list[int]
     time_offset_changed: float = math.nan
     time_offset_changed_std: float = math.nan
-    stamps: Sequence[int] = ()
 
 
 def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
@@ -219,9 +218,9 @@ def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Rej
         what = 'profiles of the passes' if pass_stamps else 'stops'
         sentence += f'. Not used, as they contradict the others: {what} {contradicting}'
     return Check(
-        samples[0].stamp, verdict, sentence, len(prediction.linear.problem.poses), off,
-        math.exp(min(log_evidence, 700.0)), odds, target.move, sensor.move, sensor.displacement,
-        sensor.std, contradicting, stamps=[sample.stamp for sample in samples])
+        [sample.stamp for sample in samples], verdict, sentence,
+        len(prediction.linear.problem.poses), off, math.exp(min(log_evidence, 700.0)), odds,
+        target.move, sensor.move, sensor.displacement, sensor.std, contradicting)
 
 
 def _verdict_of_change(target: _Cause, sensor: _Cause, odds: Mapping[str, float], off: float
@@ -266,7 +265,12 @@ class CalibratedCell(NamedTuple):
 
     @classmethod
     def of_calibration(cls, calibration: Calibration, config: Config) -> CalibratedCell:
-        """Return the cell of a stored calibration; raises InputError where it holds no target."""
+        """
+        Return the cell of a stored calibration.
+
+        Raises InputError where it holds no target, is of another target.type, or has a negative
+        variance.
+        """
         method, found, configured = calibration.method, calibration.target, config.noise
         if method != config.target.type and method in TARGETS:
             raise InputError(
@@ -297,7 +301,11 @@ class CalibratedCell(NamedTuple):
 
 def _observed(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Reject]
               ) -> Problem:
-    """Return the samples as a problem, with only what they show of the calibrated target."""
+    """
+    Return the samples as a problem, with only what they show of the calibrated target.
+
+    Raises DataError for too few stations.
+    """
     target, estimate, config = cell.target, cell.estimate, cell.config
     observations = target.observe(samples)
     problem = Problem(target, frames.mount_poses_of(samples, config), observations, config,
@@ -502,7 +510,8 @@ def _with_offset(result: Check, offset: ClockEstimate, before: ClockEstimate) ->
 
 def plain_values(checks: Sequence[tuple[str, Check]], against: str) -> dict[str, Any]:
     """Return checks, each with the name of its recording, as plain values."""
-    contents = [{'input': recording, **asdict(result)} for recording, result in checks]
+    contents = [{'input': recording, 'stamp': result.stamps[0], **asdict(result)}
+                for recording, result in checks]
     for content in contents:
         del content['stamps']
         content['left_out'] = content.pop('contradicting')
