@@ -230,10 +230,10 @@ def _stop_row(stop: Stop, session: Session, agreement: Agreement | None) -> Stat
     """
     Return one stop of the robot.
 
-    taken: whether it gave a sample; excluded: whether samples.exclude names it; believed:
-    whether the fit uses it; text: its features, or why there is no sample; residual, left_out: RMS
-    (m), None without a fit; translation, rotation: the flange in the base (quaternion x y z w),
-    None without a sample.
+    taken: whether it gave a sample; excluded: whether samples.exclude names it; believed: whether
+    it is taken, not excluded, and used by the fit, or not yet compared with one (no residual);
+    text: its features, or why there is no sample; residual, left_out: RMS (m), None without a fit;
+    translation, rotation: the flange in the base (quaternion x y z w), None without a sample.
     """
     sample, excluded = stop.sample, session.excludes(stop)
     return {
