@@ -308,8 +308,8 @@ function newLine(count) {
   return made;
 }
 
-const STATES = { none: 'none yet', current: 'current', outdated: 'outdated: samples or settings ' +
-  'have changed since', withdrawn: 'withdrawn: there is no answer any more' };
+const STATES = { none: 'none yet', current: 'current', outdated: 'outdated: samples have changed since',
+  withdrawn: 'withdrawn: there is no answer any more' };
 
 function showAnswer(c, rows) {
   text('answer-state', STATES[c.state] +
