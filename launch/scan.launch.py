@@ -1,7 +1,9 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Publishes what a calibrated sensor sees as points in the base, live or from a bag.
+Publishes what a calibrated sensor sees as points in the base frame, live or from a bag.
+
+With eye_on_base they are in the frame of the flange.
 
 ros2 launch handeye_ros scan.launch.py calibration:=/path/of/result profile_topic:=/scan
 ros2 launch handeye_ros scan.launch.py --show-args
