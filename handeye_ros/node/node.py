@@ -167,7 +167,11 @@ class HandeyeNode(Node):
         return response
 
     def open_session(self, name: str) -> str:
-        """Continue a previous session with the current settings; raises HandeyeError."""
+        """
+        Continue a previous session with the current settings, but its own samples.exclude.
+
+        Returns the message; raises HandeyeError.
+        """
         live, name = self.live, Path(name).name
         path = live.folders.folder(live.config) / name
         if path == live.files.path:

@@ -56,9 +56,10 @@ class Attempt:
 
 class MessageCount:
     """
-    Counts the valid, malformed and lost messages of one kind (profile, pose).
+    Counts valid items of one kind (profile, pose), and its malformed and lost messages.
 
-    reason: of the last malformed one; stamp: of the last valid one (ns), 0 before.
+    A message may hold several items, as rows: the shares that `state` compares are then too small.
+    reason: of the last malformed message; stamp: of the last valid item (ns), 0 before.
     """
 
     def __init__(self, kind: str) -> None:
@@ -68,7 +69,7 @@ class MessageCount:
         self._recent, self._received = deque[str](maxlen=RECENT), time.monotonic()
 
     def add(self, stamp: int) -> None:
-        """Count a valid message; stamp: of its header, in ns."""
+        """Count a valid item; stamp: as it is used, with time_offset, or of its receipt (ns)."""
         self.count, self.stamp, self._received = self.count + 1, stamp, time.monotonic()
         self._recent.append(VALID)
 
@@ -89,17 +90,17 @@ class MessageCount:
 
     @property
     def silence(self) -> float:
-        """Return the seconds since the last valid message, or since the start."""
+        """Return the seconds since the last valid item, or since the start."""
         return time.monotonic() - self._received
 
     def state(self, topic: str, obstacle: str) -> State:
         """
         Return what has come on a topic; obstacle: why nothing arrives, where it is known.
 
-        count, malformed: numbers of valid and invalid messages; reason: of the last invalid one;
-        lost: of those lost on their way; age: seconds since the last valid one, or since the
-        start; trouble: that many of the last, or all of them, are invalid or lost, or none
-        arrive; or ''.
+        count: number of valid items; malformed, lost: of invalid messages, and of those lost on
+        their way; reason: of the last invalid one; age: seconds since the last valid item, or
+        since the start; trouble: that many of the last, or all of them, are invalid or lost, or
+        none arrive; or ''.
         """
         kind, count, recent = self.kind, self.count, [*self._recent]
         sentences, age, total = [], self.silence, len(recent)
