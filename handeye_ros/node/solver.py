@@ -116,7 +116,7 @@ class LiveSolver:
         self._answer_message = Future[str]()  # about that answer
 
     def changes_since(self, session: Session) -> str:
-        """Return in words how the samples of a session differ from those of the answer, or ''."""
+        """Return a sentence: how samples of a session differ from those of the answer, or ''."""
         now = _used_samples(session)
         before = _used_samples(self.solved_session or session)
         retaken = [n for n in now.keys() & before.keys() if now[n] != before[n]]
@@ -124,7 +124,7 @@ class LiveSolver:
             (before.keys() - now.keys(), 'removed'), (now.keys() - before.keys(), 'added'),
             (retaken, 'retaken')) if numbers)
         return changes and (
-            f'; it was computed from {count_of(len(before), "sample")}, which have changed since '
+            f'it was computed from {count_of(len(before), "sample")}, which have changed since '
             f'({changes}): call ~/compute_calibration for an answer from the current {len(now)}')
 
     def require_calibration(self, use: str = 'save') -> Calibration:
@@ -231,9 +231,10 @@ class LiveSolver:
         folder = live.folders.locked_folder(live.config)
         written = exports.save_all(calibration, folder, live.config.save.formats)
         self.saved = str(folder / calibration_file.NAME)
-        note = (f'; {COMPUTING} again: save it again after that'
+        note = (f'{COMPUTING} again: save it again after that'
                 if COMPUTING in live.running_jobs else '')
-        return f'{written}{self.changes_since(live.session_copy())}{note}'
+        changes = self.changes_since(live.session_copy())
+        return '; '.join(filter(None, (written, changes, note)))
 
 
 def summary(calibration: Calibration) -> str:

@@ -150,8 +150,9 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
     motion: whether the robot stands long enough for a sample (standing), and how it moves (text);
     session: its folder, the running tasks (working), why messages cannot be used or stops not be
     stored (trouble), each of these '' without any, and what else was dropped or continues
-    (warnings, a list of sentences); review: why there is no answer, ''. For profiles and poses see
-    MessageCount.state, for calibration and guidance below, for the others docs/contract.md.
+    (warnings, a list of sentences); review_refusal: why the review has no answer, '', which is
+    `review` in ~/samples. For profiles and poses see MessageCount.state, for calibration and
+    guidance below, for the others docs/contract.md.
     """
     session, config, attempt = live.session_copy(), live.config, live.attempt
     review, motion = live.solver.review, session.motion
@@ -182,7 +183,7 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
                     'trouble': '; '.join(filter(None, troubles)),
                     'warnings': [*session.warnings, *live.warnings]},
         'samples': samples, 'worst_first': [sample['number'] for sample in worst_first],
-        'review': '' if review.answer.solution else str(review.answer.refusal),
+        'review_refusal': '' if review.answer.solution else str(review.answer.refusal),
         'attempt': attempt and {'accepted': attempt.stop.sample is not None,
                                 'number': attempt.stop.number, 'text': attempt.text},
         'calibration': _calibration(live.solver, session), 'guidance': _guidance(review)}
@@ -219,7 +220,8 @@ def samples_message(state: State) -> State:
     """Return the content of ~/samples, as plain values."""
     return {'format': 'handeye_ros/samples/1', 'session': state['session']['path'],
             'mode': state['session']['mode'],
-            **{key: state[key] for key in ('samples', 'worst_first', 'review', 'attempt')}}
+            'review': state['review_refusal'],
+            **{key: state[key] for key in ('samples', 'worst_first', 'attempt')}}
 
 
 def status_message(state: State) -> State:
@@ -269,7 +271,8 @@ def _calibration(solver: LiveSolver, session: Session) -> State:
         return {**NO_ANSWER, 'state': state, 'text': f'{solver.why_missing}{note}'}
     changes, quality = solver.changes_since(session), calibration.quality
     return {
-        'state': OUTDATED if changes else CURRENT, 'text': summary(calibration) + changes,
+        'state': OUTDATED if changes else CURRENT,
+        'text': '; '.join(filter(None, (summary(calibration), changes))),
         'parent': calibration.parent_frame, 'child': calibration.child_frame,
         **_pose(calibration.T_flange_sensor), 'rpy': se3.rpy(calibration.T_flange_sensor).tolist(),
         'std': np.sqrt(np.diag(calibration.covariance)).tolist(),

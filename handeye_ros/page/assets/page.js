@@ -63,7 +63,7 @@ function show(state) {
   $('problem').hidden = !troubles.length;
   $('choose').hidden = flows(state.profiles) && flows(state.poses) || taken(state).length > 0;
   text('trouble', troubles.join('; '));
-  text('review', [state.review, ...state.session.warnings].filter(Boolean).join('; '));
+  text('review', [state.review_refusal, ...state.session.warnings].filter(Boolean).join('; '));
   text('link', state.session.working || state.verification.running || { still: 'a sample is taken at every stop',
     manual: 'samples are taken by hand', moving: 'samples are taken while the robot moves',
   }[state.session.mode]);
