@@ -87,7 +87,7 @@ class HandeyeNode(Node):
             self.create_timer(period, publish, MutuallyExclusiveCallbackGroup(),
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info(f'waiting for profiles on {config.profile_topic}, poses on '
-                               f'{config.pose_topic_and_keys[0]}')
+                               f'{config.topic_of_poses}')
         if config.page.port:
             from handeye_ros.page.server import serve  # aiohttp takes long to import
             serve(self)

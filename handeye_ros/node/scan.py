@@ -97,7 +97,7 @@ class ScanNode(Node):
         """Log why messages do not come, or cannot be used."""
         troubles = self._streams.graph_troubles()
         states = [self.message_counts[kind].state(topic, troubles[kind]) for kind, topic in (
-            ('profile', self.config.profile_topic), ('pose', self.config.pose_topic_and_keys[0]))]
+            ('profile', self.config.profile_topic), ('pose', self.config.topic_of_poses))]
         self._logged_warnings = log_new_warnings(
             self, [troubles['session'], *(state['trouble'] for state in states)],
             self._logged_warnings)

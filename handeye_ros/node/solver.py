@@ -211,7 +211,7 @@ class LiveSolver:
         calibration = answer.require_calibration()
         if is_newest:  # else the answer is the one that was requested later
             sources = [{'topic': live.config.profile_topic},
-                       {'topic': live.config.pose_topic_and_keys[0]}, {'session': live.path}]
+                       {'topic': live.config.topic_of_poses}, {'session': live.path}]
             self.calibration = calibration_file.with_origin(replace(
                 calibration, provenance={**calibration.provenance, 'inputs': sources}))
             self.solved_session, self.why_missing, self.saved = session, '', ''
@@ -231,10 +231,9 @@ class LiveSolver:
         folder = live.folders.locked_folder(live.config)
         written = exports.save_all(calibration, folder, live.config.save.formats)
         self.saved = str(folder / calibration_file.NAME)
-        note = (f'{COMPUTING} again: save it again after that'
-                if COMPUTING in live.running_jobs else '')
-        changes = self.changes_since(live.session_copy())
-        return '; '.join(filter(None, (written, changes, note)))
+        note = f'{COMPUTING} again: save it again after that'
+        return '; '.join(filter(None, (written, self.changes_since(live.session_copy()),
+                                       note if COMPUTING in live.running_jobs else '')))
 
 
 def summary(calibration: Calibration) -> str:

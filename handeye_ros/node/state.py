@@ -175,7 +175,7 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
     return {
         'name': folder_name(config),
         'profiles': profiles.state(config.profile_topic, graph_troubles.get('profile', '')),
-        'poses': poses.state(config.pose_topic_and_keys[0], graph_troubles.get('pose', '')),
+        'poses': poses.state(config.topic_of_poses, graph_troubles.get('pose', '')),
         'motion': {
             'standing': session.is_standing,
             'text': motion.sentence if motion else 'too few poses have come to measure it'},

@@ -151,7 +151,7 @@ class LiveVerification:
         live, self._verified = self._live, answer
         name = f'verification_{result.routine}.yaml'
         self.last_result = content = plain_values(
-            result, (live.config.profile_topic, live.config.pose_topic_and_keys[0]),
+            result, (live.config.profile_topic, live.config.topic_of_poses),
             Path(file).expanduser() if file else None)
         folder = live.folders.locked_folder(live.config)
         saved = exports.write({name: yaml_text(content)}, folder, {name})
