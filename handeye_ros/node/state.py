@@ -143,10 +143,12 @@ def _clock_trouble(profiles: MessageCount, poses: MessageCount, time_offset: flo
             f'other does{remedy}')
 
 
-def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxyType({})) -> State:
+def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxyType({}),
+             session: Session | None = None) -> State:
     """
     Return the state of a running node; graph_troubles: as in streams.py, '' unless known.
 
+    session: the copy of the session to tell it of, None for one of this moment.
     motion: whether the robot stands long enough for a sample (standing), and how it moves (text);
     session: its folder, the running tasks (working), why messages cannot be used or stops not be
     stored (trouble), each of these '' without any, and what else was dropped or continues
@@ -154,7 +156,7 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
     `review` in ~/samples. For profiles and poses see MessageCount.state, for calibration and
     guidance below, for the others docs/contract.md.
     """
-    session, config, attempt = live.session_copy(), live.config, live.attempt
+    session, config, attempt = session or live.session_copy(), live.config, live.attempt
     review, motion = live.solver.review, session.motion
     graph_trouble = graph_troubles.get('session', '')
     profiles, poses = live.message_counts['profile'], live.message_counts['pose']
@@ -219,8 +221,7 @@ def with_troubles(state: State, text: str, success: bool, service: str) -> str:
 def samples_message(state: State) -> State:
     """Return the content of ~/samples, as plain values."""
     return {'format': 'handeye_ros/samples/1', 'session': state['session']['path'],
-            'mode': state['session']['mode'],
-            'review': state['review_refusal'],
+            'mode': state['session']['mode'], 'review': state['review_refusal'],
             **{key: state[key] for key in ('samples', 'worst_first', 'attempt')}}
 
 

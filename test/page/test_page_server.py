@@ -57,7 +57,7 @@ def served(address: str = '127.0.0.1', state: Any = lambda: {'name': 'plate', 'c
            ) -> Iterator[tuple[PageServer, Buttons]]:
     buttons = Buttons()
     source = PageSource(state, {
-        'take': buttons.take, 'wait': buttons.wait, 'break': lambda _: 1 / 0})
+        'take': buttons.take, 'wait': buttons.wait, 'break': lambda _: 1 / 0}, {})
     with TemporaryDirectory() as folder:
         try:
             yield PageServer(source, address, free_port(), Path(folder) / 'token'), buttons
@@ -215,9 +215,9 @@ def test_what_takes_long_or_never_ends_keeps_nobody_else_waiting(caplog):
 
 def test_a_port_in_use_and_an_address_that_is_none(server: tuple[PageServer, Buttons]) -> None:
     with pytest.raises(InputError, match='set page.port to another'):
-        PageServer(PageSource(dict, {}), '127.0.0.1', server[0].port, Path())
+        PageServer(PageSource(dict, {}, {}), '127.0.0.1', server[0].port, Path())
     with pytest.raises(InputError, match='expected an IP address'):
-        PageServer(PageSource(dict, {}), 'everywhere', 1, Path())
+        PageServer(PageSource(dict, {}, {}), 'everywhere', 1, Path())
 
 
 def test_a_damaged_session_hides_no_setting_and_no_other_session(tmp_path: Path) -> None:
