@@ -32,7 +32,8 @@ pytestmark = pytest.mark.once
 PIECES = {  # of each file that it serves
     '': '<!DOCTYPE html>', 'page.css': ':root {', 'page.js': 'new EventSource(',
     'viewer.js': 'function turnable(', 'scene.js': 'function drawScene(',
-    'profile.js': 'function drawProfile(', 'setup.js': 'function readSetup('}
+    'profile.js': 'function drawProfile(', 'setup.js': 'function readSetup(',
+    'shared.js': 'function ask('}
 KIND = {'Content_Type': 'application/json'}
 
 
