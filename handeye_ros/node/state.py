@@ -259,7 +259,7 @@ def _calibration(solver: LiveSolver, session: Session) -> State:
     """
     Return the answer and its state.
 
-    state: none, current, outdated (samples have come or gone since) or withdrawn (the
+    state: none, current, outdated (samples have changed since) or withdrawn (the
     transform that was published before is not valid). translation, rotation (x y z w), rpy: of the
     child in the parent; std: 1 sigma of x y z rx ry rz; all None without an answer. saved: the
     file of this answer, empty before it is saved.
