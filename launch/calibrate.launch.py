@@ -7,14 +7,23 @@ ros2 launch handeye_ros calibrate.launch.py config:=my_cell.yaml profile_topic:=
 ros2 launch handeye_ros calibrate.launch.py --show-args
 """
 from handeye_ros.errors import InputError
-from handeye_ros.node.launching import declared, given, is_true, KEYS, remappings, replayed
+from handeye_ros.node.launching import (
+    declared,
+    given,
+    is_true,
+    KEYS,
+    remappings,
+    replayed,
+    values_given,
+)
 from launch import LaunchContext, LaunchDescription
 from launch.actions import OpaqueFunction
 from launch.substitutions import PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
-SET_HERE = (*KEYS, 'name', 'output_dir', 'session', 'page.port')
+SET_HERE = {**KEYS, 'name': 'name', 'output_dir': 'output_dir', 'session': 'session',
+            'page': 'page.port'}
 # by RViz, whose layout names them without a namespace
 SHOWN = ('/handeye/markers', '/handeye/current', '/handeye/features', '/handeye/next_pose',
          '/profile')
@@ -35,10 +44,11 @@ def generate_launch_description() -> LaunchDescription:
 
 def nodes(context: LaunchContext) -> list[Node]:
     """Return the nodes that the arguments ask for; raises InputError."""
-    values = {key: given(context, key) for key in SET_HERE if given(context, key)}
-    if not values.get('page.port', '0').isdecimal():
-        raise InputError(f'page.port is "{values["page.port"]}", expected a number')
-    set_here = {key: int(text) if key == 'page.port' else text for key, text in values.items()}
+    set_here: dict[str, str | int] = {**values_given(context, SET_HERE)}
+    if port := given(context, 'page'):
+        if not port.isdecimal():
+            raise InputError(f'page is "{port}", expected the number of a port')
+        set_here['page.port'] = int(port)
     namespace = given(context, 'namespace')
     found = [
         Node(package='handeye_ros', executable='calibrate', name='handeye', output='screen',

@@ -10,7 +10,15 @@ ros2 launch handeye_ros scan.launch.py --show-args
 """
 import shlex
 
-from handeye_ros.node.launching import declared, given, is_true, KEYS, remappings, replayed
+from handeye_ros.node.launching import (
+    declared,
+    given,
+    is_true,
+    KEYS,
+    remappings,
+    replayed,
+    values_given,
+)
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch_ros.actions import Node
@@ -29,8 +37,8 @@ def generate_launch_description() -> LaunchDescription:
 
 def nodes(context: LaunchContext) -> list[Node]:
     """Return the nodes that the arguments ask for; raises InputError."""
-    settings = [word for key in KEYS if given(context, key)
-                for word in ('--set', f'{key}={given(context, key)}')]
+    settings = [word for key, value in values_given(context, KEYS).items()
+                for word in ('--set', f'{key}={value}')]
     return [
         Node(package='handeye_ros', executable='scan', name='handeye_scan', output='screen',
              namespace=given(context, 'namespace'), remappings=remappings(context),

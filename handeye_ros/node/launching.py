@@ -3,7 +3,7 @@
 """What launch files share: arguments, and the replay of a recording. For `ros2 launch` alone."""
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 from handeye_ros.errors import InputError
 from launch import LaunchContext
@@ -11,7 +11,9 @@ from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-KEYS = ('profile_topic', 'pose_topic', 'pose_source', 'robot_base_frame', 'robot_effector_frame')
+KEYS = {  # of the configuration, by the names of their arguments
+    'profile_topic': 'profile_topic', 'pose_topic': 'pose_topic', 'pose_source': 'pose_source',
+    'base_frame': 'robot_base_frame', 'effector_frame': 'robot_effector_frame'}
 ARGUMENTS = {
     'namespace': ('', 'namespace of all that is started'),
     'bag': ('', 'a recording to replay: a rosbag2 folder, or an .mcap or .db3 file'),
@@ -22,16 +24,22 @@ RECORDED = ('/profile', '/flange_pose')  # in a bag; in a namespace, both sides 
 TRUTHS = {'true': True, '1': True, 'false': False, '0': False}
 
 
-def declared(keys: Iterable[str], source: str, others: Mapping[str, tuple[object, str]]
+def declared(keys: Mapping[str, str], source: str, others: Mapping[str, tuple[object, str]]
              ) -> list[DeclareLaunchArgument]:
     """
     Return arguments: keys of the configuration, others, and ARGUMENTS, which need `replayed`.
 
-    source: where a key is looked up that is not given; others: default and description.
+    keys: by the names of their arguments; source: where a key is looked up that is not given;
+    others: default and description.
     """
-    texts = {**dict.fromkeys(keys, ('', f'empty: as the {source} says')), **others, **ARGUMENTS}
+    texts = {name: ('', f'{key}; empty: as the {source} says') for name, key in keys.items()}
     return [DeclareLaunchArgument(name, default_value=value, description=description)
-            for name, (value, description) in texts.items()]
+            for name, (value, description) in {**texts, **others, **ARGUMENTS}.items()]
+
+
+def values_given(context: LaunchContext, keys: Mapping[str, str]) -> dict[str, str]:
+    """Return the values of the keys whose arguments are given."""
+    return {key: value for name, key in keys.items() if (value := given(context, name))}
 
 
 def given(context: LaunchContext, name: str) -> str:

@@ -121,7 +121,7 @@ def test_what_is_set_here_wins_over_the_file(monkeypatch: pytest.MonkeyPatch) ->
     assert config.load(Path(file)).target.type == 'plate'
     arguments, _ = described(ROOT / 'launch' / 'calibrate.launch.py', monkeypatch)
     ports = {a.name: '8080' for a in arguments if a.name not in ('config', 'rviz_layout')}
-    others = {'robot_base_frame': 'base_link', 'rviz': '0', 'use_sim_time': '1'}
+    others = {'base_frame': 'base_link', 'rviz': '0', 'use_sim_time': '1'}
     node = nodes('calibrate', monkeypatch, **ports | others)[0]
     assert node.parameters[-1].keys() <= {p.key for p in config.parameters()}
     assert node.parameters[-1]['robot_base_frame'] == 'base_link'
@@ -132,7 +132,7 @@ def test_what_is_set_here_wins_over_the_file(monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.mark.parametrize(('name', 'value', 'expected'), [
     ('rviz', 'yes', 'expected true or false'), ('use_sim_time', 'no', 'expected true or false'),
-    ('page.port', 'abc', 'expected a number')])
+    ('page', 'abc', 'expected the number of a port')])
 def test_other_words_are_refused(name: str, value: str, expected: str,
                                  monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match=f'{name} is "{value}", {expected}'):
