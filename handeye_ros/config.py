@@ -452,12 +452,16 @@ class Config(Section):
         return self.robot_base_frame or BASE_FRAME
 
     @property
-    def pose_topic_and_keys(self) -> tuple[str, str]:
-        """Return the topic that the flange poses come from, and the keys that decide that."""
-        if self.kinematics:
-            return self.joint_topic, 'joint_topic'
-        return (self.pose_topic, 'pose_topic') if self.pose_source == 'topic' else (
-            '/tf', 'robot_base_frame and robot_effector_frame')
+    def key_of_poses(self) -> str:
+        """Return the key of the topic that the flange poses come from, '' where that is /tf."""
+        return ('joint_topic' if self.kinematics else
+                'pose_topic' if self.pose_source == 'topic' else '')
+
+    @property
+    def topic_of_poses(self) -> str:
+        """Return the topic that the flange poses come from."""
+        return {'joint_topic': self.joint_topic, 'pose_topic': self.pose_topic}.get(
+            self.key_of_poses, '/tf')
 
 
 @cache

@@ -182,6 +182,6 @@ def samples_table(session: Session, answer: Answer) -> Table:
         residuals = [''] * 2 if agreement is None else [
             f'{metres * 1e3:.3f} mm' for metres in (agreement.residual, agreement.left_out)]
         state = ('no sample' if stop.sample is None else 'excluded' if session.excludes(stop) else
-                 'not believed' if agreement and not agreement.used else '')
+                 'not used' if agreement and not agreement.used else '')
         rows.append((str(stop.number), *residuals, state, sample_summary(stop.result)))
     return figures_table('number', 'residual', 'left out', '', '', right=range(3), rows=rows)

@@ -28,7 +28,7 @@ def test_a_stop_left_out_agrees_as_one_that_is_used() -> None:
 
 
 def test_a_stop_whose_pose_is_wrong_is_compared_with_the_answer_of_the_others() -> None:
-    """It is not believed, and stands first in the table, with how far it is off."""
+    """It is not used, and stands first in the table, with how far it is off."""
     plate = recorded('plate', rate=6.0)
     stop = gather(plate.profiles, plate.poses, plate.config).stops[4]
     shift = np.array([0.0, 0.0, 0.02])
@@ -44,7 +44,7 @@ def test_a_stop_whose_pose_is_wrong_is_compared_with_the_answer_of_the_others() 
     numbers, _, _, states, _ = ([str(cell) for cell in column.cells]
                                 for column in samples_table(session, answer).columns)
     assert numbers[0] == str(stop.number)
-    assert [*filter(None, states)] == ['not believed'] == states[:1]
+    assert [*filter(None, states)] == ['not used'] == states[:1]
 
 
 def test_without_an_answer_no_stop_agrees_and_the_table_names_them_all() -> None:

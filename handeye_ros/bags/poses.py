@@ -48,13 +48,13 @@ def pose_topics(config: Config, follower: FlangeFollower, arm: Arm | None = None
     follower: follows the transforms, where they are read; arm: gives the poses from joint values,
     as with the key kinematics. Raises InputError for a file of an arm that is none.
     """
-    robot = read_arm(Path(config.kinematics)) if config.kinematics and not arm else arm
-    if robot:
-        return [PoseTopic(config.joint_topic, 'joint_topic', JOINTS_TYPE,
+    key = 'joint_topic' if arm else config.key_of_poses
+    if key == 'joint_topic':
+        robot = arm or read_arm(Path(config.kinematics))
+        return [PoseTopic(config.joint_topic, key, JOINTS_TYPE,
                           lambda data: [pose_from_joints(robot, data)])]
-    if config.pose_source == 'topic':
-        return [PoseTopic(config.pose_topic, 'pose_topic', POSE_TYPE,
-                          lambda data: [pose_from_cdr(data)])]
+    if key:
+        return [PoseTopic(config.pose_topic, key, POSE_TYPE, lambda data: [pose_from_cdr(data)])]
 
     def poses_of(data: bytes, static: bool) -> Sequence[TimedPose]:
         return follower.add(transforms_from_cdr(data), static)

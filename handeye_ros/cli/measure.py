@@ -204,7 +204,7 @@ def scan(
     ] = 90.0,
     std: Annotated[bool, typer.Option('--std', help='Add the 1 sigma of each point (m).')] = False,
 ) -> None:
-    """Put profiles into the base frame, as a cloud of points."""
+    """Put profiles into the base frame (eye_on_base: of the flange), as a cloud of points."""
     from handeye_ros.scanning.cloud import require_suffix, write_cloud
     from handeye_ros.scanning.scan import Scanner, ScanOptions
     require_suffix(out)

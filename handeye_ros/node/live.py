@@ -10,15 +10,16 @@ From a message to ~/samples:
 2. The thread `worker` takes it from there (`evaluate_next`), has it evaluated in another process,
    writes it to the disk (SessionFiles in bags/session_files.py) and adds it to the session: what
    is not stored is not used.
-3. After each such piece of work the worker calls `publish_changes` (node.py, then outputs.py),
-   which publishes ~/samples. When no stop waits, it begins the review in another process
-   (solver.py).
+3. After each such piece of work the worker calls `publish_changes`, which is
+   `HandeyeNode._publish_changes` (node.py, then outputs.py) and publishes ~/samples. When no stop
+   waits, it begins the review in another process (solver.py).
 
 Threads:
 - only `streams` calls add_profile, add_poses and add_joints;
 - `worker` makes all other changes, one after the other;
-- those of ROS (node.py) and of the page (page/server.py) pass a function to `call_on_worker` and
-  wait for its result; what they only show, they read from any thread.
+- those of the executor of ROS (EXECUTOR_THREADS in main.py: services, timers, parameters) and of
+  the page (page/server.py: WORKER_COUNT for requests, others that collect its events) pass a
+  function to `call_on_worker` and wait for its result; what they only show, they read themselves.
 Processes: two (pool.py), each with a thread that waits for it. They evaluate stops and those of a
 session that is opened, for which the worker waits, and make reviews, answers and verifications,
 for which it does not (`run_job`). Also the report, for which the page waits (page/contents.py).

@@ -99,9 +99,9 @@ def run_for_exit_code(run: Callable[..., None], *args: Any) -> int:
     """Call a function until it ends, or Ctrl-C or SIGTERM; return the exit code, print errors."""
     try:
         run(*args)
-    except HandeyeError as error:
+    except (HandeyeError, OSError) as error:  # such as a folder that cannot be read
         print(f'error: {error}', file=sys.stderr)
-        return error.exit_code
+        return error.exit_code if isinstance(error, HandeyeError) else InputError.exit_code
     except KeyboardInterrupt:
         pass
     return 0

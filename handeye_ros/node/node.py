@@ -23,6 +23,7 @@ from handeye_ros.node.state import State, state_of, troubles_of, with_troubles
 from handeye_ros.node.streams import Streams
 from handeye_ros.output import folder_name, write_errors_for
 from handeye_ros.sampling.session import Session
+from handeye_ros.targets import target_for
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -87,15 +88,14 @@ class HandeyeNode(Node):
             self.create_timer(period, publish, MutuallyExclusiveCallbackGroup(),
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info(f'waiting for profiles on {config.profile_topic}, poses on '
-                               f'{config.pose_topic_and_keys[0]}')
+                               f'{config.topic_of_poses}')
         if config.page.port:
             from handeye_ros.page.server import serve  # aiohttp takes long to import
             serve(self)
 
-    @property
-    def state(self) -> State:
-        """Return the current state of the session."""
-        return state_of(self.live, self.streams.graph_troubles())
+    def state(self, session: Session | None = None) -> State:
+        """Return the current state; session: the copy to tell it of, else a new one."""
+        return state_of(self.live, self.streams.graph_troubles(), session)
 
     # what is published
 
@@ -109,7 +109,7 @@ class HandeyeNode(Node):
 
     def _publish_diagnostics(self) -> None:
         """Publish the state, and log new warnings."""
-        state = self.state
+        state = self.state()
         self.outputs.publish_diagnostics(state)
         self._logged_warnings = log_new_warnings(
             self, [*troubles_of(state), *state['session']['warnings']], self._logged_warnings)
@@ -155,7 +155,7 @@ class HandeyeNode(Node):
                     ) -> Trigger.Response:
         """Answer a request of a service: success, and the message with the current troubles."""
         response.success, message = self.call_service(name)
-        response.message = with_troubles(self.state, message, response.success, name)
+        response.message = with_troubles(self.state(), message, response.success, name)
         return response
 
     def _on_auto_sample(self, request: SetBool.Request, response: SetBool.Response
@@ -167,7 +167,11 @@ class HandeyeNode(Node):
         return response
 
     def open_session(self, name: str) -> str:
-        """Continue a previous session with the current settings; raises HandeyeError."""
+        """
+        Continue a previous session with the current settings, but its own samples.exclude.
+
+        Returns the message; raises HandeyeError.
+        """
         live, name = self.live, Path(name).name
         path = live.folders.folder(live.config) / name
         if path == live.files.path:
@@ -238,8 +242,7 @@ def declare_settings(node: Node, folders: OutputFolders) -> tuple[Config, Stored
     Declare all parameters; return the configuration and the session to continue.
 
     Types are dynamic, so that 3 is accepted for 3.0; config.py checks every value. Raises
-    UnknownKeyError and BadValueError for the user's settings, InputError for a session that cannot
-    be read.
+    InputError for settings that cannot be used, and for a session that cannot be read.
     """
     # rclpy offers no other access to the values of parameter files and arguments
     overrides = _values_by_key(node._parameter_overrides.values())
@@ -285,6 +288,6 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
 
 
 def _require_usable_names(config: Config) -> None:
-    """Raise BadValueError for names of methods and folders that would fail later."""
-    Session(config)
+    """Raise InputError for names of targets, methods and folders that would fail later."""
+    target_for(config)
     folder_name(config)

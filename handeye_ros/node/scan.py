@@ -3,9 +3,9 @@
 """
 Publishes laser points in the base frame: `ros2 run handeye_ros scan`.
 
-The points are published on ~/points, in the base, a cloud for the profiles of every 50 ms. Each
-profile is placed by the pose at its stamp plus time_offset, and waits for the pose after it. The
-number of dropped profiles is logged.
+With eye_on_base they are in the frame of the flange. They are published on ~/points, a cloud for
+the profiles of every 50 ms. Each profile is placed by the pose at its stamp plus time_offset, and
+waits for the pose after it. The number of dropped profiles is logged.
 """
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ KEPT_PROFILES = 4000  # may wait for a pose; the oldest are dropped first
 
 
 class ScanNode(Node):
-    """Takes profiles and poses, and publishes points."""
+    """Takes profiles and poses, and publishes points in the frame of the scanned surface."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         """Subscribe; raises InputError for arguments, and poses on /tf without tf2_msgs."""
@@ -97,7 +97,7 @@ class ScanNode(Node):
         """Log why messages do not come, or cannot be used."""
         troubles = self._streams.graph_troubles()
         states = [self.message_counts[kind].state(topic, troubles[kind]) for kind, topic in (
-            ('profile', self.config.profile_topic), ('pose', self.config.pose_topic_and_keys[0]))]
+            ('profile', self.config.profile_topic), ('pose', self.config.topic_of_poses))]
         self._logged_warnings = log_new_warnings(
             self, [troubles['session'], *(state['trouble'] for state in states)],
             self._logged_warnings)

@@ -116,7 +116,7 @@ class LiveSolver:
         self._answer_message = Future[str]()  # about that answer
 
     def changes_since(self, session: Session) -> str:
-        """Return in words how the samples of a session differ from those of the answer, or ''."""
+        """Return a sentence: how samples of a session differ from those of the answer, or ''."""
         now = _used_samples(session)
         before = _used_samples(self.solved_session or session)
         retaken = [n for n in now.keys() & before.keys() if now[n] != before[n]]
@@ -124,7 +124,7 @@ class LiveSolver:
             (before.keys() - now.keys(), 'removed'), (now.keys() - before.keys(), 'added'),
             (retaken, 'retaken')) if numbers)
         return changes and (
-            f'; it was computed from {count_of(len(before), "sample")}, which have changed since '
+            f'it was computed from {count_of(len(before), "sample")}, which have changed since '
             f'({changes}): call ~/compute_calibration for an answer from the current {len(now)}')
 
     def require_calibration(self, use: str = 'save') -> Calibration:
@@ -211,7 +211,7 @@ class LiveSolver:
         calibration = answer.require_calibration()
         if is_newest:  # else the answer is the one that was requested later
             sources = [{'topic': live.config.profile_topic},
-                       {'topic': live.config.pose_topic_and_keys[0]}, {'session': live.path}]
+                       {'topic': live.config.topic_of_poses}, {'session': live.path}]
             self.calibration = calibration_file.with_origin(replace(
                 calibration, provenance={**calibration.provenance, 'inputs': sources}))
             self.solved_session, self.why_missing, self.saved = session, '', ''
@@ -231,9 +231,9 @@ class LiveSolver:
         folder = live.folders.locked_folder(live.config)
         written = exports.save_all(calibration, folder, live.config.save.formats)
         self.saved = str(folder / calibration_file.NAME)
-        note = (f'; {COMPUTING} again: save it again after that'
-                if COMPUTING in live.running_jobs else '')
-        return f'{written}{self.changes_since(live.session_copy())}{note}'
+        note = f'{COMPUTING} again: save it again after that'
+        return '; '.join(filter(None, (written, self.changes_since(live.session_copy()),
+                                       note if COMPUTING in live.running_jobs else '')))
 
 
 def summary(calibration: Calibration) -> str:

@@ -56,9 +56,10 @@ class Attempt:
 
 class MessageCount:
     """
-    Counts the valid, malformed and lost messages of one kind (profile, pose).
+    Counts valid items of one kind (profile, pose), and its malformed and lost messages.
 
-    reason: of the last malformed one; stamp: of the last valid one (ns), 0 before.
+    A message may hold several items, as rows: the shares that `state` compares are then too small.
+    reason: of the last malformed message; stamp: of the last valid item (ns), 0 before.
     """
 
     def __init__(self, kind: str) -> None:
@@ -68,7 +69,7 @@ class MessageCount:
         self._recent, self._received = deque[str](maxlen=RECENT), time.monotonic()
 
     def add(self, stamp: int) -> None:
-        """Count a valid message; stamp: of its header, in ns."""
+        """Count a valid item; stamp: as it is used, with time_offset, or of its receipt (ns)."""
         self.count, self.stamp, self._received = self.count + 1, stamp, time.monotonic()
         self._recent.append(VALID)
 
@@ -89,17 +90,17 @@ class MessageCount:
 
     @property
     def silence(self) -> float:
-        """Return the seconds since the last valid message, or since the start."""
+        """Return the seconds since the last valid item, or since the start."""
         return time.monotonic() - self._received
 
     def state(self, topic: str, obstacle: str) -> State:
         """
         Return what has come on a topic; obstacle: why nothing arrives, where it is known.
 
-        count, malformed: numbers of valid and invalid messages; reason: of the last invalid one;
-        lost: of those lost on their way; age: seconds since the last valid one, or since the
-        start; trouble: that many of the last, or all of them, are invalid or lost, or none
-        arrive; or ''.
+        count: number of valid items; malformed, lost: of invalid messages, and of those lost on
+        their way; reason: of the last invalid one; age: seconds since the last valid item, or
+        since the start; trouble: that many of the last, or all of them, are invalid or lost, or
+        none arrive; or ''.
         """
         kind, count, recent = self.kind, self.count, [*self._recent]
         sentences, age, total = [], self.silence, len(recent)
@@ -142,17 +143,20 @@ def _clock_trouble(profiles: MessageCount, poses: MessageCount, time_offset: flo
             f'other does{remedy}')
 
 
-def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxyType({})) -> State:
+def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxyType({}),
+             session: Session | None = None) -> State:
     """
     Return the state of a running node; graph_troubles: as in streams.py, '' unless known.
 
+    session: the copy of the session to tell it of, None for one of this moment.
     motion: whether the robot stands long enough for a sample (standing), and how it moves (text);
     session: its folder, the running tasks (working), why messages cannot be used or stops not be
     stored (trouble), each of these '' without any, and what else was dropped or continues
-    (warnings, a list of sentences); review: why there is no answer, ''. For profiles and poses see
-    MessageCount.state, for calibration and guidance below, for the others docs/contract.md.
+    (warnings, a list of sentences); review_refusal: why the review has no answer, '', which is
+    `review` in ~/samples. For profiles and poses see MessageCount.state, for calibration and
+    guidance below, for the others docs/contract.md.
     """
-    session, config, attempt = live.session_copy(), live.config, live.attempt
+    session, config, attempt = session or live.session_copy(), live.config, live.attempt
     review, motion = live.solver.review, session.motion
     graph_trouble = graph_troubles.get('session', '')
     profiles, poses = live.message_counts['profile'], live.message_counts['pose']
@@ -173,7 +177,7 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
     return {
         'name': folder_name(config),
         'profiles': profiles.state(config.profile_topic, graph_troubles.get('profile', '')),
-        'poses': poses.state(config.pose_topic_and_keys[0], graph_troubles.get('pose', '')),
+        'poses': poses.state(config.topic_of_poses, graph_troubles.get('pose', '')),
         'motion': {
             'standing': session.is_standing,
             'text': motion.sentence if motion else 'too few poses have come to measure it'},
@@ -181,7 +185,7 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
                     'trouble': '; '.join(filter(None, troubles)),
                     'warnings': [*session.warnings, *live.warnings]},
         'samples': samples, 'worst_first': [sample['number'] for sample in worst_first],
-        'review': '' if review.answer.solution else str(review.answer.refusal),
+        'review_refusal': '' if review.answer.solution else str(review.answer.refusal),
         'attempt': attempt and {'accepted': attempt.stop.sample is not None,
                                 'number': attempt.stop.number, 'text': attempt.text},
         'calibration': _calibration(live.solver, session), 'guidance': _guidance(review)}
@@ -217,8 +221,8 @@ def with_troubles(state: State, text: str, success: bool, service: str) -> str:
 def samples_message(state: State) -> State:
     """Return the content of ~/samples, as plain values."""
     return {'format': 'handeye_ros/samples/1', 'session': state['session']['path'],
-            'mode': state['session']['mode'],
-            **{key: state[key] for key in ('samples', 'worst_first', 'review', 'attempt')}}
+            'mode': state['session']['mode'], 'review': state['review_refusal'],
+            **{key: state[key] for key in ('samples', 'worst_first', 'attempt')}}
 
 
 def status_message(state: State) -> State:
@@ -230,10 +234,10 @@ def _stop_row(stop: Stop, session: Session, agreement: Agreement | None) -> Stat
     """
     Return one stop of the robot.
 
-    taken: whether it gave a sample; excluded: whether samples.exclude names it; believed:
-    whether the fit uses it; text: its features, or why there is no sample; residual, left_out: RMS
-    (m), None without a fit; translation, rotation: the flange in the base (quaternion x y z w),
-    None without a sample.
+    taken: whether it gave a sample; excluded: whether samples.exclude names it; believed: whether
+    it is taken, not excluded, and used by the fit, or not yet compared with one (no residual);
+    text: its features, or why there is no sample; residual, left_out: RMS (m), None without a fit;
+    translation, rotation: the flange in the base (quaternion x y z w), None without a sample.
     """
     sample, excluded = stop.sample, session.excludes(stop)
     return {
@@ -255,7 +259,7 @@ def _calibration(solver: LiveSolver, session: Session) -> State:
     """
     Return the answer and its state.
 
-    state: none, current, outdated (samples have come or gone since) or withdrawn (the
+    state: none, current, outdated (samples have changed since) or withdrawn (the
     transform that was published before is not valid). translation, rotation (x y z w), rpy: of the
     child in the parent; std: 1 sigma of x y z rx ry rz; all None without an answer. saved: the
     file of this answer, empty before it is saved.
@@ -268,7 +272,8 @@ def _calibration(solver: LiveSolver, session: Session) -> State:
         return {**NO_ANSWER, 'state': state, 'text': f'{solver.why_missing}{note}'}
     changes, quality = solver.changes_since(session), calibration.quality
     return {
-        'state': OUTDATED if changes else CURRENT, 'text': summary(calibration) + changes,
+        'state': OUTDATED if changes else CURRENT,
+        'text': '; '.join(filter(None, (summary(calibration), changes))),
         'parent': calibration.parent_frame, 'child': calibration.child_frame,
         **_pose(calibration.T_flange_sensor), 'rpy': se3.rpy(calibration.T_flange_sensor).tolist(),
         'std': np.sqrt(np.diag(calibration.covariance)).tolist(),

@@ -297,7 +297,8 @@ class Streams:
         By kind (profile, pose): why no messages arrive; session: several publishers of a topic,
         and a second node of this name.
         """
-        troubles, sentences, node = {'pose': self._follower.missing_reason()}, [], self._node
+        reason = '' if self._receiver.config.key_of_poses else self._follower.missing_reason()
+        troubles, sentences, node = {'pose': reason}, [], self._node
         for topic in [topic for topic in self._topics if topic.key]:
             kind = topic.counts.kind
             troubles[kind] = self._trouble_of(topic)

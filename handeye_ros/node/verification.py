@@ -79,32 +79,38 @@ class LiveVerification:
         """
         Begin a verification, or the next recording (of a face, a ball) of the current one.
 
-        Returns what to do. Raises InputError for the settings, DataError without a calibration.
+        Returns what to do. Raises InputError for the settings, the file of verify.calibration, and
+        stops of two frames; DataError without a calibration.
         """
-        live, settings = self._live, self._live.config.verify
+        live = self._live
         live.evaluate_waiting()  # what began before is a sample, or of the recording before
         progress_before = self.text
         measured = any(isinstance(result, Sample) for result in self._recordings[-1].values())
         begins = self.routine is None or (measured and not self.has_next_recording)
-        if begins:
-            if not settings.routine:
-                raise InputError('verify.routine is not set, so there is nothing to measure: set '
-                                 'it to the artefact under the sensor (docs/measure.md)')
-            routine = looked_up('routine', settings.routine, ROUTINES)
-            if routine.in_passes:
-                raise InputError(f'{routine.name} is scanned in passes: record a bag of each, and '
-                                 f'call "handeye verify {routine.name}" with them')
-            most_recordings = routine.recordings_for(len(settings.lengths))[-1]
-            self._calibration()  # both raise what is missing
+        next_routine = self._routine_and_most_recordings() if begins else None
         live.discard_begun_stops()
-        if begins:
-            self.routine, self._most_recordings, self._recordings = routine, most_recordings, [{}]
+        if next_routine:
+            (self.routine, self._most_recordings), self._recordings = next_routine, [{}]
         elif measured:
             self._recordings = [*self._recordings, {}]
         dropped = (f'; what was measured before is dropped ({progress_before})'
                    if begins and progress_before else '')
         return (f'{self.text}; move on, and stop with other tilts: what begins from now on '
                 f'counts, until ~/verify_result{dropped}')
+
+    def _routine_and_most_recordings(self) -> tuple[Routine, int]:
+        """Return what the settings ask for; raises InputError, DataError without calibration."""
+        settings = self._live.config.verify
+        if not settings.routine:
+            raise InputError('verify.routine is not set, so there is nothing to measure: set it '
+                             'to the artefact under the sensor (docs/measure.md)')
+        routine = looked_up('routine', settings.routine, ROUTINES)
+        if routine.in_passes:
+            raise InputError(f'{routine.name} is scanned in passes: record a bag of each, and '
+                             f'call "handeye verify {routine.name}" with them')
+        most_recordings = routine.recordings_for(len(settings.lengths))[-1]
+        self._calibration()  # raises what is missing
+        return routine, most_recordings
 
     def add_stop(self, stop: Stop) -> str:
         """
@@ -151,7 +157,7 @@ class LiveVerification:
         live, self._verified = self._live, answer
         name = f'verification_{result.routine}.yaml'
         self.last_result = content = plain_values(
-            result, (live.config.profile_topic, live.config.pose_topic_and_keys[0]),
+            result, (live.config.profile_topic, live.config.topic_of_poses),
             Path(file).expanduser() if file else None)
         folder = live.folders.locked_folder(live.config)
         saved = exports.write({name: yaml_text(content)}, folder, {name})

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from threading import Lock
@@ -17,7 +17,7 @@ from handeye_ros.bags.session_files import read_session, sessions_in
 from handeye_ros.bags.storage import CLOUD_TYPE, POSE_TYPE
 from handeye_ros.calibration import edges_used
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, Calibration
+from handeye_ros.data import Arc, Array, Calibration, Sample
 from handeye_ros.errors import InputError, looked_up
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.candidates import anchor_of
@@ -34,7 +34,6 @@ import numpy as np
 if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession
     from handeye_ros.node.node import HandeyeNode
-    from handeye_ros.node.state import State
 
 # buttons that call the service of their name
 PAGE_SERVICES = ('take_sample', 'clear_samples', 'compute_calibration', 'save_calibration',
@@ -67,14 +66,14 @@ class PageSource:
 
     state: Callable[[], Mapping[str, Any]]
     actions: Mapping[str, Action]
-    queries: Mapping[str, Query] = field(default_factory=dict)
+    queries: Mapping[str, Query]
 
 
 def page_source(node: HandeyeNode) -> PageSource:
     """
     Return content and actions of the page for a node.
 
-    The page shows live and state of the node, and streams.topics_of for the choices; its buttons
+    The page shows live and state() of the node, and streams.topics_of for the choices; its buttons
     use call_service, set_values and open_session.
     """
     actions: dict[str, Action] = {
@@ -88,13 +87,13 @@ def page_source(node: HandeyeNode) -> PageSource:
         'stop': lambda values: stop_profile(node.live, values.get('number', '')),
         'setup': lambda values: _setup(node),
         'file': lambda values: _file(node.live, values.get('name', ''))}
-    return PageSource(lambda: contents(node.state, node.live), actions, queries)
+    return PageSource(lambda: contents(node), actions, queries)
 
 
 def _exclude(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Exclude a sample, or include it again."""
     number, excludes = values.get('number'), values.get('excluded') is True
-    known_numbers = {stop['number'] for stop in node.state['samples']}
+    known_numbers = {stop.number for stop in node.live.session_copy().stops}
     if type(number) is not int or number not in known_numbers:
         return False, f'there is no sample {str(number)[:20]}'
     with EXCLUDING:
@@ -159,9 +158,9 @@ def _report(calibration: Calibration, session: Path | None) -> str:
     return html(calibration, solved_recording(calibration, session))
 
 
-def contents(state: State, live: LiveSession) -> dict[str, Any]:
+def contents(node: HandeyeNode) -> dict[str, Any]:
     """
-    Return the content of the page as plain values.
+    Return the content of the page as plain values, of one moment of the session.
 
     The state of the node (state.py), and: profile: the last one with its features, None without
     one; scene: for the picture in space; edges: by number, which each used sample shows;
@@ -170,10 +169,14 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
     verification: what is running, in words, and whether another recording follows; verdict (pass,
     ...), title and figures of the last of this answer.
     """
+    live, session = node.live, node.live.session_copy()
+    samples = {stop.number: stop.sample for stop in session.stops if stop.sample}
     snapshot, calibration = live.current_snapshot(), live.solver.calibration
     checked = live.verification.result_of_current_answer
-    return {**state, 'profile': snapshot and _picture(snapshot), 'scene': _scene(live, snapshot),
-            'edges': _edges(live), 'has_just_begun': len(state['samples']) <= FEW_STOPS,
+    return {**node.state(session), 'profile': snapshot and _picture(snapshot),
+            'scene': _scene(live, samples, snapshot),
+            'edges': _edges(live.solver.review.answer, samples),
+            'has_just_begun': len(session.stops) <= FEW_STOPS,
             'rows': list(printed.transform_rows(calibration)) if calibration else [],
             'verification': {
                 'running': live.verification.text,
@@ -196,14 +199,12 @@ def _picture(snapshot: StopSnapshot) -> dict[str, Any]:
     return {**profile_picture(snapshot.points, snapshot.features), 'reason': snapshot.reason}
 
 
-def _edges(live: LiveSession) -> dict[int, str]:
+def _edges(answer: Answer, samples: Mapping[int, Sample]) -> dict[int, str]:
     """Return the edges of the target that each used sample shows, a pass all of its profiles'."""
-    answer = live.solver.review.answer
     if answer.solution is None:
         return {}
-    number_by_stamp = {sample.stamp: stop.number
-                       for stop in live.session_copy().stops if stop.sample
-                       for sample in stop.sample.station_samples}
+    number_by_stamp = {station.stamp: number for number, sample in samples.items()
+                       for station in sample.station_samples}
     used = answer.solution.used_stations.tolist()
     edges: dict[int, dict[str, None]] = {}  # each once, in the order of the points
     for station, shown in zip(used, edges_used(answer.solution.problem), strict=True):
@@ -212,7 +213,8 @@ def _edges(live: LiveSession) -> dict[int, str]:
     return {number: ', '.join(shown) for number, shown in edges.items()}
 
 
-def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
+def _scene(live: LiveSession, samples: Mapping[int, Sample], snapshot: StopSnapshot | None
+           ) -> dict[str, Any]:
     """
     Return poses (rows of T (3, 4)) in the frame of the fixed target, and the target.
 
@@ -236,8 +238,8 @@ def _scene(live: LiveSession, snapshot: StopSnapshot | None) -> dict[str, Any]:
         'known': solution is not None, 'range_sign': config.profile.range_sign,
         'round': Arc in target_for(config).required_features,
         'view': rounded(extremes(np.concatenate(view))), 'live': as_rows(pose),
-        'samples': [{'number': stop.number, 'T': as_rows(stop.sample.T_base_flange)}
-                    for stop in live.session_copy().stops if stop.sample],
+        'samples': [{'number': number, 'T': as_rows(sample.T_base_flange)}
+                    for number, sample in samples.items()],
         'next': as_rows(next_pose),
         'aim': None if pose is None or next_pose is None else _motion_to(pose, next_pose),
         'move': advice.move_from_first_pose and _advised_move(advice.move_from_first_pose),

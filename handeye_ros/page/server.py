@@ -48,7 +48,8 @@ CLIENT_TIMEOUT = 10.0  # s until a client must accept an event
 BODY_TIMEOUT = 5.0  # s until the body of a request must be there
 COOKIE_AGE = 30 * 86400  # s
 TOKEN_BYTES = 18
-ASSET_FILES = ('page.css', 'page.js', 'viewer.js', 'scene.js', 'profile.js', 'setup.js')
+ASSET_FILES = ('page.css', 'page.js', 'shared.js', 'viewer.js', 'scene.js', 'profile.js',
+               'setup.js')
 HEADERS = {
     'Content-Security-Policy': "default-src 'self'; img-src 'self' data:; "
                                "frame-ancestors 'none'; base-uri 'none'",

@@ -232,9 +232,9 @@ class Session(Copyable):
         if self.unusable_poses_error:
             raise self.unusable_poses_error
         if self._pose_stream.frame is None:  # one that is held was received too
-            topic, keys = self.config.pose_topic_and_keys
-            raise DataError(f'no flange pose was received on {topic}: start the robot driver, or '
-                            f'set {keys}', code='no_poses')
+            keys = self.config.key_of_poses or 'robot_base_frame and robot_effector_frame'
+            raise DataError(f'no flange pose was received on {self.config.topic_of_poses}: start '
+                            f'the robot driver, or set {keys}', code='no_poses')
 
     def _require_no_conflict(self) -> None:
         """Raise the conflict of the streams, but of two frames only before the first sample."""

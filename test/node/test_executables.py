@@ -21,7 +21,7 @@ from handeye_ros import se3  # noqa: E402
 from handeye_ros.arm import arm_of  # noqa: E402
 from handeye_ros.bags.storage import RecordedMessage  # noqa: E402
 from handeye_ros.errors import InputError  # noqa: E402
-from handeye_ros.node.main import ros  # noqa: E402
+from handeye_ros.node.main import ros, run_for_exit_code  # noqa: E402
 from handeye_ros.results.calibration_file import write_calibration  # noqa: E402
 from handeye_ros.simulate import robot  # noqa: E402
 from moving_scan import (  # noqa: E402
@@ -75,6 +75,11 @@ def test_wrong_arguments_are_refused(module: str, arguments: list[str], reason: 
     run = run_module(module, *arguments)
     assert run.returncode == 2 and f'error: {reason}' in run.stderr
     assert 'Traceback' not in run.stderr
+
+
+def test_what_the_system_refuses_is_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_for_exit_code(Path('/no/such/file').read_text) == InputError.exit_code
+    assert capsys.readouterr().err.startswith('error: [Errno 2] No such file or directory')
 
 
 def test_a_service_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:

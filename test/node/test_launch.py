@@ -25,6 +25,7 @@ from typing import Any
 from calibrations import CALIBRATION
 from command import ROOT
 from handeye_ros import config
+from handeye_ros.errors import InputError
 from handeye_ros.results.calibration_file import write_calibration
 import pytest
 import yaml
@@ -120,12 +121,22 @@ def test_what_is_set_here_wins_over_the_file(monkeypatch: pytest.MonkeyPatch) ->
     assert config.load(Path(file)).target.type == 'plate'
     arguments, _ = described(ROOT / 'launch' / 'calibrate.launch.py', monkeypatch)
     ports = {a.name: '8080' for a in arguments if a.name not in ('config', 'rviz_layout')}
-    node = nodes('calibrate', monkeypatch, **ports | {'base_frame': 'base_link'})[0]
+    others = {'base_frame': 'base_link', 'rviz': '0', 'use_sim_time': '1'}
+    node = nodes('calibrate', monkeypatch, **ports | others)[0]
     assert node.parameters[-1].keys() <= {p.key for p in config.parameters()}
     assert node.parameters[-1]['robot_base_frame'] == 'base_link'
     times = [nodes('calibrate', monkeypatch, use_sim_time=text)[0].parameters[0]
-             for text in ('True', '1', 'true', 'no')]
+             for text in ('True', '1', 'true', '0')]
     assert [time['use_sim_time'] for time in times] == [True, True, True, False]
+
+
+@pytest.mark.parametrize(('name', 'value', 'expected'), [
+    ('rviz', 'yes', 'expected true or false'), ('use_sim_time', 'no', 'expected true or false'),
+    ('page', 'abc', 'expected the number of a port')])
+def test_other_words_are_refused(name: str, value: str, expected: str,
+                                 monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match=f'{name} is "{value}", {expected}'):
+        nodes('calibrate', monkeypatch, **{name: value})
 
 
 @pytest.mark.thorough

@@ -316,7 +316,7 @@ def test_one_pass_alone_has_a_review() -> None:
     live.call_on_worker(live.evaluate_all)
     update(live)
     assert [sample['taken'] for sample in state_of(live)['samples']] == [True]
-    assert not state_of(live)['review'] and not live.troubles
+    assert not state_of(live)['review_refusal'] and not live.troubles
 
 
 def test_an_answer_is_saved_once_and_by_one_node(tmp_path: Path) -> None:

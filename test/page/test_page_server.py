@@ -32,7 +32,8 @@ pytestmark = pytest.mark.once
 PIECES = {  # of each file that it serves
     '': '<!DOCTYPE html>', 'page.css': ':root {', 'page.js': 'new EventSource(',
     'viewer.js': 'function turnable(', 'scene.js': 'function drawScene(',
-    'profile.js': 'function drawProfile(', 'setup.js': 'function readSetup('}
+    'profile.js': 'function drawProfile(', 'setup.js': 'function readSetup(',
+    'shared.js': 'function ask('}
 KIND = {'Content_Type': 'application/json'}
 
 
@@ -57,7 +58,7 @@ def served(address: str = '127.0.0.1', state: Any = lambda: {'name': 'plate', 'c
            ) -> Iterator[tuple[PageServer, Buttons]]:
     buttons = Buttons()
     source = PageSource(state, {
-        'take': buttons.take, 'wait': buttons.wait, 'break': lambda _: 1 / 0})
+        'take': buttons.take, 'wait': buttons.wait, 'break': lambda _: 1 / 0}, {})
     with TemporaryDirectory() as folder:
         try:
             yield PageServer(source, address, free_port(), Path(folder) / 'token'), buttons
@@ -215,9 +216,9 @@ def test_what_takes_long_or_never_ends_keeps_nobody_else_waiting(caplog):
 
 def test_a_port_in_use_and_an_address_that_is_none(server: tuple[PageServer, Buttons]) -> None:
     with pytest.raises(InputError, match='set page.port to another'):
-        PageServer(PageSource(dict, {}), '127.0.0.1', server[0].port, Path())
+        PageServer(PageSource(dict, {}, {}), '127.0.0.1', server[0].port, Path())
     with pytest.raises(InputError, match='expected an IP address'):
-        PageServer(PageSource(dict, {}), 'everywhere', 1, Path())
+        PageServer(PageSource(dict, {}, {}), 'everywhere', 1, Path())
 
 
 def test_a_damaged_session_hides_no_setting_and_no_other_session(tmp_path: Path) -> None:

@@ -1,51 +1,19 @@
 /* Copyright 2026 The handeye_ros developers. SPDX-License-Identifier: Apache-2.0 */
-'use strict';
 // Shows what the node tells, several times a second, and asks it what the buttons say.
 
-const $ = id => document.getElementById(id);
-const mm = (v, digits = 3) => (1e3 * v).toFixed(digits);
-const degrees = (v, digits = 4) => (v * 180 / Math.PI).toFixed(digits);
-const SILENT = 3;  // s without a message, after which what is shown is old
+import { $, ask, changed, degrees, element, flows, follow, mm, SILENT, sure, takenHere, text,
+} from './shared.js';
+import { drawScene } from './scene.js';
+import { readSetup, showVerification } from './setup.js';
+
 const NEAR = [5e-3, 0.053];  // m and rad from the next pose at which to stop
-let latest = null, heard = 0;
-const shown = {};
-const mine = new Set();  // samples that this browser has taken,
-const answers = new Set();  // and what the node said of them
-let refused = null;  // the situation after a refusal that the footer tells, null without one
-let isRefusal = false;  // whether the next state is that situation
-let tellsAnswer = false;  // whether the footer tells an answer, which may be withdrawn
+let latest = null, heardAt = 0;  // the last state, and when it came (ms)
 
-function text(id, value) {
-  if (shown[id] !== value) {
-    shown[id] = value;
-    $(id).textContent = value;
-  }
-}
-
-function changed(key, value) {
-  const now = JSON.stringify(value);
-  const before = shown['json ' + key];
-  shown['json ' + key] = now;
-  return now !== before;
-}
-
-function element(name, content = '', className = '') {
-  const made = document.createElement(name);
-  made.textContent = content;
-  made.className = className;
-  return made;
-}
-
+// state: the fields of `contents` in page/contents.py, which are those of `state_of` in node/state.py too
 function show(state) {
-  if (latest && state.profiles.count < latest.profiles.count) say('');  // another node
-  if (latest && latest.session.path && latest.session.path !== state.session.path) { mine.clear(); answers.clear(); }
-  if (state.attempt && answers.has(state.attempt.text)) mine.add(state.attempt.number);
-  if (latest && latest.calibration.state !== 'withdrawn' && state.calibration.state === 'withdrawn' &&
-      tellsAnswer) say('');
+  follow(state, latest);
   latest = state;
-  heard = Date.now();
-  if (isRefusal) [refused, isRefusal] = [situation(state), false];
-  if (refused !== null && refused !== situation(state)) say('');
+  heardAt = Date.now();
   if (!state.has_just_begun) $('before').hidden = true;
   text('name', `${state.name}: hand-eye calibration`);
   text('session', `The session of now: ${state.session.path.split('/').pop() || 'none yet'}`);
@@ -53,7 +21,7 @@ function show(state) {
   showAim(state);
   if (changed('guidance', [state.guidance, state.samples.length])) showGuidance(state.guidance);
   if (changed('samples', [state.samples, state.worst_first, state.edges])) showSamples(state);
-  if (changed('scene', [state.scene, state.profile, state.samples])) redrawScene();
+  if (changed('scene', [state.scene, state.profile, state.samples])) redraw();
   if (changed('calibration', [state.calibration, state.rows])) showAnswer(state.calibration, state.rows);
   if (changed('verification', state.verification)) showVerification(state.verification);
   showSteps(state);
@@ -63,7 +31,7 @@ function show(state) {
   $('problem').hidden = !troubles.length;
   $('choose').hidden = flows(state.profiles) && flows(state.poses) || taken(state).length > 0;
   text('trouble', troubles.join('; '));
-  text('review', [state.review, ...state.session.warnings].filter(Boolean).join('; '));
+  text('review', [state.review_refusal, ...state.session.warnings].filter(Boolean).join('; '));
   text('link', state.session.working || state.verification.running || { still: 'a sample is taken at every stop',
     manual: 'samples are taken by hand', moving: 'samples are taken while the robot moves',
   }[state.session.mode]);
@@ -71,24 +39,8 @@ function show(state) {
   if (document.activeElement.name !== 'mode') mode.checked = true;
 }
 
-const flows = stream => stream.count > 0 && stream.age < SILENT;
 const taken = state => state.samples.filter(s => s.taken);
 const lastTaken = state => Math.max(0, ...taken(state).map(s => s.number));
-
-// Return what a refusal may depend on: it leaves the page when this has changed.
-function situation(state) {
-  return JSON.stringify([state.samples.map(s => [s.number, s.taken, s.excluded]), flows(state.profiles),
-    flows(state.poses), Boolean(state.session.trouble), state.session.mode, state.calibration.state,
-    Boolean(state.verification.running), state.motion.standing]);
-}
-
-function say(words, good = true) {
-  text('message', words);
-  $('message').className = good ? 'good' : 'bad';
-  refused = null;
-  isRefusal = !good;
-  tellsAnswer = false;
-}
 
 function showNow(state) {
   const flowing = flows(state.profiles) && flows(state.poses);
@@ -96,7 +48,6 @@ function showNow(state) {
   text('standing', !flows(state.poses) ? 'No poses.' :
     state.motion.standing ? 'Standing still.' : 'Moving.');
   text('motion', flows(state.poses) ? state.motion.text : '');
-  drawProfile($('profile'), state.profile, state.scene.view);
   const p = state.profile;
   text('feature', !flows(state.profiles) ? 'No profiles.' :
     !p ? 'No profile with a pose around it.' :
@@ -107,8 +58,8 @@ function showNow(state) {
 }
 
 // What is left to do until the next pose, while the robot is jogged.
-function showAim({ scene, poses }) {
-  const aim = flows(poses) && !latest.guidance.enough && scene.aim;
+function showAim({ scene, poses, guidance }) {
+  const aim = flows(poses) && !guidance.enough && scene.aim;
   $('togo').hidden = !aim;
   if (!aim) {
     text('axes', '');
@@ -212,12 +163,12 @@ function showSteps(state) {
   for (const name of ['take', 'compute', 'save']) $(name).className = name === main ? 'main' : '';
 }
 
-let audio = null, rung = null;
+let audio = null, lastAttempt = null;
 
 // High for a sample, low for a stop that gave none.
 function ring(state) {
   const attempt = JSON.stringify(state.attempt);
-  if (rung !== null && attempt !== rung && state.attempt && audio && $('sound').checked) {
+  if (lastAttempt !== null && attempt !== lastAttempt && state.attempt && audio && $('sound').checked) {
     const tone = audio.createOscillator(), volume = audio.createGain();
     tone.frequency.value = state.attempt.accepted ? 880 : 220;
     volume.gain.value = 0.3;
@@ -225,7 +176,7 @@ function ring(state) {
     tone.start();
     tone.stop(audio.currentTime + (state.attempt.accepted ? 0.15 : 0.4));
   }
-  rung = attempt;
+  lastAttempt = attempt;
 }
 
 // a browser lets a page sound only after somebody has asked it to
@@ -308,8 +259,8 @@ function newLine(count) {
   return made;
 }
 
-const STATES = { none: 'none yet', current: 'current', outdated: 'outdated: samples or settings ' +
-  'have changed since', withdrawn: 'withdrawn: there is no answer any more' };
+const STATES = { none: 'none yet', current: 'current', outdated: 'outdated: samples have changed since',
+  withdrawn: 'withdrawn: there is no answer any more' };
 
 function showAnswer(c, rows) {
   text('answer-state', STATES[c.state] +
@@ -328,35 +279,6 @@ function showAnswer(c, rows) {
   }));
 }
 
-// Return whether it succeeded.
-async function ask(name, values, button) {
-  button.disabled = true;
-  say('…');
-  let success = false, message = 'the node does not answer: is it still running?';
-  try {
-    const answer = await fetch('act/' + name, { method: 'POST', body: JSON.stringify(values),
-      headers: { 'Content-Type': 'application/json' } });
-    ({ success, message } = await answer.json());
-  } catch (error) { /* the message says it */ }
-  say(message, success);
-  tellsAnswer = success && ['compute_calibration', 'save_calibration'].includes(name);
-  button.disabled = false;
-  if (success && name === 'take_sample') answers.add(message);
-  return success;
-}
-
-function sure(question) {
-  return new Promise(resolve => {
-    text('question', question);
-    const dialog = $('sure');
-    const done = answer => { dialog.close(); resolve(answer); };
-    $('yes').onclick = () => done(true);
-    $('no').onclick = () => done(false);
-    dialog.oncancel = () => resolve(false);
-    dialog.showModal();
-  });
-}
-
 async function clearAll() {
   const count = latest ? taken(latest).length : 0;
   if (await sure(`Clear all samples (${count}), and begin a new session?`) &&
@@ -368,7 +290,7 @@ async function clearAll() {
 
 async function undo() {
   const last = latest ? lastTaken(latest) : 0;
-  if (!last || mine.has(last) ||
+  if (!last || takenHere.has(last) ||
       await sure(`Sample ${last} was not taken with this browser. Remove it?`)) {
     await ask('remove_last_sample', last ? { number: last } : {}, $('undo'));
   }
@@ -380,20 +302,17 @@ for (const [name, service] of [['take', 'take_sample'], ['compute', 'compute_cal
 }
 $('undo').addEventListener('click', undo);
 $('clear').addEventListener('click', clearAll);
+$('new').addEventListener('click', clearAll);
 
-function redrawScene() {
+function redraw() {
+  if (!latest) return;
   const kinds = new Map(latest.samples.map(s => [s.number,
     s.excluded ? 'out' : s.believed ? 'used' : 'unused']));
   drawScene($('scene'), latest.scene, kinds, latest.profile, $('togo').hidden ? 'next' :
     $('togo').textContent);
-}
-
-function redraw() {
-  if (!latest) return;
-  redrawScene();
   drawProfile($('profile'), latest.profile, latest.scene.view);
 }
-turnable($('scene'), () => latest && redrawScene());
+turnable($('scene'), redraw);
 addEventListener('resize', redraw);
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', redraw);
 
@@ -402,7 +321,7 @@ let events = null;
 
 function connect() {
   events = new EventSource('events');
-  events.onopen = readSetup;  // of setup.js: also when the node was started anew
+  events.onopen = readSetup;  // also when the node was started anew
   events.onmessage = event => {
     const state = JSON.parse(event.data);
     if (state.error) text('link', state.error); else show(state);
@@ -419,8 +338,9 @@ function connect() {
 }
 
 setInterval(() => {
-  const silence = (Date.now() - heard) / 1000;
-  const old = heard > 0 && silence > SILENT;
+  const silence = (Date.now() - heardAt) / 1000;
+  const old = heardAt > 0 && silence > SILENT;
   document.body.classList.toggle('old', old);
   if (old) text('link', `nothing heard of the node for ${silence.toFixed(0)} s: what is shown is old`);
 }, 1000);
+connect();

@@ -1,6 +1,8 @@
 /* Copyright 2026 The handeye_ros developers. SPDX-License-Identifier: Apache-2.0 */
-'use strict';
 // The picture in space: sensor and light plane of now, target, samples, and the next pose.
+// viewer.js and profile.js are no modules, as the report holds them: what they declare is global.
+
+import { degrees } from './shared.js';
 
 const SENSOR = [0.012, 0.02, 0.025];  // m: half sizes of the body that is drawn
 
@@ -34,7 +36,7 @@ function reachOf(T, scene) {
 }
 
 // state: scene, samples (by number: used, out or unused), profile, and the words of the aim
-function drawScene(canvas, scene, samples, profile, words) {
+export function drawScene(canvas, scene, samples, profile, words) {
   const made = board(canvas), { pen, width, height } = made;
   if (!scene.known && (scene.move || !scene.samples.length)) return drawMove(made, scene);
   const points = [...scene.samples.map(s => column(s.T, 3)), ...scene.edges.flat(),

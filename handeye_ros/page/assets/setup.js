@@ -1,6 +1,7 @@
 /* Copyright 2026 The handeye_ros developers. SPDX-License-Identifier: Apache-2.0 */
-'use strict';
 // What a person sets: how samples are taken, topics and the like, sessions, and a verification.
+
+import { $, ask, element, say, sure, text } from './shared.js';
 
 const NAMES = {
   profile_topic: 'Topic of the profiles', pose_topic: 'Topic of the flange poses',
@@ -11,6 +12,7 @@ const NAMES = {
   'verify.lengths': 'Nominal lengths / m', 'verify.reference': 'Touched point x, y, z / m',
   'verify.tolerance': 'Largest error that passes / m' };
 let nominalKeys = {};  // which of these each routine needs
+let verification = {};  // of the last state
 const written = value => (Array.isArray(value) ? `[${value.join(', ')}]` : String(value));
 
 function setting({ key, value, description, choices }) {
@@ -33,7 +35,7 @@ function setting({ key, value, description, choices }) {
   return made;
 }
 
-async function readSetup() {
+export async function readSetup() {
   const answer = await fetch('read/setup').catch(() => null);
   if (!answer) return;
   if (!answer.ok) {
@@ -83,7 +85,7 @@ function valuesOf(form) {
 }
 
 async function startVerification() {
-  const button = $('verify-start'), { running, next_recording } = latest.verification;
+  const button = $('verify-start'), { running, next_recording } = verification;
   if (running && !next_recording && !await sure(`Begin anew, without what was measured (${running})?`)) return;
   const values = running ? {} : valuesOf('verify-form');
   if (!Object.keys(values).length || await ask('set', values, button)) {
@@ -92,7 +94,9 @@ async function startVerification() {
   }
 }
 
-function showVerification({ running, next_recording, verdict, title, figures }) {
+export function showVerification(now) {
+  verification = now;
+  const { running, next_recording, verdict, title, figures } = now;
   text('course', running);
   text('verdict', title);
   text('verdict-figures', figures);
@@ -119,8 +123,6 @@ for (const name of ['open', 'continue']) {
     readSetup();
   });
 }
-$('new').addEventListener('click', clearAll);
 for (const radio of document.querySelectorAll('[name=mode]')) {
   radio.addEventListener('change', () => ask('set', { 'sampling.mode': radio.value }, radio));
 }
-connect();
