@@ -206,13 +206,13 @@ def test_a_bent_laser_line_is_told_and_the_truth_lies_inside(target: str, bend: 
 
 
 def test_of_a_line_bent_like_an_s_the_truth_lies_inside(monkeypatch: pytest.MonkeyPatch) -> None:
-    straight = sensor.columns
+    straight = sensor.rays
 
     def bent(model: SensorModel) -> tuple[Array, Array]:
         origins, directions = straight(model)
         directions[1] += 0.6 * MM * np.linspace(-1, 1, model.columns) ** 3 / np.mean(model.range)
         return origins, directions
-    monkeypatch.setattr(sensor, 'columns', bent)
+    monkeypatch.setattr(sensor, 'rays', bent)
     recording = simulated(SCENARIOS['wedge'], 1)
     assert squared_error(recording.calibrate(), recording.truth) < ONE_IN_1000
 
