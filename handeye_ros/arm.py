@@ -253,8 +253,10 @@ def read_arm(path: Path) -> Arm:
         arm = Arm(str(content['base']), str(content['flange']), joints,
                   transform_from(path, 'end', content['end']), kinds, np.array(values), covariance,
                   np.array(content['configurations'], dtype=float).reshape(-1, len(joints)))
-        if arm.is_estimated.sum() != len(values) or not len(arm.configurations):
-            raise ValueError('errors of some joints, or all configurations, are missing')
+        if arm.is_estimated.sum() != len(values) or not len(arm.configurations) or any(
+                joint.get('follows', joint['name']) != joint['name'] for joint in stored):
+            raise ValueError('errors of joints or all configurations are missing, or some mimic '
+                             'others, as files of earlier versions can say')
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise unusable_file(
             path, 'it is no kinematics.yaml as "handeye kinematics" writes it') from error

@@ -7,10 +7,10 @@ A session is a folder, and a bag: one .mcap file for each event, which holds the
 a stop, its profiles and poses (and joint values), so that stops can be evaluated again. A file is
 written under another name, synced, renamed, and the folder is synced; then the event is reported.
 If the process is killed at any time, all files are complete bags: a hidden .tmp file may be left,
-which is ignored, and removed when the session is continued; a stop that was renamed, but not yet
-reported, counts. metadata.yaml, for other readers of bags, repeats only data of the files: it may
-lack the last one after a failure, and is written again with the next event, and when the session
-is continued.
+and is ignored (of the first event also a folder without events, which is no session); a stop that
+was renamed, but not yet reported, counts. metadata.yaml, for other readers of bags, repeats only
+data of the files: it may lack the last one after a failure, and is written again with the next
+event, and when the session is continued.
 """
 from __future__ import annotations
 
@@ -126,8 +126,6 @@ class SessionFiles:
                 self._lock = lock_folder(
                     stored.path, f'{stored.path} is in use by another node: end that node first, '
                     'or begin a new session')
-                for unfinished in stored.path.glob('.*.tmp'):
-                    unfinished.unlink()
             _write_metadata(stored.path)
             if config and replace(stored.config, session=config.session) != config:
                 try:

@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The command `handeye`: one module per group of verbs.
+The command `handeye`. Verbs of answers are in solve.py, of what is done with one in measure.py.
 
 A verb reads its arguments, calls what computes, and prints or writes what that returns.
 """

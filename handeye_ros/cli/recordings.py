@@ -96,10 +96,8 @@ def replay(
 
 def _scenarios() -> list[str]:
     """Return the names of all that can be simulated."""
-    from handeye_ros.simulate.artefacts import MEASURING_CELL
-    from handeye_ros.simulate.scenario import FAULTS, SCENARIOS
-    from handeye_ros.simulate.tables import FILE_SCENES
-    return [*dict.fromkeys([*SCENARIOS, *FILE_SCENES, *FAULTS]), MEASURING_CELL]
+    from handeye_ros.cli.simulated import NAMES
+    return NAMES
 
 
 def _print_scenarios(requested: bool) -> None:

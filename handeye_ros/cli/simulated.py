@@ -18,6 +18,8 @@ import numpy as np
 from numpy.lib.recfunctions import unstructured_to_structured
 
 PREFORM_FILE = 'preform.ply'
+CELLS = {**SCENARIOS, **FAULTS}
+NAMES = [*CELLS, *FILE_SCENES, MEASURING_CELL]  # of all that can be simulated
 
 
 def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> str:
@@ -45,8 +47,7 @@ def write_simulated(name: str, seed: int, folder: Path, force: bool = False) -> 
 
         writer.write_folder(folder, texts, write_recordings, force)
         return ', '.join([*recordings, PREFORM_FILE])
-    scenario = SCENARIOS.get(name) or FAULTS.get(name)
-    simulated = simulate(scenario, rng) if scenario else FILE_SCENES[name](rng)
+    simulated = simulate(CELLS[name], rng) if name in CELLS else FILE_SCENES[name](rng)
     texts = {**simulated.tables, TRUTH_NAME: yaml_text({**origin, **simulated.true_values})}
     if not simulated.profiles:
         writer.write_folder(folder, texts, force=force)

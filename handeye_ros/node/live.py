@@ -19,10 +19,11 @@ Threads:
 - `worker` makes all other changes, one after the other;
 - those of the executor of ROS (EXECUTOR_THREADS in main.py: services, timers, parameters) and of
   the page (page/server.py: WORKER_COUNT for requests, others that collect its events) pass a
-  function to `call_on_worker` and wait for its result; what they only show, they read themselves.
+  function to `Worker.call` and wait for its result; what they only show, they read themselves.
 Processes: two (pool.py), each with a thread that waits for it. They evaluate stops and those of a
 session that is opened, for which the worker waits, and make reviews, answers and verifications,
-for which it does not (`run_job`). Also the report, for which the page waits (page/contents.py).
+for which it does not (`Worker.run_job`). Also the report, for which the page waits
+(page/contents.py).
 Locks: `lock` guards what messages change, and is held for one message or one copy. Another, in
 outputs.py, keeps the node from publishing after its end; one in page/contents.py is held while the
 page reads and sets samples.exclude.
@@ -31,10 +32,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from threading import Lock
 from typing import Any, TypeVar
 
@@ -53,15 +52,15 @@ from handeye_ros.errors import (
     FeatureError,
     HandeyeError,
     InputError,
-    sentence_and_log,
     UnusableMessageError,
 )
 from handeye_ros.frames import mount_poses
 from handeye_ros.node.folders import OutputFolders
-from handeye_ros.node.pool import Pool, PoolEndedError, trim_memory
+from handeye_ros.node.pool import Pool, PoolEndedError
 from handeye_ros.node.solver import ANSWER_KEYS, LiveSolver, SAMPLE_KEYS, settings_of
 from handeye_ros.node.state import Attempt, new_counts
 from handeye_ros.node.verification import LiveVerification
+from handeye_ros.node.worker import Worker
 from handeye_ros.results.printed import sample_summary
 from handeye_ros.results.scene import StopSnapshot
 from handeye_ros.sampling.features import features_of, result_of
@@ -93,9 +92,9 @@ class LiveSession:
     message_counts: by kind (profile, pose), of the topics of now; Streams (streams.py) adds those
         that cannot be used
     solver, verification: compute what follows from samples, and a verification
-    troubles: why samples cannot be stored (storing) or computed with (work), a sentence each
+    worker: the thread, and its long computations
+    storing_trouble: why samples cannot be stored, a sentence; '' where they can
     attempt: the last one to take a sample, None before
-    running_jobs: the names of the long computations (run_job)
     restart_streams: makes the subscriptions accept messages of any time, as those of another
         session
     """
@@ -110,9 +109,8 @@ class LiveSession:
         """
         self.folders, self.pool, self.lock = folders, pool, Lock()
         self.message_counts = new_counts()
-        self._worker, self._publish_changes = ThreadPoolExecutor(1, 'worker'), publish_changes
-        self._is_started = self._is_scheduled = False  # scheduled is _do_due_work
-        self.running_jobs: list[str] = []
+        self.worker = Worker(pool, self._do_due_work, publish_changes)
+        self._publish_changes = publish_changes
         self.restart_streams: Callable[[], object] = lambda: None  # none before there are streams
         self._begin(SessionFiles(folders.folder), Session(config))
         self.solver, self.verification = LiveSolver(self), LiveVerification(self)
@@ -126,7 +124,7 @@ class LiveSession:
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_LATEST)
         self._dropped_stops = 0  # which waited too long
         self._interrupted = set[int]()  # stamps of stops whose process ended
-        self.troubles: dict[str, str] = {}
+        self.storing_trouble = ''
         self.attempt: Attempt | None = None
 
     # from messages to stops that wait: the thread `streams`
@@ -170,41 +168,14 @@ class LiveSession:
             del self.to_evaluate[stamp]
             self._dropped_stops += 1
         if self.to_evaluate or self._frame_change_notice:
-            self._schedule_due_work()
+            self.worker.schedule()
 
-    # the worker, and what others ask of it
+    # the worker
 
     def start(self) -> None:
-        """Start the worker and the processes."""
+        """Start the processes and the worker."""
         self.pool.start()
-        self._is_started = True
-        self._schedule_due_work()
-
-    def call_on_worker(self, function: Callable[[], Result]) -> Result:
-        """Return the result of a function that the worker calls, or raise its exception."""
-        try:
-            return self._worker.submit(function).result()
-        finally:
-            self._schedule_due_work()
-
-    def _schedule_due_work(self) -> None:
-        """Have the worker look for what is due; racing threads may do so twice: no harm."""
-        if self._is_started and not self._is_scheduled:
-            self._is_scheduled = True
-            self._worker.submit(self._call_and_publish, self._do_due_work)
-
-    def _call_and_publish(self, function: Callable[..., object], *args: Any) -> None:
-        """
-        Call a function on the worker and publish the changes.
-
-        A failure stays in `troubles` until a later call succeeds.
-        """
-        try:
-            function(*args)
-            self._publish_changes()
-            self.troubles.pop('work', None)
-        except Exception as error:  # noqa: BLE001 - the thread must go on
-            self.troubles['work'] = sentence_and_log('the work on the samples', error)
+        self.worker.start()
 
     def _do_due_work(self) -> None:
         """
@@ -213,43 +184,15 @@ class LiveSession:
         A new session begins where another frame has replaced one that gave no sample
         (`frame_change_notice` in sampling/session.py).
         """
-        self._is_scheduled = False
         with self.lock:
             frame_change_notice = self._frame_change_notice
         if frame_change_notice:
             self.clear_samples()
             self.attempt = Attempt(frame_change_notice)
         elif self.evaluate_next():
-            self._schedule_due_work()
+            self.worker.schedule()
         else:
             self.solver.review_if_changed()
-        trim_memory()
-
-    def run_job(self, name: str, accept: Callable[[Any], Result],
-                function: Callable[..., Any], *args: Any) -> Future[Result]:
-        """
-        Begin a long computation in another process; return the future of what accept returns.
-
-        name: a description of it, '' for what nobody has asked for: then a refusal too is a
-        trouble of the session, as are always other errors; accept: called by the worker with the
-        result.
-        """
-        outcome = Future[Result]()
-
-        def finish(job: Future[Any]) -> None:
-            self.running_jobs.remove(name)
-            try:
-                outcome.set_result(accept(job.result()))
-            except Exception as error:
-                outcome.set_exception(error)
-                if not (name and isinstance(error, DataError | InputError)):
-                    raise
-            self._schedule_due_work()  # samples or settings may have changed meanwhile
-
-        self.running_jobs.append(name)
-        self.pool.submit(function, *args).add_done_callback(
-            partial(self._worker.submit, self._call_and_publish, finish))
-        return outcome
 
     # what is shown of it, from any thread
 
@@ -274,7 +217,7 @@ class LiveSession:
         with self.lock:
             again = any(stop.load_messages for stop in self.to_evaluate.values())
         text = 'the samples are extracted again from their profiles' if again else ''
-        return '; '.join(filter(None, (*self.running_jobs, text)))
+        return '; '.join(filter(None, (*self.worker.running_jobs, text)))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -409,7 +352,7 @@ class LiveSession:
     def evaluate_in_process(self, stop: Stop, config: Config) -> Sample | Reject:
         """Return what a stop gives, evaluated in another process."""
         self._interrupted.discard(stop.stamp)
-        self.running_jobs.append(EVALUATING)
+        self.worker.running_jobs.append(EVALUATING)
         try:
             return self.pool.submit(result_of, stop.trimmed(config), config).result()
         # InputError: its file is gone. PoolEndedError: the process was killed; the stop is stored
@@ -419,7 +362,7 @@ class LiveSession:
                 self._interrupted.add(stop.stamp)
             return Reject(stop.stamp, str(error))
         finally:
-            self.running_jobs.remove(EVALUATING)
+            self.worker.running_jobs.remove(EVALUATING)
 
     def _evaluate_again(self, stops: Iterable[Stop]) -> None:
         """Queue stops of the session to be evaluated again, unless a later part of them waits."""
@@ -444,9 +387,10 @@ class LiveSession:
         try:
             result = write(*args)
         except InputError as error:
-            self.troubles['storing'] = str(error)
+            self.storing_trouble = str(error)
             raise
-        if self.troubles.pop('storing', ''):
+        if self.storing_trouble:
+            self.storing_trouble = ''
             self._evaluate_again(stop for stop in self.session.stops if not stop.sample)
         return result
 
@@ -458,7 +402,7 @@ class LiveSession:
         """
         self._evaluate_again(s for s in self.session.stops if s.stamp in self._interrupted)
         path = self.files.path
-        if 'storing' in self.troubles or path and not path.is_dir():
+        if self.storing_trouble or path and not path.is_dir():
             with suppress(InputError):  # a trouble now
                 self._store(self.files.add_event, CONFIGURED, self.config)
 

@@ -42,7 +42,8 @@ DIAGNOSTICS_PERIOD = 1.0  # s between two messages on /diagnostics
 CURRENT_PERIOD = 0.2  # s between two messages on ~/current
 # they may wait for a solve; ROS keeps ten
 REQUEST_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-SLOW_SERVICES = ('compute_calibration', 'verify_result')  # no other service waits for these
+# others wait for the stops that these evaluate first, but not for what they compute
+SLOW_SERVICES = ('compute_calibration', 'verify_result')
 READ_ONLY_KEYS = ('robot_base_frame', 'robot_effector_frame', 'session', 'page.port',
                   'page.address')
 # keys that the node sets itself: for a new session, and by noise.robot_class
@@ -142,7 +143,7 @@ class HandeyeNode(Node):
         adds to the request.
         """
         try:
-            reply = self.live.call_on_worker(partial(self._trigger_functions[name], *values))
+            reply = self.live.worker.call(partial(self._trigger_functions[name], *values))
             message, success = reply.result() if isinstance(reply, Future) else reply, True
         except Exception as error:  # noqa: BLE001 - the node, and what it holds, must go on
             message, success = sentence_and_log(name, error), False
@@ -178,7 +179,7 @@ class HandeyeNode(Node):
             return f'{name} is open already'
         stored = read_session(path)
         config = replace(live.config, samples=stored.config.samples)
-        return live.call_on_worker(partial(live.open_session, stored, config))
+        return live.worker.call(partial(live.open_session, stored, config))
 
     # parameters
 
@@ -201,7 +202,7 @@ class HandeyeNode(Node):
             # parameters of ROS itself (use_sim_time) change nothing, nor do derived keys, which
             # the worker sets: it must not wait for itself
             if self._config_with(values) != self.live.config:
-                self.live.call_on_worker(partial(self._apply_settings, values))
+                self.live.worker.call(partial(self._apply_settings, values))
         except Exception as error:  # noqa: BLE001 - whoever sets it wants to know
             reason = sentence_and_log('the change', error)
         return SetParametersResult(successful=not reason, reason=reason)

@@ -22,7 +22,7 @@ from geometry_msgs.msg import (
 )
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Calibration, has_return
+from handeye_ros.data import Calibration, has_return, Sample
 from handeye_ros.errors import INSTALL_TF2
 from handeye_ros.frames import mount_poses, target_frame
 from handeye_ros.node.live import LiveSession
@@ -259,10 +259,14 @@ def session_markers(stops: Iterable[Stop], calibration: Calibration | None, conf
                     ) -> MarkerArray:
     """Return the flanges of samples with their numbers and, with an answer, its scene."""
     used = {report.stamp for report in calibration.samples if report.used} if calibration else ()
+
+    def is_used(sample: Sample) -> bool:  # of a pass, most profiles, as in review.py
+        return bool(np.mean([each.stamp in used for each in sample.station_samples]) >= 0.5)
+
     snapshots = [
         StopSnapshot(stop.number, sample.stamp, mount_poses(sample.T_base_flange, config),
                      np.empty((0, 2)), sample.features,
-                     '' if any(s.stamp in used for s in sample.station_samples) else 'unused')
+                     '' if is_used(sample) else 'unused')
         for stop in stops if (sample := stop.sample)]
     parts: list[dict[str, Any]] = [
         {'name': 'numbers', 'color': FLANGE_COLOUR, 'width': 12.0, 'text': str(snapshot.number),

@@ -163,7 +163,7 @@ class LiveSolver:
     def review_if_changed(self) -> None:
         """Begin the review, if samples or settings have changed."""
         inputs, before = self._inputs(), self._review_inputs
-        if not self._live.running_jobs and inputs != before:
+        if not self._live.worker.running_jobs and inputs != before:
             other_settings = not before or inputs.answer_settings != before.answer_settings
             self._begin_review(is_requested=self.is_wanted and other_settings)
 
@@ -182,7 +182,7 @@ class LiveSolver:
             self.view = extremes(np.concatenate([self.view, snapshot.points]))
         session = live.session_copy().without_messages(config)
         self._newest_inputs = inputs
-        message = live.run_job(
+        message = live.worker.run_job(
             COMPUTING if is_requested else '',
             partial(self._accept, inputs, session, is_requested),
             review_of, session, config, self.view, is_requested or self.calibration is not None)
@@ -233,7 +233,7 @@ class LiveSolver:
         self.saved = str(folder / calibration_file.NAME)
         note = f'{COMPUTING} again: save it again after that'
         return '; '.join(filter(None, (written, self.changes_since(live.session_copy()),
-                                       note if COMPUTING in live.running_jobs else '')))
+                                       note if COMPUTING in live.worker.running_jobs else '')))
 
 
 def summary(calibration: Calibration) -> str:

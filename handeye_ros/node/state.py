@@ -99,8 +99,8 @@ class MessageCount:
 
         count: number of valid items; malformed, lost: of invalid messages, and of those lost on
         their way; reason: of the last invalid one; age: seconds since the last valid item, or
-        since the start; trouble: that many of the last, or all of them, are invalid or lost, or
-        none arrive; or ''.
+        since the start; flows: whether they come; trouble: that many of the last, or all of them,
+        are invalid or lost, or none arrive; or ''.
         """
         kind, count, recent = self.kind, self.count, [*self._recent]
         sentences, age, total = [], self.silence, len(recent)
@@ -120,6 +120,7 @@ class MessageCount:
                              + (f' ({obstacle})' if obstacle else ''))
         return {'kind': kind, 'topic': topic, 'count': count, 'malformed': self.malformed,
                 'reason': self.reason, 'lost': self.lost, 'age': age,
+                'flows': count > 0 and age < SILENCE_TIME,
                 'trouble': '; '.join(sentences)}
 
 
@@ -173,7 +174,7 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
         'so, sampling goes on with them', str(session.unusable_poses_error or ''),
         # of two publishers stamps that seem to be of two clocks follow
         '' if graph_trouble else _clock_trouble(profiles, poses, config.time_offset),
-        session.unrequested_stops_notice, *live.troubles.values())
+        session.unrequested_stops_notice, live.storing_trouble, live.worker.trouble)
     return {
         'name': folder_name(config),
         'profiles': profiles.state(config.profile_topic, graph_troubles.get('profile', '')),

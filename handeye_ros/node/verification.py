@@ -142,10 +142,10 @@ class LiveVerification:
         live.evaluate_all()
         file = live.config.verify.calibration or live.solver.saved
         accept = partial(self._accept, self._recordings, file, live.solver.calibration)
-        return live.run_job(VERIFYING, accept, verify_stops,
-                            self.routine, [[*stops.values()] for stops in self._recordings],
-                            self._calibration(),
-                            self.routine.settings(live.config, len(self._recordings)))
+        return live.worker.run_job(
+            VERIFYING, accept, verify_stops, self.routine,
+            [[*stops.values()] for stops in self._recordings], self._calibration(),
+            self.routine.settings(live.config, len(self._recordings)))
 
     def _accept(self, recordings: Sequence[object], file: str, answer: Calibration | None,
                 result: Verification) -> str:

@@ -130,7 +130,7 @@ def _setup(node: HandeyeNode) -> dict[str, Any]:
     sessions = [path for path in sessions_in(live.folders.folder(live.config))
                 if path.name != current]
     previous = 0
-    if sessions and len(live.session.stops) <= FEW_STOPS:
+    if sessions and len(live.session_copy().stops) <= FEW_STOPS:
         with suppress(InputError):  # a damaged one; who opens it is told
             stored = read_session(sessions[0])  # none may fit the settings of then
             previous = stored.sample_count or len(stored.stops)

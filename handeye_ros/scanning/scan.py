@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 BATCH_PROFILES = 64  # profiles at once: the arrays stay in the cache
-CELL_BITS = 21  # of the number of a cube along each axis
+CELL_BITS = 21  # of the number of a cube along each axis; 2 million cubes on, it is the same
 SLOPE_REACH = 4  # returns to either side for the slope of the surface
 
 
@@ -129,10 +129,6 @@ class Scanner:
     def _one_in_each_cube(self, cloud: Points) -> Points:
         """Return the points that are the first in their cube, in the order of the cloud."""
         points = np.stack([cloud['x'], cloud['y'], cloud['z']], axis=1)
-        least = float(np.abs(points).max(initial=0.0)) / (1 << CELL_BITS - 1)
-        if self.options.voxel <= least:  # distant cubes would have one number
-            raise BadValueError('--voxel', self.options.voxel, (
-                f'more than {least:.2g} m, as points are so far away; --range leaves them out'))
         cell = np.floor(points / self.options.voxel).astype(np.int64) & (1 << CELL_BITS) - 1
         cubes, first = np.unique(cell @ [1 << 2 * CELL_BITS, 1 << CELL_BITS, 1],
                                  return_index=True)

@@ -248,7 +248,7 @@ def one_of_each(plate: Scenario, wide: SensorModel) -> tuple[Scenario, ...]:
 
 
 WIDE_SENSOR = SensorModel(range=(0.14, 0.27), half_width=0.27, max_incidence=1.15)
-PLATE, SPHERE, LINE, PLANE, WEDGE = BASES = one_of_each(Scenario(), WIDE_SENSOR)
+PLATE, SPHERE, LINE, PLANE, WEDGE = ALL_TARGETS = one_of_each(Scenario(), WIDE_SENSOR)
 WRONG_ARM = RobotModel(geometry=3e-4, rate=50.0)
 REAL_ROBOT = RobotModel(systematic=(1.5e-4, math.radians(0.02)))
 
@@ -269,7 +269,7 @@ def swept(base: Scenario, name: str, columns: int = 640, rate: float = 50.0,
 
 
 SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
-    *BASES,
+    *ALL_TARGETS,
     changed(WEDGE, 'groove', target={'concave': True}),
     changed(PLATE, 'plate_5_5', stops=(5, 5)),
     changed(PLATE, 'plate_in_order', shuffled=False),
@@ -299,7 +299,7 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     *(changed(PLATE, name, wrong_conventions=(name,))
       for name in ('wxyz', 'millimetres', 'degrees', 'intrinsic')),
     # the robot moves all the time
-    *(swept(base, f'{base.name}_sweep') for base in BASES),
+    *(swept(base, f'{base.name}_sweep') for base in ALL_TARGETS),
     # the recordings in bags/
     swept(PLATE, 'small_plate_sweep', 320, 12.0, 50.0, resolution=2.0**-20),
     changed(PLATE, 'small_plate', sensor=SMALL_BAG, robot=FEW_POSES),
@@ -317,7 +317,8 @@ MM, UM = 1e-3, 1e-6
 QUICK_RECORDING: dict[str, Any] = {'rate': 6.0, 'delay': 0.0, 'thinning': 10**6}
 BASELINE = Scenario('baseline', sensor=SensorModel(**QUICK_RECORDING),
                     robot=RobotModel(rate=20.0, dwell=0.85, move=0.5))
-BASELINES = one_of_each(BASELINE, replace(WIDE_SENSOR, **QUICK_RECORDING))
+BASELINES = tuple(changed(base, f'{base.scene}, baseline')
+                  for base in one_of_each(BASELINE, replace(WIDE_SENSOR, **QUICK_RECORDING)))
 BALL = BASELINES[1]
 # x from 0 to 140 mm, range from -25 to +25 mm counted upwards
 OFF_CENTRE: dict[str, Any] = {'range': (0.25, 0.30), 'half_width': 0.2545, 'sampling': 'fan_x',
@@ -387,4 +388,4 @@ FAULTS: dict[str, Scenario] = {s.name: s for s in (
     changed(BASELINE, '4 + 3, two bad', stops=(4, 3), bumped=2),
     changed(BASELINE, '4 + 4, one bad', stops=(4, 4), bumped=1),
 )}
-"""The cells of bench/physics.py; the first five have no fault."""
+"""The cells of bench/physics.py: BASELINES without a fault, then each with one."""

@@ -19,12 +19,12 @@ import pytest
 
 
 @lru_cache
-def fault_recording(name: str) -> Recorded:
-    return recorded(FAULTS[name], rate=8.0)
+def baseline_recording(name: str) -> Recorded:
+    return recorded(FAULTS[f'{name}, baseline'], rate=8.0)
 
 
 def test_a_stored_stop_is_thinned_as_one_of_a_bag_is() -> None:
-    recording = fault_recording('sphere')
+    recording = baseline_recording('sphere')
     stop = pipeline.gather(recording.profiles, recording.poses, recording.config).stops[0]
     stored_stop = replace(stop, poses=(), profiles=(), load_messages=lambda config: stop)
     stored, read = (with_few_profiles(s, recording.config) for s in (stored_stop, stop))
@@ -32,25 +32,25 @@ def test_a_stored_stop_is_thinned_as_one_of_a_bag_is() -> None:
 
 
 @pytest.mark.parametrize(('name', 'values', 'words'), [
-    ('baseline', {'target__type': 'wedge', 'profile__range_sign': -1},
+    ('plate', {'target__type': 'wedge', 'profile__range_sign': -1},
      'target.type to plate and profile.range_sign to 1$'),
     *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
         ('sphere', {'target__radius': 0.012}, 'target.radius to 0.040'),
         ('wedge', {'noise__sensor': 5e-7}, 'noise.sensor to 5e-06$'),
         *((name, {'target__type': wrong}, f'target.type to {right}$')
           for name, wrong, right in (
-              ('sphere', 'plate', 'sphere'), ('baseline', 'sphere', 'plate'),
-              ('baseline', 'line', 'plate'), ('wedge', 'sphere', 'wedge')))))])
+              ('sphere', 'plate', 'sphere'), ('plate', 'sphere', 'plate'),
+              ('plate', 'line', 'plate'), ('wedge', 'sphere', 'wedge')))))])
 def test_wrong_settings_are_named(name: str, values: dict[str, object], words: str) -> None:
     with pytest.raises(DataError, match=f'set {words}'):
-        fault_recording(name).calibrate(**values)
+        baseline_recording(name).calibrate(**values)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize('seed', [23, 24])
 def test_one_edge_is_a_line_or_a_plane_and_no_plate(seed: int) -> None:
     """The other edge of a plate is seen by no stop, or by one stop by chance."""
-    recording = recorded(FAULTS['line'], seed, rate=8.0)
+    recording = recorded(FAULTS['line, baseline'], seed, rate=8.0)
     with pytest.raises(DataError, match='set target.type to line, or to plane, if it is one$'):
         recording.calibrate(target__type='sphere', method='auto')
 
@@ -73,8 +73,8 @@ def beside_another(scenario: Scenario) -> tuple[Solid, ...]:
 def test_a_wedge_beside_a_block_is_answered(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     monkeypatch.setitem(scenes.SCENES, 'beside', replace(
         scenes.SCENES['wedge'], solids=beside_another))
-    scenario = replace(FAULTS['wedge'], scene='beside', stated=(('target.type', 'wedge'),),
-                       no_return='omit', stops=(18, 0))
+    scenario = replace(FAULTS['wedge, baseline'], scene='beside',
+                       stated=(('target.type', 'wedge'),), no_return='omit', stops=(18, 0))
     recording = simulated(scenario, seed)
     assert squared_error(recording.calibrate(), recording.truth) < ONE_IN_20
 
@@ -82,15 +82,15 @@ def test_a_wedge_beside_a_block_is_answered(monkeypatch: pytest.MonkeyPatch, see
 def test_what_no_setting_mends_is_not_blamed_on_one() -> None:
     poses = [replace(p, quaternion=se3.quaternion(se3.from_quaternion(
         np.zeros((1, 3)), np.random.default_rng(k // 20).normal(size=(1, 4))))[0])
-        for k, p in enumerate(fault_recording('baseline').poses)]
+        for k, p in enumerate(baseline_recording('plate').poses)]
     with pytest.raises(DataError) as caught:
-        fault_recording('baseline').calibrate(poses=poses)
+        baseline_recording('plate').calibrate(poses=poses)
     assert caught.value.code != 'settings'
 
 
 @pytest.mark.thorough
 def test_right_settings_are_not_blamed() -> None:
-    recording = fault_recording('baseline')
+    recording = baseline_recording('plate')
     session = pipeline.gather(recording.profiles, recording.poses, recording.config)
     stated = explain_samples(session.samples, recording.config, [s.stamp for s in session.samples])
     refuse_by_best(stated, setting_hypotheses(session, recording.config, stated))

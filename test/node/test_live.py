@@ -149,9 +149,9 @@ def test_settings_that_change_as_a_stop_ends_lose_no_profiles() -> None:
                 waited = True
                 live.configure(replace(other, output_dir=live.config.output_dir))
             update(live)
-    live.call_on_worker(live.evaluate_all)
+    live.worker.call(live.evaluate_all)
     whole = fed(other)
-    whole.call_on_worker(whole.evaluate_all)
+    whole.worker.call(whole.evaluate_all)
     assert waited and [sample.profile_count for sample in live.session.samples] == [
         sample.profile_count for sample in whole.session.samples]
 
@@ -168,7 +168,7 @@ def test_a_time_offset_set_during_a_stop_holds_for_it_too(before: float, lost: i
             changed(live, time_offset=0.0)
         shift = live.config.offset_ns if hasattr(item, 'points') else 0
         feed_one(live, replace(item, stamp=item.stamp + shift))
-    live.call_on_worker(live.evaluate_all)
+    live.worker.call(live.evaluate_all)
     stops = live.session_copy().stops
     assert [bool(stop.sample) for stop in stops] == [False] * lost + [True] * (len(stops) - lost)
     for profile in [one for stop in stops for one in stop.load(live.config).profiles]:
@@ -226,7 +226,7 @@ def test_another_frame_after_the_samples_is_told_and_they_are_computed(kind: str
     assert save in computed(live) and sample_count(state_of(live)) == count
     live.add_poses([replace(SPHERE.poses[-1], stamp=end + 10**9)])  # none are missing
     with pytest.raises(InputError, match='two frames'):
-        live.call_on_worker(live.take_sample)
+        live.worker.call(live.take_sample)
 
 
 @pytest.mark.thorough
@@ -234,7 +234,7 @@ def test_cleared_samples_leave_no_joints_and_no_view() -> None:
     live, wide = fed(), fed()
     wide.solver.view = np.array([[-0.5, 0.5], [0.5, 0.5]])  # by another sensor
     wide.add_joints(SPHERE.poses[0].stamp, b'')
-    wide.call_on_worker(wide.clear_samples)
+    wide.worker.call(wide.clear_samples)
     assert not wide.joints
     feed(wide, SPHERE.messages)
     assert wide.solver.review.advice.sigmas == live.solver.review.advice.sigmas
@@ -313,10 +313,10 @@ def test_one_pass_alone_has_a_review() -> None:
     end = bag.poses[0].stamp + 23 * 10**8
     live = fed(config, replace(SPHERE, profiles=tuple(p for p in bag.profiles if p.stamp < end),
                                poses=tuple(p for p in bag.poses if p.stamp < end)))
-    live.call_on_worker(live.evaluate_all)
+    live.worker.call(live.evaluate_all)
     update(live)
     assert [sample['taken'] for sample in state_of(live)['samples']] == [True]
-    assert not state_of(live)['review_refusal'] and not live.troubles
+    assert not state_of(live)['review_refusal'] and not live.worker.trouble
 
 
 def test_an_answer_is_saved_once_and_by_one_node(tmp_path: Path) -> None:

@@ -58,30 +58,30 @@ def test_nobody_waits_for_a_solve_or_a_verdict() -> None:
     computed(live)
     gate.open.clear()
     changed(live, noise__sensor=5e-5)  # else it is not computed again
-    answer = live.call_on_worker(live.solver.compute_calibration)
+    answer = live.worker.call(live.solver.compute_calibration)
     assert live.working == 'the calibration is computed'
-    assert ' taken again, ' in live.call_on_worker(live.take_sample)
-    assert live.call_on_worker(live.remove_last_sample).startswith('removed sample ')
-    saved = live.call_on_worker(live.solver.save_calibration)
+    assert ' taken again, ' in live.worker.call(live.take_sample)
+    assert live.worker.call(live.remove_last_sample).startswith('removed sample ')
+    saved = live.worker.call(live.solver.save_calibration)
     assert saved.endswith('again: save it again after that')
     gate.open.set()
     assert answer.result(PATIENCE).startswith('laser in flange')
-    live.call_on_worker(live.verification.verify_start)
+    live.worker.call(live.verification.verify_start)
     for item in PARTS[1].messages:
         feed_one(live, item)
     gate.open.clear()
-    result = live.call_on_worker(live.verification.verify_result)
+    result = live.worker.call(live.verification.verify_result)
     assert 'verified' in live.working
     # the verification goes on until it has an answer, and stops count for it
-    assert live.call_on_worker(live.take_sample).startswith('sphere: ')
+    assert live.worker.call(live.take_sample).startswith('sphere: ')
     # another one, which the result does not end
-    live.call_on_worker(live.verification.verify_start)
+    live.worker.call(live.verification.verify_start)
     gate.open.set()
     assert result.result(PATIENCE).startswith('sphere: PASS, ')
     assert live.verification.text.startswith('sphere: 0 usable stops')
     gate.open.clear()
-    answer = live.call_on_worker(live.solver.compute_calibration)
-    live.call_on_worker(live.clear_samples)
+    answer = live.worker.call(live.solver.compute_calibration)
+    live.worker.call(live.clear_samples)
     gate.open.set()
     with pytest.raises(DataError, match='cleared while the calibration was computed'):
         answer.result(PATIENCE)
@@ -151,13 +151,13 @@ def test_a_late_review_does_not_replace_a_newer_one(monkeypatch: pytest.MonkeyPa
 
 def test_of_two_answers_the_last_asked_for_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     live = fed()
-    live.call_on_worker(live.evaluate_all)
+    live.worker.call(live.evaluate_all)
     jobs, submit = [], live.pool.submit
     monkeypatch.setattr(live.pool, 'submit', lambda *args: jobs.append((Future(), args))
                         or jobs[-1][0])
-    first = live.call_on_worker(live.solver.compute_calibration)
+    first = live.worker.call(live.solver.compute_calibration)
     live.remove_last_sample()
-    second = live.call_on_worker(live.solver.compute_calibration)
+    second = live.worker.call(live.solver.compute_calibration)
     for future, args in reversed(jobs):
         future.set_result(submit(*args).result())
     assert first.result(PATIENCE) != second.result(PATIENCE)
@@ -180,10 +180,10 @@ def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.Mo
     monkeypatch.setattr(solver, 'extremes', lambda points: 1 / 0)
 
     def trouble_after(noise: float) -> str:
-        live.call_on_worker(lambda: live.configure(set_to(live.config, noise__sensor=noise)))
+        live.worker.call(lambda: live.configure(set_to(live.config, noise__sensor=noise)))
         # behind each of these calls the worker does what is due: a stop, and in the end the review
         for _ in range(len(live.session.stops) + 3):
-            live.call_on_worker(lambda: None)
+            live.worker.call(lambda: None)
         return state_of(live)['session']['trouble']
 
     assert 'ZeroDivisionError' in trouble_after(4e-5)

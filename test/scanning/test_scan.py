@@ -112,9 +112,6 @@ def test_thinning_keeps_one_point_of_each_cube():
     assert len({tuple(c) for c in np.floor(thin / np.float32(2e-3)).astype(int)}) == len(thin)
     assert abs(len(thin) - len(cubes)) < 0.02 * len(cubes)  # of the two roundings
     assert scanner.thinned == len(full) - len(thin)
-    with pytest.raises(InputError, match='--voxel is 1e-08, expected more than .* m, as points'):
-        scanned(Scanner(calibration(), Config(), ScanOptions(voxel=1e-8)), plane_profiles(200),
-                moving(200))
 
 
 def test_the_std_of_a_point_is_that_of_many_trials():

@@ -10,6 +10,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine
 from handeye_ros.simulate import (
+    FAULTS,
     Scenario,
     SCENARIOS,
     settings,
@@ -23,27 +24,31 @@ import numpy as np
 import pytest
 
 
+EVERY = {**SCENARIOS, **FAULTS}
+
+
 def scenario(name: str, columns: int = 320, rate: float = 6.0) -> Scenario:
     """Return a scenario in a size that is quick to render."""
-    full = SCENARIOS[name]
+    full = EVERY[name]
     return replace(full, sensor=replace(full.sensor, columns=columns, rate=rate),
                    robot=replace(full.robot, rate=20.0))
 
 
-@pytest.mark.parametrize('name', SCENARIOS)
+@pytest.mark.parametrize('name', [*SCENARIOS, *(
+    pytest.param(name, marks=pytest.mark.thorough) for name in FAULTS)])
 def test_every_scenario_makes_an_ordered_recording_samples_and_settings(name: str) -> None:
     recording = simulate(scenario(name, columns=64, rate=3.0), np.random.default_rng(0))
     for stream in (recording.profiles, recording.poses):
         stamps = [item.stamp for item in stream]
-        assert len(stamps) > 20 and stamps == sorted(set(stamps))
+        assert len(stamps) > 15 and stamps == sorted(set(stamps))
     quaternions = np.array([pose.quaternion for pose in recording.poses])
     assert np.allclose(np.linalg.norm(quaternions, axis=1), 1)
     config = with_values(Config(), settings(recording.scenario), name)
     assert config.profile.axes == recording.profiles[0].axes
-    samples, truth = simulate_samples(SCENARIOS[name], np.random.default_rng(0))
+    samples, truth = simulate_samples(EVERY[name], np.random.default_rng(0))
     assert all(sample.features for sample in samples)
     assert {len(samples), len(truth.stops), len(recording.truth.stops)} == {
-        sum(SCENARIOS[name].stops)}
+        sum(EVERY[name].stops) * EVERY[name].repeats}
 
 
 def test_lost_points_are_marked_as_the_driver_does() -> None:
@@ -85,7 +90,7 @@ def of_face(face: FaceLine, T: Array, axis: int) -> list[float]:
 def test_lines_and_edges_have_the_noise_that_they_state(name: str) -> None:
     pulls = []
     for seed in range(50):
-        samples, truth = simulate_samples(SCENARIOS[name], np.random.default_rng(seed))
+        samples, truth = simulate_samples(EVERY[name], np.random.default_rng(seed))
         for sample, stop in zip(samples, truth.stops, strict=True):
             T = T_target_sensor(stop, truth)
             face, *others = sample.features

@@ -88,10 +88,10 @@ def feed_one(live: LiveSession, item) -> None:
 
 def update(live: LiveSession) -> None:
     """Let a session that was not started do what is due."""
-    while live.call_on_worker(live.evaluate_next):
+    while live.worker.call(live.evaluate_next):
         pass
-    live.call_on_worker(live.solver.review_if_changed)
-    live.call_on_worker(lambda: None)  # the review has been put
+    live.worker.call(live.solver.review_if_changed)
+    live.worker.call(lambda: None)  # the review has been put
 
 
 def changed(live: LiveSession, **values: object) -> None:
@@ -101,12 +101,12 @@ def changed(live: LiveSession, **values: object) -> None:
 
 def computed(live: LiveSession) -> str:
     """Return what the session says of a new answer."""
-    return live.call_on_worker(live.solver.compute_calibration).result()
+    return live.worker.call(live.solver.compute_calibration).result()
 
 
 def verdict(live: LiveSession) -> str:
     """Return the verdict of the verification that is running."""
-    return live.call_on_worker(live.verification.verify_result).result()
+    return live.worker.call(live.verification.verify_result).result()
 
 
 def later(items, seconds: int):

@@ -1,11 +1,12 @@
 /* Copyright 2026 The handeye_ros developers. SPDX-License-Identifier: Apache-2.0 */
 // Shows what the node tells, several times a second, and asks it what the buttons say.
 
-import { $, ask, changed, degrees, element, flows, follow, mm, SILENT, sure, takenHere, text,
+import { $, ask, changed, degrees, element, follow, mm, sure, takenHere, text,
 } from './shared.js';
 import { drawScene } from './scene.js';
 import { readSetup, showVerification } from './setup.js';
 
+const SILENT = 3;  // s without a word of the node, after which what is shown is old
 const NEAR = [5e-3, 0.053];  // m and rad from the next pose at which to stop
 let latest = null, heardAt = 0;  // the last state, and when it came (ms)
 
@@ -29,7 +30,7 @@ function show(state) {
   const troubles = [state.profiles.trouble, state.poses.trouble, state.session.trouble]
     .filter(Boolean);
   $('problem').hidden = !troubles.length;
-  $('choose').hidden = flows(state.profiles) && flows(state.poses) || taken(state).length > 0;
+  $('choose').hidden = state.profiles.flows && state.poses.flows || taken(state).length > 0;
   text('trouble', troubles.join('; '));
   text('review', [state.review_refusal, ...state.session.warnings].filter(Boolean).join('; '));
   text('link', state.session.working || state.verification.running || { still: 'a sample is taken at every stop',
@@ -43,13 +44,13 @@ const taken = state => state.samples.filter(s => s.taken);
 const lastTaken = state => Math.max(0, ...taken(state).map(s => s.number));
 
 function showNow(state) {
-  const flowing = flows(state.profiles) && flows(state.poses);
+  const flowing = state.profiles.flows && state.poses.flows;
   $('live').classList.toggle('old', !flowing);
-  text('standing', !flows(state.poses) ? 'No poses.' :
+  text('standing', !state.poses.flows ? 'No poses.' :
     state.motion.standing ? 'Standing still.' : 'Moving.');
-  text('motion', flows(state.poses) ? state.motion.text : '');
+  text('motion', state.poses.flows ? state.motion.text : '');
   const p = state.profile;
-  text('feature', !flows(state.profiles) ? 'No profiles.' :
+  text('feature', !state.profiles.flows ? 'No profiles.' :
     !p ? 'No profile with a pose around it.' :
       p.reason ? `No feature: ${p.reason}` : 'The feature is seen.');
   $('feature').className = !flowing ? '' : p && !p.reason ? 'good' : 'bad';
@@ -59,7 +60,7 @@ function showNow(state) {
 
 // What is left to do until the next pose, while the robot is jogged.
 function showAim({ scene, poses, guidance }) {
-  const aim = flows(poses) && !guidance.enough && scene.aim;
+  const aim = poses.flows && !guidance.enough && scene.aim;
   $('togo').hidden = !aim;
   if (!aim) {
     text('axes', '');
@@ -142,7 +143,7 @@ function rate(stream) {
 // The step of now is the first that is not done; its button is the main one.
 function showSteps(state) {
   const c = state.calibration, { running, verdict } = state.verification;
-  const missing = [state.profiles, state.poses].filter(stream => !flows(stream))
+  const missing = [state.profiles, state.poses].filter(stream => !stream.flows)
     .map(stream => (stream === state.poses ? 'No poses' : 'No profiles'));
   const done = {
     connect: [!missing.length, missing.join(', ') || [state.profiles, state.poses].map(rate).join(', ')],
@@ -189,7 +190,7 @@ function showSamples(state) {
   const order = [...state.samples].sort((a, b) =>
     (place.get(a.number) ?? last) - (place.get(b.number) ?? last) || b.number - a.number);
   const largest = Math.max(...state.samples.map(s => s.left_out || 0), 1e-9);
-  const now = order.map(s => sample(s, state, largest));
+  const now = order.map(s => updateLine(s, state, largest));
   const list = $('samples');
   // lines stay what and where they are as long as possible: a finger may be on one
   now.forEach((line, i) => {
@@ -198,12 +199,12 @@ function showSamples(state) {
   while (list.children.length > now.length) list.lastChild.remove();
 }
 
-const lines = new Map();
+const lineOfSample = new Map();
 
-function sample(s, state, largest) {
+function updateLine(s, state, largest) {
   const key = s.number + ' ' + s.stamp;  // another session numbers from 1 again
-  if (!lines.has(key)) lines.set(key, newLine(s.number));
-  const { line, number, edge, tilt, time, fill, figure, why, button } = lines.get(key);
+  if (!lineOfSample.has(key)) lineOfSample.set(key, newLine(s.number));
+  const { line, number, edge, tilt, time, fill, figure, why, button } = lineOfSample.get(key);
   line.className = s.excluded ? 'out' : '';
   number.textContent = s.number;
   edge.textContent = !s.taken ? 'no sample' : s.excluded ? 'excluded' :
@@ -238,7 +239,7 @@ function tiltOf(s, { scene }) {
   return Math.acos(Math.min(1, a[0] * b[0] + a[1] * b[1] + a[2] * b[2]));
 }
 
-function newLine(count) {
+function newLine(number) {
   const made = { line: document.createElement('li'), number: element('strong'),
     edge: element('span', '', 'what'), tilt: element('span'), time: element('span', '', 'small'),
     fill: element('div'), figure: element('span', '', 'residual'), why: element('p', '', 'small'),
@@ -250,10 +251,10 @@ function newLine(count) {
   details.append(head, made.why, canvas);
   made.line.append(details, made.button);
   canvas.setAttribute('role', 'img');
-  canvas.setAttribute('aria-label', 'the profile of sample ' + count);
+  canvas.setAttribute('aria-label', 'the profile of sample ' + number);
   details.addEventListener('toggle', async () => {
     if (!details.open) return;
-    const answer = await fetch('read/stop?number=' + count).catch(() => null);
+    const answer = await fetch('read/stop?number=' + number).catch(() => null);
     if (answer && answer.ok) drawProfile(canvas, await answer.json(), latest.scene.view);
   });
   return made;

@@ -35,7 +35,8 @@ function reachOf(T, scene) {
   return [behind, ...viewOf(scene).map(([x, z]) => at(T, [x, 0, z]))];
 }
 
-// state: scene, samples (by number: used, out or unused), profile, and the words of the aim
+// scene, profile: of _scene and _picture in page/contents.py, the latter may be null; samples: a Map of
+// numbers to used, out or unused; words: at the next pose
 export function drawScene(canvas, scene, samples, profile, words) {
   const made = board(canvas), { pen, width, height } = made;
   if (!scene.known && (scene.move || !scene.samples.length)) return drawMove(made, scene);

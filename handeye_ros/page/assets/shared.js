@@ -4,8 +4,6 @@
 export const $ = id => document.getElementById(id);
 export const mm = (v, digits = 3) => (1e3 * v).toFixed(digits);
 export const degrees = (v, digits = 4) => (v * 180 / Math.PI).toFixed(digits);
-export const SILENT = 3;  // s without a message, after which what is shown is old
-export const flows = stream => stream.count > 0 && stream.age < SILENT;
 
 export const takenHere = new Set();  // numbers of samples that this browser has taken,
 const takenAnswers = new Set();  // and what the node said of them
@@ -88,7 +86,7 @@ export function follow(state, before) {
 
 // Return what a refusal may depend on: it leaves the page when this has changed.
 function situation(state) {
-  return JSON.stringify([state.samples.map(s => [s.number, s.taken, s.excluded]), flows(state.profiles),
-    flows(state.poses), Boolean(state.session.trouble), state.session.mode, state.calibration.state,
+  return JSON.stringify([state.samples.map(s => [s.number, s.taken, s.excluded]), state.profiles.flows,
+    state.poses.flows, Boolean(state.session.trouble), state.session.mode, state.calibration.state,
     Boolean(state.verification.running), state.motion.standing]);
 }
