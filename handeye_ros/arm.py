@@ -314,7 +314,7 @@ def _pinocchio() -> Any:
 
 
 def _ends(model: Any, base: str, flange: str) -> tuple[int, int]:
-    """Return the frames' numbers of the links at both ends; raises ValueError, InputError."""
+    """Return the frames' numbers of the links at both ends; raises InputError."""
     frames = model.frames
     links = {f.name: k for k, f in enumerate(frames) if f.type == _pinocchio().FrameType.BODY}
     for name in filter(None, (base, flange)):
@@ -325,8 +325,8 @@ def _ends(model: Any, base: str, flange: str) -> tuple[int, int]:
     last = [flange] if flange else [name for name in FLANGE_FRAMES if name in links][:1] or [
         name for name, k in links.items() if k not in parents]
     if len(last) != 1:
-        raise ValueError(f'it ends in several links ({", ".join(last)}): name the flange, as in '
-                         f'--flange {", ".join(last[:1])}')
+        raise InputError(f'the URDF ends in several links ({", ".join(last)}): name the flange, '
+                         f'as in --flange {last[0]}')
     return links[base or next(iter(links))], links[last[0]]
 
 

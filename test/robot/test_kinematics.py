@@ -178,6 +178,7 @@ def test_joint_values_that_contradict_the_points_are_refused(from_table, joints,
     ('<robot', 'tip', 'no valid URDF'),
     (ODD.replace('<child link="camera"/>', '<child link="tip"/>'), 'tip', 'closed loops'),
     (ODD, 'tool9', '^the URDF has no link tool9'),
+    (ODD, '', r'^the URDF ends in several links \(.*\): name the flange, as in --flange '),
     (ODD.replace('type="continuous"', 'type="floating"'), 'tip', 'floating'),
     (ODD.replace('<child link="c"/>', '<child link="c"/><mimic joint="j.b"/>'), 'tip', 'mimics'),
 ])
