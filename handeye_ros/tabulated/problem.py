@@ -7,15 +7,18 @@ A table is read, an estimator answers, and where the values contradict each othe
 as other units and notations would give them: what fits is named, never used. These refuse, in this
 order:
 
-1. reading: `CsvTable`; of pairs `require_plausible`, for rows that repeat and units of no cell; of
-   a tracker `read_reflector_points` and `sweep_from`, for points or profiles that are missing and
-   another motion than along a line
-2. `require_usable`: too few values, without spread or in the wrong order
-3. `estimate`; of a tracker `require_agreement`: a part or a row is further off than the noise
-4. `TableAnswer.agrees`: too many samples were dropped, or the others do not fit
-5. `TableAnswer.require_trusted`: the answer is beyond the limits of the configuration
+1. `read_table`: a target.type without tables, a method or calibration_type that it does not have
+2. reading, of pairs: `CsvTable`; `require_plausible`, for rows that repeat and units of no cell;
+   of a tracker: tracker.direction, the bag, a missing file of points, settings without default,
+   `read_reflector_points`, and `sweep_from`, for missing profiles and another motion than along
+   a line
+3. `require_usable`: too few values, without spread or in the wrong order; of a tracker also its
+   published answer, and a sweep beside the line
+4. `estimate`; of a tracker `require_agreement`: a part or a row is further off than the noise
+5. `TableAnswer.agrees`: too many samples were dropped, or the others do not fit
+6. `TableAnswer.require_trusted`: the answer is beyond the limits of the configuration
 
-After a refusal of steps 2 to 4 the misreadings are tried.
+After a refusal of steps 3 to 5 the misreadings are tried, which a tracker has none of.
 """
 from __future__ import annotations
 
