@@ -65,7 +65,7 @@ class TableProblem(ABC):
     calibration_types: those that the target can have
     advice: what makes an answer more certain
     to_check: what to check where the values contradict each other
-    field_text: the points of `field` in words
+    error_points_text: the points of `error_points` in words
     """
 
     config: Config
@@ -79,7 +79,7 @@ class TableProblem(ABC):
     calibration_types: ClassVar[tuple[str, ...]]
     advice: ClassVar[str]
     to_check: ClassVar[str]
-    field_text: ClassVar[str] = FIELD_TEXT
+    error_points_text: ClassVar[str] = FIELD_TEXT
 
     @classmethod
     @abstractmethod
@@ -99,7 +99,7 @@ class TableProblem(ABC):
     def estimate(self) -> TableAnswer:
         """Return the answer, however uncertain; raises DataError."""
 
-    def field(self) -> Array:
+    def error_points(self) -> Array:
         """Return the points (k, 3) over which errors are reported, in the plane's frame (m)."""
         return field_points()
 
