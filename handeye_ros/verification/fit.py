@@ -12,7 +12,7 @@ E: its stated covariance is never part of the measurement's own uncertainty.
 
 That e is as small as the covariance of the calibration states, beside robot errors of unit
 variance, is tested by the deviations v of the measured values from their nominal ones: v' cov^-1 v
-is chi square if it is true.
+is chi square if it is true. This test gives a remark, not the verdict.
 """
 from __future__ import annotations
 
@@ -385,7 +385,7 @@ def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
 
 
 def refit_shape(shape: Shape, X: Array, C: Array, robot_smooth: float) -> ShapeFit:
-    """Return the fit with the calibration error estimated as well, for errors of any size."""
+    """Return the fit with the calibration error estimated as well, of up to MAX_SHIFT."""
     for _ in range(REFIT_COUNT):
         _, fit = fit_shape(shape, X, C, robot_smooth).result
         if not fit.error.largest < MAX_SHIFT:
@@ -408,9 +408,9 @@ def fit_without_outliers(groups: Indices, fit_groups: Callable[[Indices], GroupF
     """
     Return the fit of the groups that agree, the p-value of each group, and the contradicting ones.
 
-    fit_groups: fits some of the groups. The p-value of a contradicting one is that of the last fit
-    in which it took part. All are used where these would be too many, or the others too few;
-    raises DataError where all are.
+    fit_groups: fits some of the groups; raises DataError for too few. The p-value of a
+    contradicting one is that of the last fit in which it took part. All groups are used where too
+    many contradict, or too few would be left. Raises DataError where even all are too few.
     """
     p_values, most = dict[int, float](), int(MAX_OUTLIER_SHARE * len(groups))
 

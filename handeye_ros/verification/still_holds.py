@@ -73,7 +73,7 @@ MIN_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
 MOVE_SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
 TYPICAL_SCALE = 1e-3  # m, one of these
 MOVE_TURN_LENGTH = 0.1  # m: a scale over it is that of a turn
-MAX_ITERATIONS = 6
+STEP_COUNT = 6  # of the search for the likeliest move
 MAX_LOST_SHARE = 0.2  # of the stations: with edges far from those of the target
 NAMED_FROM = 0.95  # probability with which one cause, or some together, are named
 MAX_OF_SWEEP = 30  # samples of a sweep: neighbours share the errors of the robot
@@ -430,7 +430,7 @@ def _cause_of(prediction: _Prediction, name: str) -> _Cause:
     Gauss-Newton steps find the move; the scale of its prior is the likeliest of MOVE_SCALES.
     """
     move, sigmas = NO_MOVE, _move_sigmas(MOVE_SCALES[-1])
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(STEP_COUNT):
         r, D, lever = prediction.undoing(name, move)
         r = r + D @ move  # of no move, in this linearisation
         x, C, _ = regularised_least_squares(np.hstack([prediction.errors, D * sigmas]), r)
