@@ -23,7 +23,7 @@ from typing import Any, ClassVar, Self
 from handeye_ros import se3
 from handeye_ros.checks.refusals import require_rotations
 from handeye_ros.config import Config, with_values
-from handeye_ros.csv_tables import CsvTable, NOTATIONS, require_different
+from handeye_ros.csv_tables import CsvTable, require_different
 from handeye_ros.data import Array, Indices, SEED
 from handeye_ros.errors import DataError, require_count
 from handeye_ros.estimation.least_squares import (
@@ -35,6 +35,7 @@ from handeye_ros.estimation.least_squares import (
     Rows,
 )
 from handeye_ros.frames import mount_frame, mount_poses
+from handeye_ros.notations import NOTATIONS
 from handeye_ros.published.park1994 import solve_motions
 from handeye_ros.results.file_values import input_provenance
 from handeye_ros.tabulated.problem import Misreading, TableAnswer, TableProblem
