@@ -53,7 +53,8 @@ from handeye_ros.estimation.target import Target
 from handeye_ros.frames import direction_in_words, mount_frame, target_frame
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.profile_target import GRAZING
-from handeye_ros.verification.fit import (
+from handeye_ros.verification.station_set import require_stations
+from handeye_ros.verification.white_residuals import (
     covariance_root,
     fit_without_outliers,
     GroupFit,
@@ -61,7 +62,6 @@ from handeye_ros.verification.fit import (
     ONE_SIDED_95,
     regularised_least_squares,
 )
-from handeye_ros.verification.station_set import require_stations
 from handeye_ros.words import mm
 import numpy as np
 from scipy.special import softmax

@@ -29,8 +29,6 @@ from handeye_ros.verification.fit import (
     COVERAGE_FACTOR,
     DETECTION_SIGMAS,
     fit_shape,
-    fit_without_outliers,
-    ONE_SIDED_95,
     Quantity,
     refit_shape,
     ShapeFit,
@@ -38,6 +36,7 @@ from handeye_ros.verification.fit import (
 from handeye_ros.verification.routines import Routine
 from handeye_ros.verification.station_set import StationSet
 from handeye_ros.verification.stations import stations_of
+from handeye_ros.verification.white_residuals import fit_without_outliers, ONE_SIDED_95
 from handeye_ros.words import count_of, mm
 import numpy as np
 
