@@ -39,7 +39,13 @@ from handeye_ros.data import (
     TimedPose,
 )
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.estimation.blocks import LINE_BEND, line_bend, sensor_distortion, wrt_smooth
+from handeye_ros.estimation.blocks import (
+    DISTORTION_ERROR,
+    LINE_BEND,
+    line_bend,
+    sensor_distortion,
+    wrt_smooth,
+)
 from handeye_ros.estimation.noise import NoiseModel, Whitening, whitening
 from handeye_ros.estimation.problem import (
     Estimate,
@@ -52,7 +58,7 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import direction_in_words, mount_frame, target_frame
 from handeye_ros.targets import TARGETS
-from handeye_ros.targets.profile_target import GRAZING
+from handeye_ros.targets.profile_target import FLATNESS_ERROR, GRAZING
 from handeye_ros.verification.station_set import require_stations
 from handeye_ros.verification.white_residuals import (
     covariance_root,
@@ -292,8 +298,8 @@ class CalibratedCell(NamedTuple):
                 '"handeye verify"') from error
         noise = replace(
             configured, robot_smooth=found.get(ROBOT_POSITION_ERROR, 0.0),
-            distortion=found.get('distortion_error', configured.distortion),
-            flatness=found.get('flatness_error', configured.flatness),
+            distortion=found.get(DISTORTION_ERROR, configured.distortion),
+            flatness=found.get(FLATNESS_ERROR, configured.flatness),
             line_bend=found.get(LINE_BEND, configured.line_bend))
         X = calibration.T_flange_sensor @ frames.T_sensor_plane(config)
         return cls(target, Estimate(X, state), covariance_root(covariance), factors, noise, config)
