@@ -84,10 +84,10 @@ class Seam:
 @dataclass(frozen=True, eq=False)
 class ToolFrames:
     """
-    Frames of a tool along a seam, at arc lengths (m,) from its start (m).
+    Frames of a tool along a seam, at arc lengths (k,) from its start (m).
 
-    T_base_tool: (m, 4, 4), its axes n (advance), o (approach), n x o
-    measures: (m, 4) gap, mismatch, residual, 1 sigma of the position (m)
+    T_base_tool: (k, 4, 4), its axes n (advance), o (approach), n x o
+    measures: (k, 4) gap, mismatch, residual, 1 sigma of the position (m)
     """
 
     lengths: Array
@@ -179,7 +179,7 @@ def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, 
 
 def _measures(seam: Seam, t: Array) -> Array:
     """
-    Return gap, mismatch, residual and 1 sigma of the position (m, 4) at t (m,).
+    Return gap, mismatch, residual and 1 sigma of the position (k, 4), in metres, at t (k,).
 
     Gap and mismatch: distance between the edges along and across the sheets; residual: RMS
     distance of the roots of the sections nearby from the curve through all.
