@@ -39,7 +39,7 @@ from handeye_ros.simulate.tables import (
     ROBOT_STDS,
 )
 from handeye_ros.tabulated.pairs import PointPairs, PosePairs
-from handeye_ros.tabulated.tracker import Piece, sweep_from, TrackerProblem
+from handeye_ros.tabulated.tracker import PartPoints, sweep_from, TrackerProblem
 import numpy as np
 from scipy.spatial.transform import Rotation
 import trials
@@ -130,10 +130,10 @@ def by_tracker(seed: int) -> dict[str, np.ndarray]:
     cell = laser_tracker(np.random.default_rng(1000 + seed))
     config = with_values(Config(), cell.settings, 'cell')
     swept, q30 = sweep_from(cell.profiles, cell.poses, config)
-    pieces: dict[str, list[Piece]] = {}
+    measured: dict[str, list[PartPoints]] = {}
     for row, (kind, *point) in enumerate(csv.reader(cell.tables['tracker.csv'].splitlines()[1:])):
-        pieces.setdefault(kind, []).append(Piece(row, 1e-3 * np.array([point], dtype=float)))
-    session = TrackerProblem(config, {**pieces, **swept}, q30)
+        measured.setdefault(kind, []).append(PartPoints(row, 1e-3 * np.array([point], float)))
+    session = TrackerProblem(config, {**measured, **swept}, q30)
     found = session.result.T_flange_sensor
     x, z = np.meshgrid((-0.02, 0.0, 0.02), (0.16, 0.175, 0.19))
     field = np.column_stack([x.ravel(), np.zeros(x.size), z.ravel()])

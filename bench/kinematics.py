@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import time
 
 from handeye_ros import se3
-from handeye_ros.arm import ALL_KINDS, Arm, arm_of, ERROR_KINDS
+from handeye_ros.arm import Arm, arm_of, KIND_OF_ERROR, KINDS
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
@@ -98,9 +98,9 @@ def draw(case: Case, stops: int, seed: int) -> Cell:
     """Return a robot with its errors, and configurations that see the ball."""
     rng, n = np.random.default_rng(seed), len(case.joints)
     stated = arm_of(urdf(case.joints))
-    errors = stated.priors * np.hstack([
-        rng.normal(size=(n, (ERROR_KINDS == kind).sum())) for kind in ALL_KINDS])
-    arm = replace(stated, error_kinds=ALL_KINDS, error_values=errors.ravel())
+    errors = stated.prior_stds * np.hstack([
+        rng.normal(size=(n, (KIND_OF_ERROR == kind).sum())) for kind in KINDS])
+    arm = replace(stated, estimated_kinds=KINDS, error_values=errors.ravel())
     near = rng.uniform(-1, 1, (200, n)) * SPREADS[n] + STARTS[n]
     off = arm.forward(near)[:, :3, 3] - stated.forward(near)[:, :3, 3]
     rms = np.sqrt(((off - off.mean(axis=0)) ** 2).sum(axis=1).mean())
@@ -169,7 +169,7 @@ def rms(off: Array) -> float:
 
 def bound(cell: Cell, rows: ArmPoints, held: ArmPoints) -> float:
     """Return the RMS error (mm) of the best prediction that knows the sizes of all errors."""
-    scale = max(float(np.sqrt(((cell.arm.errors / cell.arm.priors) ** 2).mean())), 1e-6)
+    scale = max(float(np.sqrt(((cell.arm.errors / cell.arm.prior_stds) ** 2).mean())), 1e-6)
     seen, others = (replace(ArmFit.of_arm(
         cell.arm, [each], cell.X, [cell.ball], np.full(3, NOISE)),
         variances=np.full(3, scale ** 2)) for each in (rows, held))

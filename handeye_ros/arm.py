@@ -32,11 +32,11 @@ from scipy.spatial.transform import Rotation
 
 REVOLUTE, PRISMATIC = 'revolute', 'prismatic'
 URDF_TYPES = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMATIC}
-OFFSET, DIRECTION, POSITION = ALL_KINDS = ('offset', 'direction', 'position')
-ERROR_KINDS = np.array([OFFSET, DIRECTION, DIRECTION, POSITION, POSITION])  # the errors of a joint
+OFFSET, DIRECTION, POSITION = KINDS = ('offset', 'direction', 'position')
+KIND_OF_ERROR = np.array([OFFSET, DIRECTION, DIRECTION, POSITION, POSITION])  # of a joint
 # prior 1 sigma of them (rad or m), 0: it has no such error
 PRIOR_STDS = {REVOLUTE: (1e-3, 5e-4, 5e-4, 5e-4, 5e-4), PRISMATIC: (5e-4, 5e-4, 5e-4, 0.0, 0.0)}
-MAX_ROUNDS, MAX_STEP = 20, 0.2  # of the search for joint values (rad or m)
+STEP_COUNT, MAX_STEP = 20, 0.2  # of the search for joint values (rad or m)
 FORMAT, KINEMATICS_FILE = 'handeye_ros/kinematics/1', 'kinematics.yaml'
 FLANGE_FRAMES = ('tool0', 'flange', 'tool', 'tcp')  # usual names of the last frame
 
@@ -89,8 +89,8 @@ class Arm:
     base, flange: the names of these frames
     joints: from the base to the flange
     end: (4, 4) the flange in the frame of the last joint
-    error_kinds: the kinds of errors that are estimated, of ALL_KINDS
-    error_values: (k,) of the estimated errors, joint by joint, each in the order of ERROR_KINDS
+    estimated_kinds: the kinds of errors that are estimated, of KINDS
+    error_values: (k,) of the estimated errors, joint by joint, each in the order of KIND_OF_ERROR
     covariance: (k, k) of the error values
     configurations: (n, joints) values at which the errors were estimated; covariance and
         configurations are empty before
@@ -100,7 +100,7 @@ class Arm:
     flange: str
     joints: tuple[Joint, ...]
     end: Array
-    error_kinds: tuple[str, ...] = ()
+    estimated_kinds: tuple[str, ...] = ()
     error_values: Array = field(default_factory=lambda: np.zeros(0))
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     configurations: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -111,11 +111,11 @@ class Arm:
 
         All estimated errors start at zero.
         """
-        arm = replace(self, error_kinds=tuple(kinds), error_values=np.zeros(0))
+        arm = replace(self, estimated_kinds=tuple(kinds), error_values=np.zeros(0))
         return replace(arm, error_values=np.zeros(arm.is_estimated.sum()))
 
     @cached_property
-    def priors(self) -> Array:
+    def prior_stds(self) -> Array:
         """Return the prior 1 sigma (joints, 5) of all errors (rad or m), 0 where there is none."""
         return np.array([PRIOR_STDS[joint.type] for joint in self.joints])
 
@@ -124,9 +124,9 @@ class Arm:
         """
         Return a mask (joints, 5) of the estimated errors.
 
-        error_values and priors[mask] are in its order.
+        error_values and prior_stds[mask] are in its order.
         """
-        return (self.priors > 0) & np.isin(ERROR_KINDS, self.error_kinds)
+        return (self.prior_stds > 0) & np.isin(KIND_OF_ERROR, self.estimated_kinds)
 
     @cached_property
     def errors(self) -> Array:
@@ -157,7 +157,7 @@ class Arm:
             for joint, errors in zip(self.joints, self.errors, strict=True)]))
 
     @cached_property
-    def model(self) -> Any:
+    def pinocchio_model(self) -> Any:
         """Return the pinocchio.Model with the errors of the axes; its last frame is the flange."""
         pinocchio = _pinocchio()
         model, parent = pinocchio.Model(), 0
@@ -172,7 +172,7 @@ class Arm:
 
     def forward(self, q: Array) -> Array:
         """Return T_base_flange (n, 4, 4) at reported joint values (n, joints) (rad or m)."""
-        pinocchio, model = _pinocchio(), self.model
+        pinocchio, model = _pinocchio(), self.pinocchio_model
         data, T = model.createData(), np.empty((len(q), 4, 4))
         for k, positions in enumerate(q + self.errors[:, 0]):
             pinocchio.framesForwardKinematics(model, data, positions)
@@ -186,7 +186,7 @@ class Arm:
         The six are the translation of the flange's origin, and the rotation; q: (n, joints)
         reported joint values (rad or m).
         """
-        pinocchio, model = _pinocchio(), self.model
+        pinocchio, model = _pinocchio(), self.pinocchio_model
         data, wrt_placements = model.createData(), np.empty((len(q), 6, 6 * len(self.joints)))
         for k, positions in enumerate(q + self.errors[:, 0]):
             pinocchio.forwardKinematics(model, data, positions)
@@ -210,7 +210,7 @@ class Arm:
         q = self.configurations[[
             np.argmin(np.linalg.norm(se3.difference(known, T) * lengths, axis=1))
             for T in T_base_flange]]
-        for _ in range(MAX_ROUNDS):
+        for _ in range(STEP_COUNT):
             missing = se3.difference(T_base_flange, self.forward(q))
             J = self.error_jacobian(q)[..., 0]  # a joint moves the flange as its offset does
             step = np.einsum('njx,nx->nj', np.linalg.pinv(J, rcond=1e-3), missing)
@@ -246,7 +246,7 @@ def read_arm(path: Path) -> Arm:
             transform_from(path, 'origin', joint['origin']),
             np.array(joint['axis'], dtype=float), float(joint['lower']), float(joint['upper']))
             for joint in stored)
-        kinds = tuple(kind for kind in ALL_KINDS if any(kind in joint for joint in stored))
+        kinds = tuple(kind for kind in KINDS if any(kind in joint for joint in stored))
         values = [float(value) for joint in stored for kind in kinds if kind in joint
                   for value in joint[kind]['value']]
         covariance = np.array(content['covariance'], dtype=float).reshape(2 * [len(values)])
@@ -316,7 +316,7 @@ def _pinocchio() -> Any:
 
 
 def _ends(model: Any, base: str, flange: str) -> tuple[int, int]:
-    """Return the frames' numbers of the links at both ends; raises ValueError, InputError."""
+    """Return the frames' numbers of the links at both ends; raises InputError."""
     frames = model.frames
     links = {f.name: k for k, f in enumerate(frames) if f.type == _pinocchio().FrameType.BODY}
     for name in filter(None, (base, flange)):
@@ -327,8 +327,8 @@ def _ends(model: Any, base: str, flange: str) -> tuple[int, int]:
     last = [flange] if flange else [name for name in FLANGE_FRAMES if name in links][:1] or [
         name for name, k in links.items() if k not in parents]
     if len(last) != 1:
-        raise ValueError(f'it ends in several links ({", ".join(last)}): name the flange, as in '
-                         f'--flange {", ".join(last[:1])}')
+        raise InputError(f'the URDF ends in several links ({", ".join(last)}): name the flange, '
+                         f'as in --flange {last[0]}')
     return links[base or next(iter(links))], links[last[0]]
 
 

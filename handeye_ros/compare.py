@@ -68,7 +68,7 @@ class ComparedStations:
     estimate: Estimate
     noise: NoiseModel
 
-    field_text: ClassVar[str] = FIELD_TEXT
+    error_points_text: ClassVar[str] = FIELD_TEXT
 
     def __len__(self) -> int:
         """Return the number of stations."""
@@ -76,10 +76,10 @@ class ComparedStations:
 
     @property
     def T_sensor_plane(self) -> Array:
-        """Return T_sensor_plane (4, 4): X and `field` are in the sensor plane."""
+        """Return T_sensor_plane (4, 4): X and `error_points` are in the sensor plane."""
         return T_sensor_plane(self.problem.config)
 
-    def field(self) -> Array:
+    def error_points(self) -> Array:
         """Return points (k, 3) in the sensor plane over which errors are reported (m)."""
         return field_points()
 
@@ -244,14 +244,14 @@ class Comparison:
 
     used, rejected: number of stations that every estimator was given, and of the other stations
     refusal: why the target's own method has no answer, None if it has one
-    field_text: region over which the errors are reported, in words
+    error_points_text: the points over which the errors are reported, in words
     """
 
     rows: tuple[EstimatorResult, ...]
     used: int
     rejected: int
     refusal: DataError | None
-    field_text: str
+    error_points_text: str
 
 
 def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
@@ -314,7 +314,7 @@ def _comparison(target: str, data: ComparedData, own: Array | DataError, started
         if folds and estimator.is_cross_validated:
             figures |= _left_out(data, estimator, min(folds, len(data)))
         if T_true is not None:
-            errors = errors_against(outcome, T_true @ data.T_sensor_plane, data.field())
+            errors = errors_against(outcome, T_true @ data.T_sensor_plane, data.error_points())
             figures |= {f'error_{name}': value for name, value in asdict(errors).items()}
         return EstimatorResult(estimator.name, {**figures, 'seconds': seconds},
                                outcome @ se3.inverse(data.T_sensor_plane))
@@ -328,7 +328,7 @@ def _comparison(target: str, data: ComparedData, own: Array | DataError, started
             outcome = error
         rows.append(row(estimator, outcome, start))
     refusal = own if isinstance(own, DataError) else None
-    return Comparison(tuple(rows), len(data), count - len(data), refusal, data.field_text)
+    return Comparison(tuple(rows), len(data), count - len(data), refusal, data.error_points_text)
 
 
 def _left_out(data: ComparedData, estimator: Estimator, folds: int) -> dict[str, float]:
@@ -362,7 +362,7 @@ def tables(comparison: Comparison) -> RenderableType:
     legend = ('residual: RMS of what the first method minimises, with each transform, the target '
               'fitted to it; left out: of samples the estimator was not given')
     if 'error_mapped_points' in shown:
-        legend += f'\nerror: against truth.yaml; mapped: RMS over {comparison.field_text}'
+        legend += f'\nerror: against truth.yaml; mapped: RMS over {comparison.error_points_text}'
     return Group(Text(title), transforms, figures, Text(legend))
 
 

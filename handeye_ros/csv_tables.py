@@ -1,31 +1,27 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Tables of measured values in CSV files, and orientations as robot controllers show them.
+Tables in CSV files.
 
 The header names each column and, where it has one, its unit: `base_x [mm]`. What is returned is
-in SI units. Each controller has its own angles, units and order of numbers; a name such as
-kuka-abc stands for all of these. Sources: the programming manuals of the vendors, see
-docs/contract.md.
+in SI units.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 import csv
-from dataclasses import dataclass
-from functools import partial
 import math
 from pathlib import Path
 import re
 
 from handeye_ros import se3
 from handeye_ros.data import Array, QUATERNION_TOLERANCE
-from handeye_ros.errors import DataError, did_you_mean, InputError, UnknownNameError
+from handeye_ros.errors import DataError, did_you_mean, InputError
+from handeye_ros.notations import Notation, notation_of, NOTATIONS, QUATERNION, RPY
 from handeye_ros.units import MICRO, UNITS
 from handeye_ros.words import count_of
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 LENGTH, ANGLE, NUMBER = 'm', 'rad', ''  # kinds of columns, by their SI unit
 SPELLINGS = {'degree': 'deg', '°': 'deg', 'radian': 'rad', 'radians': 'rad', 'metre': 'm',
@@ -36,7 +32,7 @@ _HEADER = re.compile(r'\s*([\w.:/-]+)\s*(?:\[\s*(\w+|°)\s*\])?\s*')  # name [un
 
 
 class TableError(InputError):
-    """A file of measured values that cannot be read."""
+    """A table that cannot be read, or does not hold what is needed."""
 
     def __init__(self, path: object, reason: str) -> None:
         super().__init__(f'{path}: {reason}')
@@ -195,68 +191,3 @@ def _number(text: str) -> float:
 def _axes(prefix: str) -> list[str]:
     """Return the names of the columns x, y and z with a prefix."""
     return [f'{prefix}_{axis}' for axis in 'xyz']
-
-
-@dataclass(frozen=True)
-class Notation:
-    """
-    How a controller writes a pose.
-
-    title: the notation in words
-    labels: names of the k numbers of an orientation
-    angle_unit: unit of these numbers, deg or rad, or '' for a quaternion
-    length_unit: unit of positions, mm or m
-    to_numbers: converts a Rotation to numbers (n, k)
-    to_rotation: converts such numbers to a Rotation
-    """
-
-    title: str
-    labels: tuple[str, ...]
-    angle_unit: str
-    length_unit: str
-    to_numbers: Callable[[Rotation], Array]
-    to_rotation: Callable[[Array], Rotation]
-
-    def columns(self, prefix: str) -> list[str]:
-        """Return the names of the columns of an orientation in a table."""
-        return [f'{prefix}_{label}' for label in self.labels]
-
-
-def _euler(title: str, labels: tuple[str, ...], axes: str) -> Notation:
-    """Return a notation by three angles in degrees; axes: as scipy, lower case for fixed ones."""
-    return Notation(title, labels, 'deg', 'mm',
-                    lambda rotation: np.degrees(se3.euler_angles(rotation, axes)),
-                    partial(Rotation.from_euler, axes, degrees=True))
-
-
-NOTATIONS = {
-    'kuka-abc': _euler('KUKA A B C: about z, then the turned y, then the turned x',
-                       ('a', 'b', 'c'), 'ZYX'),
-    'fanuc-wpr': _euler('FANUC W P R: about the fixed axes x, y, z', ('w', 'p', 'r'), 'xyz'),
-    'abb-quaternion': Notation('ABB q1 q2 q3 q4: a quaternion, w x y z',
-                               ('q1', 'q2', 'q3', 'q4'), '', 'mm',
-                               lambda turn: turn.as_quat(canonical=True)[..., [3, 0, 1, 2]],
-                               lambda numbers: Rotation.from_quat(numbers[..., [1, 2, 3, 0]])),
-    'ur-rotation-vector': Notation('Universal Robots RX RY RZ: a rotation vector',
-                                   ('rx', 'ry', 'rz'), 'rad', 'm', Rotation.as_rotvec,
-                                   Rotation.from_rotvec),
-    'staubli-rxryrz': _euler('Staubli Rx Ry Rz: about x, then the turned y, then the turned z',
-                             ('rx', 'ry', 'rz'), 'XYZ'),
-    'yaskawa-rxryrz': _euler('Yaskawa Rx Ry Rz: about the fixed axes x, y, z',
-                             ('rx', 'ry', 'rz'), 'xyz'),
-}
-
-
-# of tables that name no controller
-QUATERNION = Notation('x y z w', ('qx', 'qy', 'qz', 'qw'), '', 'm', Rotation.as_quat,
-                      Rotation.from_quat)
-RPY = Notation('roll, pitch, yaw of URDF', ('roll', 'pitch', 'yaw'), 'rad', 'm',
-               partial(se3.euler_angles, axes='xyz'), partial(Rotation.from_euler, 'xyz'))
-
-
-def notation_of(name: str) -> Notation:
-    """Return the notation of a name, or of a vendor alone; raises UnknownNameError."""
-    for full_name, notation in NOTATIONS.items():
-        if name in (full_name, full_name.split('-')[0]):
-            return notation
-    raise UnknownNameError('notation of angles', name, list(NOTATIONS))

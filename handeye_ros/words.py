@@ -18,8 +18,8 @@ def degrees(radians: float) -> str:
 
 
 def count_of(count: int, what: str) -> str:
-    """Return a number with its noun: `1 sample`, `2 samples`."""
-    return f'{count} {what}' if count == 1 else f'{count} {what}s'
+    """Return a number with its noun: `1 sample`, `2 samples`, `2 passes`."""
+    return f'{count} {what}' + (count != 1) * ('es' if what.endswith('s') else 's')
 
 
 def without_numbers(sentence: str) -> str:

@@ -1,12 +1,13 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Files of measured values: an answer or a sentence; orientations as controllers show them."""
+"""Tables: an answer or a sentence; orientations as controllers show them."""
 from __future__ import annotations
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from handeye_ros.csv_tables import CsvTable, LENGTH, notation_of, NOTATIONS, TableError
+from handeye_ros.csv_tables import CsvTable, LENGTH, TableError
+from handeye_ros.notations import notation_of, NOTATIONS
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np

@@ -66,8 +66,8 @@ def solve(
                              'states its covariance only')
         with progress_bar('solving'):
             calibration = calibrate_table(opened.table)
-        T_plane, field = opened.table.T_sensor_plane, opened.table.field()
-        field_text = opened.table.field_text
+        T_plane, points = opened.table.T_sensor_plane, opened.table.error_points()
+        points_text = opened.table.error_points_text
     else:
         assert opened.session
         from handeye_ros import pipeline
@@ -85,12 +85,12 @@ def solve(
         if opened.warnings:
             provenance['warnings'] = [*opened.warnings, *warnings]
         calibration = replace(calibration, provenance=provenance)
-        T_plane, field, field_text = T_sensor_plane(settings), None, FIELD_TEXT
+        T_plane, points, points_text = T_sensor_plane(settings), None, FIELD_TEXT
     saved = exports.save_all(calibration, folder, settings.save.formats)
     show(printed.table(calibration))
     if T_true is not None:
-        errors = errors_against(calibration.T_flange_sensor @ T_plane, T_true @ T_plane, field)
-        typer.echo(printed.error_sentence(errors, field_text))
+        errors = errors_against(calibration.T_flange_sensor @ T_plane, T_true @ T_plane, points)
+        typer.echo(printed.error_sentence(errors, points_text))
     typer.echo(saved)
 
 

@@ -44,7 +44,7 @@ import numpy as np
 
 # names that others ask for
 ROBOT_SCALE, ROBOT_SMOOTH, SENSOR_SCALE = 'robot_scale', 'robot_smooth', 'sensor_scale'
-LINE_BEND = 'line_bend'
+LINE_BEND, DISTORTION_ERROR = 'line_bend', 'distortion_error'
 DISTORTION_SHARES = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}  # RMS by degree, over noise.distortion
 DEGREES = list(DISTORTION_SHARES)
 # twists by smooth errors of the robot of 1 m: 3 shifts, and 3 turns of which a joint makes 1 m
@@ -200,7 +200,7 @@ def sensor_distortion(linear: Linearisation) -> Blocks:
         wrt_x, wrt_z = (linear.wrt_point * std).T[:, :, None]
         yield ParameterBlock(
             f'distortion_{DEGREES[i]}', wrt_x * field[:, 0] + wrt_z * field[:, 1], std,
-            best_fit=partial(_motions_of_degree, i), reported_as='distortion_error')
+            best_fit=partial(_motions_of_degree, i), reported_as=DISTORTION_ERROR)
 
 
 def _motions_of_degree(i: int, linear: Linearisation) -> Array:

@@ -22,9 +22,9 @@ import re
 import shutil
 
 from handeye_ros import se3
-from handeye_ros.csv_tables import notation_of
 from handeye_ros.data import Calibration
 from handeye_ros.errors import InputError, looked_up
+from handeye_ros.notations import notation_of
 from handeye_ros.output import folder_time, rendered, write_atomically, write_errors_for, yaml_text
 from handeye_ros.results import calibration_file
 from handeye_ros.results.calibration_file import config_of, one_line, preamble

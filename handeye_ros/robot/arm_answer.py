@@ -11,10 +11,10 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.arm import (
-    ALL_KINDS,
     corrected_urdf,
-    ERROR_KINDS,
     FORMAT,
+    KIND_OF_ERROR,
+    KINDS,
     KINEMATICS_FILE,
     OFFSET,
     POSITION,
@@ -36,7 +36,7 @@ FILE_HEADER = """\
 # Errors of the joints and axes of an arm, found with the hand-eye transform in calibration.yaml.
 # offset is added to the joint's reading; direction (rad) and position (m) turn and shift its axis
 # across itself. covariance: of all these values, in their order; configurations: joint values of
-# which they were found. undetermined: sigma after over sigma before; {limit} or more: not known.
+# which they were found. undetermined: sigma after over sigma before; above {limit}: not known.
 """
 
 
@@ -56,8 +56,8 @@ class ArmAnswer:
                    'undetermined': self.selection.undetermined}
         joint_of, column_of = np.nonzero(arm.is_estimated)
         for j, joint in enumerate(arm.joints):
-            rows_of = {kind: (joint_of == j) & (ERROR_KINDS[column_of] == kind)
-                       for kind in arm.error_kinds}
+            rows_of = {kind: (joint_of == j) & (KIND_OF_ERROR[column_of] == kind)
+                       for kind in arm.estimated_kinds}
             entries.append({
                 'name': joint.name, 'type': joint.type,
                 'origin': se3.transform_values(joint.origin),
@@ -94,9 +94,9 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
             for joint, offset in zip(arm.joints, arm.errors[:, 0].tolist(), strict=True)
             if joint.type == REVOLUTE},
         'transform': se3.transform_values(calibration.T_flange_sensor),
-        'models': [{'parameters': list(m.fit.arm.error_kinds), 'residual_rms': m.fit.residual_rms,
-                    'left_out_rms': m.left_out_rms, 'chosen': m is selection.chosen}
-                   for m in selection.models],
+        'models': [{'parameters': list(m.fit.arm.estimated_kinds),
+                    'residual_rms': m.fit.residual_rms, 'left_out_rms': m.left_out_rms,
+                    'chosen': m is selection.chosen} for m in selection.models],
         'robot_smooth_error': selection.robot_smooth,
         'covariance': arm.covariance.tolist(),
         'configurations': arm.configurations.round(6).tolist(),
@@ -104,11 +104,15 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
 
 
 def table(answer: ArmAnswer) -> RenderableType:
-    """Return the joints with their errors, and the cross-validation errors before and after."""
+    """
+    Return the joints with their errors, and the cross-validation errors before and after.
+
+    Not known are the kinds of errors of a joint of which no value is.
+    """
     joints = figures_table('joint', 'zero offset', 'axis direction', 'axis position', 'not known')
     for joint in answer.joints:
         cells, unknown = [], []
-        for kind in ALL_KINDS:
+        for kind in KINDS:
             entry = joint.get(kind, {'value': [], 'std': [], 'undetermined': [0.0]})
             lengths = kind == POSITION or (kind == OFFSET and joint['type'] != REVOLUTE)
             factor, digits, unit = (1e3, 3, 'mm') if lengths else (math.degrees(1), 4, 'deg')
@@ -120,7 +124,7 @@ def table(answer: ArmAnswer) -> RenderableType:
     stated, chosen = answer.selection.models[0], answer.selection.chosen
     return Group(
         Text('Zero offset: add it to the reading of the joint.'), joints,
-        Text(f'model: {", ".join(answer.selection.arm.error_kinds) or UNCHANGED_ARM}; points that '
-             f'were left out: {stated.left_out_rms * 1e3:.2f} mm RMS before, '
+        Text(f'model: {", ".join(answer.selection.arm.estimated_kinds) or UNCHANGED_ARM}; points '
+             f'that were left out: {stated.left_out_rms * 1e3:.2f} mm RMS before, '
              f'{chosen.left_out_rms * 1e3:.2f} mm after; what is left of the error of the robot: '
              f'{answer.selection.robot_smooth * 1e3:.2f} mm (RMS, each axis)'))

@@ -20,7 +20,7 @@ from functools import cached_property
 from typing import TypeAlias
 
 from handeye_ros import se3
-from handeye_ros.arm import Arm, ERROR_KINDS
+from handeye_ros.arm import Arm, KIND_OF_ERROR
 from handeye_ros.calibration import rms_by
 from handeye_ros.data import Array, Indices, rms
 from handeye_ros.estimation.basis import smooth_basis
@@ -193,13 +193,13 @@ class ArmFit:
     @property
     def kind_numbers(self) -> Indices:
         """Return the kind (p,) of each error as a number from 0; the smooth ones are the last."""
-        _, kind = np.unique(ERROR_KINDS[self.arm.is_estimated.nonzero()[1]], return_inverse=True)
+        _, kind = np.unique(KIND_OF_ERROR[self.arm.is_estimated.nonzero()[1]], return_inverse=True)
         return np.append(kind, np.full(len(self.smooth), kind.max(initial=-1) + 1))
 
     @property
     def prior_stds(self) -> Array:
         """Return the prior sigmas (p,) of the errors, scaled by their estimated variances."""
-        stated = np.append(self.arm.priors[self.arm.is_estimated],
+        stated = np.append(self.arm.prior_stds[self.arm.is_estimated],
                            np.full(len(self.smooth), SMOOTH_ERROR_STD))
         return stated * np.sqrt(self.variances[self.kind_numbers])
 
@@ -325,7 +325,7 @@ def without_bad_stops(fit: ArmFit) -> ArmFit:
 
 
 def solved_with_arm(fit: ArmFit, arm: Arm) -> ArmFit:
-    """Return the fit with the errors of an arm, at their configured sigmas."""
+    """Return the fit with the errors of an arm, at the sigmas of PRIOR_STDS."""
     fit = replace(fit, arm=arm)
     return replace(fit, variances=np.ones(len(set(fit.kind_numbers)))).solved()
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from handeye_ros.arm import ALL_KINDS, Arm, DIRECTION, ERROR_KINDS, OFFSET, POSITION
+from handeye_ros.arm import Arm, DIRECTION, KIND_OF_ERROR, KINDS, OFFSET, POSITION
 from handeye_ros.data import Array, Indices, rms
 from handeye_ros.errors import DataError
 from handeye_ros.robot.estimate import (
@@ -28,7 +28,7 @@ import numpy as np
 
 UNSOLVED = 'unsolved'  # code of refusals that wrong clocks may explain
 UNCHANGED_ARM = 'the URDF as it is'
-REGION_COUNT = 8  # regions of the joint space, each left out once
+MAX_REGIONS = 8  # of the joint space, each left out once
 MIN_OF_REGION = 3  # stops of a region
 FOLD_ROUNDS = 2
 MIN_AGREEING_SHARE = 0.5  # smallest share of the stops that agree
@@ -97,13 +97,13 @@ def select_model(fit: ArmFit, stop_count: int, limit: float) -> ArmSelection:
     if fit.used.sum() < max(MIN_STOPS, MIN_AGREEING_SHARE * stop_count) or (
             fit.residual_rms > HOPELESS_FACTOR * limit):
         raise _contradiction(fit, stop_count, limit)
-    richest = without_bad_stops(solved_with_arm(fit, stated.with_errors_of(ALL_KINDS)))
+    richest = without_bad_stops(solved_with_arm(fit, stated.with_errors_of(KINDS)))
     if richest.residual_rms > limit or richest.used.mean() < MIN_AGREEING_SHARE:
         raise _contradiction(richest, stop_count, limit)
     agreed, fold = replace(fit, used=richest.used), _regions(fit.q)
     models = [_validated(
         with_estimated_weights(solved_with_arm(agreed, stated.with_errors_of(kinds))), fold)
-              for kinds in ((), (OFFSET,), ALL_KINDS)]
+              for kinds in ((), (OFFSET,), KINDS)]
     chosen = models[0]
     for richer in models[1:]:
         chosen = richer if _predicts_better(richer, chosen) else chosen
@@ -116,7 +116,7 @@ def select_model(fit: ArmFit, stop_count: int, limit: float) -> ArmSelection:
                         _undetermined(chosen.fit), smooth, tuple(_notes(models, chosen)))
 
 
-def _regions(q: Array, most: int = REGION_COUNT) -> Indices:
+def _regions(q: Array, most: int = MAX_REGIONS) -> Indices:
     """
     Return the number (n,) of the region of each stop.
 
@@ -162,7 +162,7 @@ def _undetermined(fit: ArmFit) -> Array:
 def _require_same_robot(arm: Arm) -> None:
     """Raise DataError for an axis that would be further from the URDF than MAX_ERROR."""
     for kind, largest in MAX_ERROR.items():
-        sizes = np.linalg.norm(arm.errors[:, ERROR_KINDS == kind], axis=1)
+        sizes = np.linalg.norm(arm.errors[:, KIND_OF_ERROR == kind], axis=1)
         worst = int(np.argmax(sizes))
         if sizes[worst] > largest:
             size = (mm if kind == POSITION else degrees)(float(sizes[worst]))
@@ -177,7 +177,7 @@ def _notes(models: Sequence[ValidatedFit], chosen: ValidatedFit) -> Iterator[str
     if dropped := int((~richest.fit.used).sum()):
         yield f'{dropped} of {len(richest.fit.used)} stops contradict the others and are not used'
     if chosen is not richest:
-        rich, simple = (' and '.join(model.fit.arm.error_kinds) for model in (richest, chosen))
+        rich, simple = (' and '.join(model.fit.arm.estimated_kinds) for model in (richest, chosen))
         yield (f'the model with {rich} predicts left-out stops no better than '
                f'{simple or UNCHANGED_ARM}: the simpler one is the answer')
 

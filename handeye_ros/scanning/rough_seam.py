@@ -3,10 +3,10 @@
 """
 Roughly the seam between the sheets of a cloud, and its kind.
 
-Edges of parallel sheets that face each other across a gap are a butt seam; one above the other
-they are a lap. Edges of sheets at an angle in a hollow corner are a fillet, or a V where both
+Rims of parallel sheets that face each other across a gap are a butt seam; one above the other
+they are a lap. Rims of sheets at an angle in a hollow corner are a fillet, or a V where both
 sheets bend outwards at their upper ends. The partner of a point is the nearest point on the other
-sheet; borders of the part have none.
+sheet; outer rims of the part have none.
 """
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MIN_SEAM = 0.01  # m: smallest length of a seam
 MAX_LAP_HEIGHT = 8e-3  # m: of a higher step the root cannot be found without its wall
 MIN_GAP_WIDTH = 4.0  # spacings: smallest gap
 CORNER_NOISE = 0.25  # spacings: noise up to which no corner looks round
-TOUCHING_GAP = 6.0  # spacings: largest distance between the edges of sheets in a visible corner
+TOUCHING_GAP = 6.0  # spacings: largest distance between the rims of sheets in a visible corner
 V_AXIS_COSINE = 0.9  # cosine between the axis of a V and the normals of its plates
 SEAM_KINDS = ('v', 'butt', 'lap', 'fillet')  # in the order of preference
 
@@ -50,7 +50,7 @@ class RoughSeam:
     A seam as the pairs of rim points that face each other, before its edges are found.
 
     kind: one of SEAM_KINDS
-    pairs: (k, 2) indices of points on its two edges that face each other, in order along it
+    pairs: (k, 2) indices of points on its two rims that face each other, in order along it
     t: (k,) lengths of the pairs along the seam (m)
     other_seam_count: number of other seams, of other kinds
     """

@@ -21,7 +21,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.output import csv_text, write_atomically, yaml_text
 from handeye_ros.scanning.curves import Curve, spline
 from handeye_ros.scanning.rough_seam import rough_seam_of
-from handeye_ros.scanning.seam_sections import edges_of_seam, SeamSections
+from handeye_ros.scanning.seam_sections import SeamSections, sections_of_seam
 from handeye_ros.scanning.sheets import FLAT_RATIO, sheets_of
 from handeye_ros.se3 import unit
 from handeye_ros.words import mm
@@ -84,10 +84,10 @@ class Seam:
 @dataclass(frozen=True, eq=False)
 class ToolFrames:
     """
-    Frames of a tool along a seam, at arc lengths (m,) from its start (m).
+    Frames of a tool along a seam, at arc lengths (k,) from its start (m).
 
-    T_base_tool: (m, 4, 4), its axes n (advance), o (approach), n x o
-    measures: (m, 4) gap, mismatch, residual, 1 sigma of the position (m)
+    T_base_tool: (k, 4, 4), its axes n (advance), o (approach), n x o
+    measures: (k, 4) gap, mismatch, residual, 1 sigma of the position (m)
     """
 
     lengths: Array
@@ -125,7 +125,7 @@ def find_seam(points: Array, widest: float = DEFAULT_WIDEST,
             points[rough_seam.pairs[[0, -1], 0]] - start, axis=1)) == 1:
         rough_seam = replace(rough_seam, pairs=rough_seam.pairs[::-1],
                              t=rough_seam.t[-1] - rough_seam.t[::-1])
-    sections = edges_of_seam(sheets, rough_seam)
+    sections = sections_of_seam(sheets, rough_seam)
     if line == 'auto':
         line = 'root' if rough_seam.kind in ('v', 'fillet') else 'centre'
     first, last = sections.ends
@@ -179,7 +179,7 @@ def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, 
 
 def _measures(seam: Seam, t: Array) -> Array:
     """
-    Return gap, mismatch, residual and 1 sigma of the position (m, 4) at t (m,).
+    Return gap, mismatch, residual and 1 sigma of the position (k, 4), in metres, at t (k,).
 
     Gap and mismatch: distance between the edges along and across the sheets; residual: RMS
     distance of the roots of the sections nearby from the curve through all.

@@ -28,11 +28,11 @@ FREQUENCIES = np.fft.rfftfreq(1024, BIN_WIDTH)  # of columns, per spacing
 MIN_PERIODICITY = 0.25  # periodicity of columns, more than random points have
 SECTION_WIDTH = 24.0  # spacings: width of a sheet's section, at least
 MIN_SECTION_WIDTH = 6e-3  # m: the same
-END_MARGIN = 2.5  # spacings: the sheet ends within this distance of the rough edge
-MAX_END_OFFSET = 2e-3  # m: largest distance of the end from the rough edge
+END_MARGIN = 2.5  # spacings: the sheet ends within this distance of its rim
+MAX_END_OFFSET = 2e-3  # m: largest distance of the end from the rim
 MAX_LINE_WIDTH = 12.0  # spacings: largest width of the rough seam
 MAX_MISSING_EDGE = 5e-3  # m: largest missing part of an edge
-ROUGH_EDGE_WINDOW = 5e-3  # m along the seam: pairs within it give the rough edges
+RIM_WINDOW = 5e-3  # m along the seam: pairs within it give the rims
 OVERHANG = 8e-3  # m beyond the ends of the rough seam where the seam may continue
 ROOT_GAP = 0.5  # spacings: a larger mean distance of the lower edges of a V is a root gap
 
@@ -67,8 +67,8 @@ class SeamSections:
     ends: tuple[float, float]
 
 
-def edges_of_seam(sheets: Sheets, rough_seam: RoughSeam) -> SeamSections:
-    """Return the edges along a rough seam; raises DataError where they are not one line."""
+def sections_of_seam(sheets: Sheets, rough_seam: RoughSeam) -> SeamSections:
+    """Return the sections of a rough seam; raises DataError where it is not one line."""
     is_corner = rough_seam.kind in ('v', 'fillet')
     middle = sheets.points[rough_seam.pairs].mean(axis=1)
     curve = spline(rough_seam.t, middle, STIFF_ONLY)
@@ -85,11 +85,11 @@ def edges_of_seam(sheets: Sheets, rough_seam: RoughSeam) -> SeamSections:
     side = _dot(sheets.outward[i] - sheets.outward[j], np.cross(up, curve.tangent(rough_seam.t)))
     pairs = np.where(side < 0, rough_seam.pairs[:, ::-1], rough_seam.pairs)
     rough_seam = replace(rough_seam, pairs=pairs)
-    edges = _edges_along(sheets, rough_seam, curve)
+    sections = _sections_along(sheets, rough_seam, curve)
     if is_corner:  # out of it the rough seam may bend at its ends
-        stiff = spline(edges.lengths, edges.lines['root'], STIFF_ONLY)
-        edges = _edges_along(sheets, rough_seam, stiff)
-    return edges
+        stiff = spline(sections.lengths, sections.lines['root'], STIFF_ONLY)
+        sections = _sections_along(sheets, rough_seam, stiff)
+    return sections
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -97,9 +97,9 @@ def _dot(a: Array, b: Array) -> Array:
     return np.asarray((a * b).sum(axis=-1, keepdims=True))
 
 
-def _edges_along(sheets: Sheets, rough_seam: RoughSeam, curve: Curve) -> SeamSections:
+def _sections_along(sheets: Sheets, rough_seam: RoughSeam, curve: Curve) -> SeamSections:
     """
-    Return the edges by sections across a curve through the rough seam; raises DataError.
+    Return the sections across a curve through the rough seam; raises DataError.
 
     The first of each pair of the rough seam is on the first side.
     """
@@ -147,17 +147,17 @@ def _sheet_end(sheets: Sheets, rough_seam: RoughSeam, curve: Curve, side: int, t
 
     side: 0 or 1, of the pairs of the rough seam; step: width of the section along the seam (m).
     """
-    window = np.abs(rough_seam.t - np.clip(t, *rough_seam.t[[0, -1]])) <= ROUGH_EDGE_WINDOW
-    this_edge, other_edge = rough_seam.pairs[window, side], rough_seam.pairs[window, 1 - side]
-    if not len(this_edge):
+    window = np.abs(rough_seam.t - np.clip(t, *rough_seam.t[[0, -1]])) <= RIM_WINDOW
+    this_rim, other_rim = rough_seam.pairs[window, side], rough_seam.pairs[window, 1 - side]
+    if not len(this_rim):
         return None
     position, tangent = curve.extrapolated(t)
-    into_sheet, upright = _axes(sheets, this_edge, other_edge, tangent)
+    into_sheet, upright = _axes(sheets, this_rim, other_rim, tangent)
     on_curve = curve.position(np.clip(rough_seam.t[window], curve.first, curve.last))
-    offset = np.median(sheets.points[this_edge] - on_curve, axis=0)
+    offset = np.median(sheets.points[this_rim] - on_curve, axis=0)
     # the points of a pair may be displaced along the seam
     origin = position + offset - (offset @ tangent) * tangent
-    points = _points_of_sheet(sheets, this_edge, other_edge, origin,
+    points = _points_of_sheet(sheets, this_rim, other_rim, origin,
                               np.stack([tangent, into_sheet, upright]))
     along, inward, height = points[np.abs(points[:, 0]) <= step / 2].T
     margin = END_MARGIN * sheets.spacing
@@ -179,36 +179,36 @@ def _sheet_end(sheets: Sheets, rough_seam: RoughSeam, curve: Curve, side: int, t
             np.quantile(along[on_sheet], [0, 1]), _column_resolution(points[:, 1], sheets.spacing))
 
 
-def _points_of_sheet(sheets: Sheets, this_edge: Indices, other_edge: Indices,
+def _points_of_sheet(sheets: Sheets, this_rim: Indices, other_rim: Indices,
                      origin: Array, axes: Array) -> Array:
     """
-    Return the points (n, 3) near a section of the sheet of an edge, along axes from an origin.
+    Return the points (n, 3) near a section of the sheet of a rim, along axes from an origin.
 
     axes: (3, 3) rows along the seam, into the sheet, out of its surface. None are beyond the
-    middle between two edges of one sheet.
+    middle between two rims of one sheet.
     """
     width = max(SECTION_WIDTH * sheets.spacing, MIN_SECTION_WIDTH)
     rows = np.array(sheets.tree.query_ball_point(origin + 0.5 * width * axes[1], 0.8 * width),
                     dtype=int)
-    labels, counts = np.unique(sheets.label[this_edge], return_counts=True)
-    rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(this_edge)])]
+    labels, counts = np.unique(sheets.label[this_rim], return_counts=True)
+    rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(this_rim)])]
     points = (sheets.points[rows] - origin) @ axes.T
     beyond = MAX_END_OFFSET
-    if np.isin(labels, sheets.label[other_edge]).any():  # one sheet on both sides
-        apart = (sheets.points[this_edge] - sheets.points[other_edge]) @ axes[1]
+    if np.isin(labels, sheets.label[other_rim]).any():  # one sheet on both sides
+        apart = (sheets.points[this_rim] - sheets.points[other_rim]) @ axes[1]
         beyond = min(0.5 * abs(float(np.median(apart))), beyond)
     return np.asarray(points[(points[:, 1] <= width) & (points[:, 1] >= -beyond)])
 
 
-def _axes(sheets: Sheets, this_edge: Indices, other_edge: Indices,
+def _axes(sheets: Sheets, this_rim: Indices, other_rim: Indices,
           tangent: Array) -> tuple[Array, Array]:
     """Return the directions into a sheet and out of its surface (3,), orthogonal to the seam."""
-    inwards = -sheets.outward[this_edge].mean(axis=0)
+    inwards = -sheets.outward[this_rim].mean(axis=0)
     inwards = unit(inwards - (inwards @ tangent) * tangent)
     upright = np.cross(tangent, inwards)
-    sense = -upright @ sheets.outward[other_edge].mean(axis=0)
+    sense = -upright @ sheets.outward[other_rim].mean(axis=0)
     if abs(sense) <= 0.5:  # else of a corner: the other sheet ends on this one
-        sense = upright @ sheets.normals[this_edge].mean(axis=0)
+        sense = upright @ sheets.normals[this_rim].mean(axis=0)
     return inwards, np.copysign(1.0, sense) * upright
 
 

@@ -1,12 +1,12 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The sheets of a cloud, and where their edges face.
+The sheets of a cloud, and where their rims face.
 
 Points whose neighbours lie in a plane are joined to neighbours in the same plane; points near a
-rim or a corner belong to the sheet in whose plane they lie. A point lies on the edge of its sheet
+rim or a corner belong to the sheet in whose plane they lie. A point lies on the rim of its sheet
 where its neighbours on that sheet leave a wide angle free; the middle of this angle is its outward
-direction. A surface below a rim or on it is another sheet and hides no edge.
+direction. A surface below a rim or on it is another sheet and hides no rim.
 """
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FLAT_RATIO = 1.35  # times the median thickness of a neighbourhood: a thicker on
 SAME_PLANE = 4.0  # sigmas from a sheet; 1.5 times that between joined neighbours
 SAME_NORMAL = 0.98  # cosine of the angle between neighbouring normals of a sheet
 MIN_SHEET = 60  # points of a sheet
-FREE_ANGLE = 2.2  # rad without neighbours: an edge
+FREE_ANGLE = 2.2  # rad without neighbours: a rim
 CHUNK_POINTS = 20_000
 
 
@@ -40,9 +40,9 @@ class Sheets:
     tree: of the points
     spacing: median distance of neighbouring points (m)
     label: (n,) the number of the sheet, -1 where there is none
-    normals: (n, 3) of the sheets, on the visible side
+    normals: (n, 3) of the sheets, on the side of `up` of sheets_of; of a wall along it on either
     noise: 1 sigma of the points across their sheets (m)
-    rims: (k,) indices of points on borders of sheets, one per cube of two spacings
+    rims: (k,) indices of points on rims of sheets, one per cube of two spacings
     outward: (n, 3) directions out of the sheet, valid at the rims
     """
 
@@ -139,7 +139,7 @@ def _sheet_labels(points: Array, normals: Array, linked: NDArray[np.int32],
 
 def _rims(points: Array, near: NDArray[np.int32], label: Indices, normals: Array,
           spacing: float) -> tuple[Indices, Array]:
-    """Return the indices (k,) of points on borders of sheets, and outward directions (n, 3)."""
+    """Return the indices (k,) of points on rims of sheets, and outward directions (n, 3)."""
     free_angle, outward = np.zeros(len(points)), np.zeros_like(points)
     for block, valid, offset in _neighbourhoods(points, near):
         n = normals[block]

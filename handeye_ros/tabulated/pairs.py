@@ -23,7 +23,7 @@ from typing import Any, ClassVar, Self
 from handeye_ros import se3
 from handeye_ros.checks.refusals import require_rotations
 from handeye_ros.config import Config, with_values
-from handeye_ros.csv_tables import CsvTable, NOTATIONS, require_different
+from handeye_ros.csv_tables import CsvTable, require_different
 from handeye_ros.data import Array, Indices, SEED
 from handeye_ros.errors import DataError, require_count
 from handeye_ros.estimation.least_squares import (
@@ -35,6 +35,7 @@ from handeye_ros.estimation.least_squares import (
     Rows,
 )
 from handeye_ros.frames import mount_frame, mount_poses
+from handeye_ros.notations import NOTATIONS
 from handeye_ros.published.park1994 import solve_motions
 from handeye_ros.results.file_values import input_provenance
 from handeye_ros.tabulated.problem import Misreading, TableAnswer, TableProblem
@@ -120,7 +121,7 @@ class PairedRows(TableProblem):
         """Return the problem of some rows (ascending indices)."""
         return replace(self, seen=self.seen[rows], robot=self.robot[rows])
 
-    def field(self) -> Array:
+    def error_points(self) -> Array:
         return _positions(self.seen)
 
     @property
@@ -250,7 +251,7 @@ class PointPairs(PairedRows):
     calibration_types = ('eye_on_base',)
     advice = 'take more points, spread over a larger volume'
     to_check = 'do both lists hold the same points in the same order, and which are their units?'
-    field_text = 'the points of the file'
+    error_points_text = 'the points of the file'
     prefixes = ('camera', 'base')
     fewest = 4
     typical_variances = np.array([1e-18])
@@ -299,7 +300,7 @@ class PosePairs(PairedRows):
     calibration_types = ('eye_in_hand', 'eye_on_base')
     advice = 'take more poses, turned by 30 degrees or more about two axes'
     to_check = 'are both lists of the same moments, is no pose inverted, and which are the units?'
-    field_text = 'the positions of the target in the file'
+    error_points_text = 'the positions of the target in the file'
     prefixes = ('target', 'flange')
     fewest = 5
     typical_variances = 1e-8 * np.array([1e-8, 1e-6, 1e-7])  # as 0.1 mm, 1 mrad and 0.3 mrad

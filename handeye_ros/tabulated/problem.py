@@ -7,15 +7,18 @@ A table is read, an estimator answers, and where the values contradict each othe
 as other units and notations would give them: what fits is named, never used. These refuse, in this
 order:
 
-1. reading: `CsvTable`; of pairs `require_plausible`, for rows that repeat and units of no cell; of
-   a tracker `read_reflector_points` and `sweep_from`, for points or profiles that are missing and
-   another motion than along a line
-2. `require_usable`: too few values, without spread or in the wrong order
-3. `estimate`; of a tracker `require_agreement`: a part or a row is further off than the noise
-4. `TableAnswer.agrees`: too many samples were dropped, or the others do not fit
-5. `TableAnswer.require_trusted`: the answer is beyond the limits of the configuration
+1. `read_table`: a target.type without tables, a method or calibration_type that it does not have
+2. reading, of pairs: `CsvTable`; `require_plausible`, for rows that repeat and units of no cell;
+   of a tracker: tracker.direction, the bag, a missing file of points, settings without default,
+   `read_reflector_points`, and `sweep_from`, for missing profiles and another motion than along
+   a line
+3. `require_usable`: too few values, without spread or in the wrong order; of a tracker also its
+   published answer, and a sweep beside the line
+4. `estimate`; of a tracker `require_agreement`: a part or a row is further off than the noise
+5. `TableAnswer.agrees`: too many samples were dropped, or the others do not fit
+6. `TableAnswer.require_trusted`: the answer is beyond the limits of the configuration
 
-After a refusal of steps 2 to 4 the misreadings are tried.
+After a refusal of steps 3 to 5 the misreadings are tried, which a tracker has none of.
 """
 from __future__ import annotations
 
@@ -62,7 +65,7 @@ class TableProblem(ABC):
     calibration_types: those that the target can have
     advice: what makes an answer more certain
     to_check: what to check where the values contradict each other
-    field_text: the points of `field` in words
+    error_points_text: the points of `error_points` in words
     """
 
     config: Config
@@ -76,7 +79,7 @@ class TableProblem(ABC):
     calibration_types: ClassVar[tuple[str, ...]]
     advice: ClassVar[str]
     to_check: ClassVar[str]
-    field_text: ClassVar[str] = FIELD_TEXT
+    error_points_text: ClassVar[str] = FIELD_TEXT
 
     @classmethod
     @abstractmethod
@@ -96,7 +99,7 @@ class TableProblem(ABC):
     def estimate(self) -> TableAnswer:
         """Return the answer, however uncertain; raises DataError."""
 
-    def field(self) -> Array:
+    def error_points(self) -> Array:
         """Return the points (k, 3) over which errors are reported, in the plane's frame (m)."""
         return field_points()
 

@@ -46,7 +46,7 @@ PARTS = ('arc', 'line', 'face_c', 'face_d', *SWEPT_PARTS)  # the ball counts by 
 # with the way of the sweep, two planes, and the transform
 UNKNOWNS = 6 + 4 + 6 + 2 * 3 + 6
 MIN_FORWARD_SHARE = 0.9  # of the way along arc and line
-MAX_TURN = 0.35  # largest angle between the sweep (by the ball) and the line (rad)
+MAX_LINE_ANGLE = 0.35  # largest angle between the sweep (by the ball) and the line (rad)
 MAX_PART_RMS, MAX_ROW_RMS = 3.0, 10.0  # sigmas of the points of a part, of a row
 NOISE_DRAWS = 100  # for the covariance
 # of the sweep
@@ -59,7 +59,7 @@ MIN_PROFILES = 5  # of the ball, and of the block
 MAX_MISSED_PROFILES = 3
 
 
-class Piece(NamedTuple):
+class PartPoints(NamedTuple):
     """
     The points of one part of ball, block or arm, from one row of the file or from one profile.
 
@@ -77,11 +77,11 @@ class TrackerProblem(TableProblem):
     """
     The points that tracker and profiler measured.
 
-    pieces: of each of PARTS, and of the ball by the tracker; face_c is the face at smaller x
+    part_points: of each of PARTS, and of the ball by the tracker; face_c is the face at smaller x
     q30: the reading of P3 at which the flange frame is taken (m)
     """
 
-    pieces: Mapping[str, Sequence[Piece]]
+    part_points: Mapping[str, Sequence[PartPoints]]
     q30: float
 
     name = 'tracker'
@@ -114,7 +114,7 @@ class TrackerProblem(TableProblem):
 
     @property
     def sample_ids(self) -> list[tuple[int, str]]:
-        return [(piece.sample, part) for part in PARTS for piece in self.pieces[part]]
+        return [(one.sample, part) for part in PARTS for one in self.part_points[part]]
 
     @property
     def T_sensor_plane(self) -> Array:
@@ -123,7 +123,7 @@ class TrackerProblem(TableProblem):
     @cached_property
     def readings(self) -> jing2020.Readings:
         """Return the points of both instruments by part."""
-        parts = {part: np.concatenate([piece.points for piece in self.pieces[part]])
+        parts = {part: np.concatenate([one.points for one in self.part_points[part]])
                  for part in (*PARTS, 'ball')}
         parts['ball'] = parts['ball'].mean(axis=0, keepdims=True)
         return jing2020.Readings(parts, self.config.tracker.h0 + self.config.tracker.h1, self.q30)
@@ -149,17 +149,17 @@ class TrackerProblem(TableProblem):
                 raise DataError(f'the points of the {part} go back and forth; list them in the '
                                 'order measured')
         along_line = self.result.direction @ self.result.T_flange_sensor[2, :3]
-        turn = math.acos(min(1.0, float(along_line)))
-        if turn > MAX_TURN:
+        angle = math.acos(min(1.0, float(along_line)))
+        if angle > MAX_LINE_ANGLE:
             raise DataError(
-                f'the sweep runs {math.degrees(turn):.0f} degrees beside the line of the '
+                f'the sweep runs {math.degrees(angle):.0f} degrees beside the line of the '
                 'reflector; check which face is which, tracker.direction, and that the line was '
                 'measured towards larger readings of P3')
 
     def estimate(self) -> TableAnswer:
         """Return the published answer, its covariance by draws of noise; raises DataError."""
         answer, distances = self.result, self.distances(self.result)
-        counts = [len(piece.points) for part in PARTS for piece in self.pieces[part]]
+        counts = [len(one.points) for part in PARTS for one in self.part_points[part]]
         residuals = rms_by(np.repeat(np.arange(len(counts)), counts),
                            np.concatenate([distances[part] for part in PARTS]), len(counts))
         self.require_agreement(distances, residuals)
@@ -232,7 +232,7 @@ class TrackerProblem(TableProblem):
         return distances
 
 
-def read_reflector_points(path: Path) -> dict[str, list[Piece]]:
+def read_reflector_points(path: Path) -> dict[str, list[PartPoints]]:
     """
     Return the positions of the reflector (m) by kind, one for each row.
 
@@ -249,12 +249,12 @@ def read_reflector_points(path: Path) -> dict[str, list[Piece]]:
         if kinds.count(kind) < fewest:
             raise TableError(path, f'holds {count_of(kinds.count(kind), "point")} of the kind '
                              f'{kind}; at least {fewest} are needed')
-    return {kind: [Piece(row + 1, points[row:row + 1]) for row in range(len(kinds))
+    return {kind: [PartPoints(row + 1, points[row:row + 1]) for row in range(len(kinds))
                    if kinds[row] == kind] for kind in MIN_POINTS}
 
 
 def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], config: Config
-               ) -> tuple[dict[str, list[Piece]], float]:
+               ) -> tuple[dict[str, list[PartPoints]], float]:
     """
     Return the points of each of SWEPT_PARTS in a sweep, and the reading of P3 in its middle (m).
 
@@ -271,23 +271,23 @@ def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], confi
         raise DataError('no profile lies within the time of the poses; record both together')
     q3 = config.tracker.first_reading + _travel(interpolate(poses, [
         first, *(profile.stamp for profile in profiles)]))
-    seen = dict[int, dict[str, Piece]]()  # by the index of the profile, and the part
+    seen = dict[int, dict[str, PartPoints]]()  # by the index of the profile, and the part
     for index, (profile, reading) in enumerate(zip(profiles, q3.tolist(), strict=True)):
         with suppress(UnusableMessageError, FeatureError):
-            seen[index] = {part: Piece(profile.stamp, np.insert(points, 2, reading, axis=1))
+            seen[index] = {part: PartPoints(profile.stamp, np.insert(points, 2, reading, axis=1))
                            for part, points in _parts_in(profile.read().points, config).items()}
     # two lines may also fit the rim of the ball: the block is the longest run of two faces
-    corners = np.array([index for index in seen if len(seen[index]) == 2], dtype=int)
+    corners = np.array([index for index in seen if 'swept_ball' not in seen[index]], dtype=int)
     gaps = np.flatnonzero(np.diff(corners) > 1 + MAX_MISSED_PROFILES) + 1
     block = max(np.split(corners, gaps), key=len).tolist()
-    ball = [index for index in seen if len(seen[index]) == 1]
+    ball = [index for index in seen if 'swept_ball' in seen[index]]
     for name, indices in (('ball', ball), ('block', block)):
         if len(indices) < MIN_PROFILES:
             raise DataError(f'the {name} is in {count_of(len(indices), "profile")} only; sweep '
                             f'over it slowly, at least {MIN_PROFILES} profiles')
-    pieces = {part: [seen[index][part] for index in (ball if part == 'swept_ball' else block)]
-              for part in SWEPT_PARTS}
-    return pieces, (q3.min() + q3.max()) / 2
+    swept = {part: [seen[index][part] for index in (ball if part == 'swept_ball' else block)]
+             for part in SWEPT_PARTS}
+    return swept, (q3.min() + q3.max()) / 2
 
 
 def _travel(T: Array) -> Array:

@@ -45,7 +45,7 @@ FACE = 0  # the kind of the conditions on the face, in every target that has onl
 # share of the RMS of each degree: the first are the largest
 FLATNESS_SHARES = {2: 0.8, 3: 0.5, 4: 0.3}
 
-GRAZING = 'grazing'
+GRAZING, FLATNESS_ERROR = 'grazing', 'flatness_error'
 GRAZING_COSINE = 0.64  # cosine of the incidence below which the range of a face may be wrong
 # exponents of the smallest cosine over that of a point
 STEEPNESS_EXPONENTS = np.array([8, 16, 32])
@@ -206,7 +206,7 @@ def flatness(linear: Linearisation) -> Blocks:
                     for i in faces), strict=True)
     for (degree, share), columns in zip(FLATNESS_SHARES.items(), heights, strict=True):
         yield ParameterBlock(f'flatness_{degree}', np.hstack(columns) * (std * share), std * share,
-                             reported_as='flatness_error')
+                             reported_as=FLATNESS_ERROR)
 
 
 def grazing(linear: Linearisation) -> Blocks:

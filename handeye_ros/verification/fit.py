@@ -12,24 +12,21 @@ E: its stated covariance is never part of the measurement's own uncertainty.
 
 That e is as small as the covariance of the calibration states, beside robot errors of unit
 variance, is tested by the deviations v of the measured values from their nominal ones: v' cov^-1 v
-is chi square if it is true.
+is chi square if it is true. This test gives a remark, not the verdict.
 """
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 import math
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 from handeye_ros import se3
-from handeye_ros.data import Array, Indices, rms
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.data import Array, rms
 from handeye_ros.estimation.blocks import wrt_smooth
 from handeye_ros.estimation.least_squares import (
     chi2_sf,
-    drop_outliers,
     identity,
     inverse_roots,
     LeastSquares,
@@ -46,10 +43,16 @@ from handeye_ros.estimation.problem import Estimate, Linearisation, StationGroup
 from handeye_ros.frames import direction_in_words, mount_frame
 from handeye_ros.targets.profile_target import grazing
 from handeye_ros.verification.station_set import StationSet
+from handeye_ros.verification.white_residuals import (
+    covariance_root,
+    GroupFit,
+    largest_displacement,
+    ONE_SIDED_95,
+    regularised_least_squares,
+)
 import numpy as np
 import scipy.linalg
 
-ONE_SIDED_95 = 1.64  # sigmas that a normal value exceeds with 5 %
 DETECTION_SIGMAS = 1.96 + ONE_SIDED_95  # an error is seen with 95 % if false alarms are 5 %
 COVERAGE_FACTOR = 2.0  # coverage factor of expanded uncertainties (GUM: about 95 %)
 DIFFERENCE_STEP = 1e-7  # of numeric derivatives (m, rad)
@@ -59,13 +62,8 @@ ERROR_PRIOR_STDS = np.repeat([0.01, 0.1], 3)  # m, rad: of a calibration in use
 UNSEEN_CHANGE = 1e-6  # change of a value that no distance shows, per unit of an unknown
 # 1 sigma of an unknown without a prior, in units of the sigma by which the residuals show it
 FREE_STD = 1e6
-# a direction whose share left to the others is below this is determined by the group alone
-LEFT_BY_OTHERS_SHARE = 1e-3
 # noise.distortion is here, and of faces alone, what makes steep ones uncertain (`_covariance`)
 WITHOUT_LOCAL_DISTORTION = NoiseModel(np.where(np.arange(5) == LOCAL_DISTORTION_INDEX, 0.0, 1.0))
-MAX_OUTLIER_SHARE = 0.2  # of the groups: more are no outliers, but a disagreement
-
-Result = TypeVar('Result')
 
 
 @dataclass(frozen=True)
@@ -211,20 +209,6 @@ class ShapeFit:
     error: CalibrationError
 
 
-class GroupFit(NamedTuple, Generic[Result]):
-    """
-    The fit of some groups (result), with what the outlier test needs.
-
-    That is m white residuals, their derivatives (m, k) by all unknowns in prior sigmas, and the
-    group (m,) of each residual.
-    """
-
-    result: Result
-    residuals: Array
-    wrt_unknowns: Array
-    group: Indices
-
-
 def fit_shape(shape: Shape, X: Array, C: Array, robot_smooth: float
               ) -> GroupFit[tuple[Shape, ShapeFit]]:
     """
@@ -311,19 +295,6 @@ def _covariance(linear: Linearisation, batch: StationGroup) -> Array:
     return total
 
 
-def regularised_least_squares(A: Array, b: Array, information: Array | float = 1.0
-                              ) -> tuple[Array, Array, float]:
-    """
-    Return the x of least |b - A x|^2 + x' diag(information) x, its covariance, and this sum.
-
-    A: (m, u), b: (m,), white; information: (u,) of the prior, whose mean is 0.
-    """
-    covariance = np.asarray(np.linalg.inv(A.T @ A + information * np.eye(A.shape[1])), float)
-    explained = A.T @ b
-    x = covariance @ explained
-    return x, covariance, float(b @ b - explained @ x)
-
-
 def _measured(shape: Shape, q: Array, J: Array, gain: Array, E: Array, calibration_root: Array
               ) -> tuple[tuple[Quantity, ...], Array, Array, float]:
     """
@@ -360,13 +331,6 @@ def _measured(shape: Shape, q: Array, J: Array, gain: Array, E: Array, calibrati
     return quantities, whiten @ deviation, whiten @ wrt_errors[known], chi2
 
 
-def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, float]:
-    """Return the largest displacement (m) by a move (6,) of covariance C, and its 1 sigma."""
-    sizes = np.linalg.norm(se3.perturbation_jacobian(lever) @ move, axis=1)
-    worst = np.argmax(sizes)
-    return float(sizes[worst]), float(se3.mapped_std(lever[worst, None], C))
-
-
 def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
     """
     Return smallest_detectable and weakest_direction of a CalibrationError.
@@ -385,68 +349,10 @@ def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
 
 
 def refit_shape(shape: Shape, X: Array, C: Array, robot_smooth: float) -> ShapeFit:
-    """Return the fit with the calibration error estimated as well, for errors of any size."""
+    """Return the fit with the calibration error estimated as well, of up to MAX_SHIFT."""
     for _ in range(REFIT_COUNT):
         _, fit = fit_shape(shape, X, C, robot_smooth).result
         if not fit.error.largest < MAX_SHIFT:
             break
         X = se3.perturb(X, -fit.error.twist)
     return fit
-
-
-def covariance_root(C: Array) -> Array:
-    """Return R (n, n) with R R' = C, which may be singular; raises InputError."""
-    value, vectors = np.linalg.eigh((C + C.T) / 2)
-    if value[0] < -1e-9 * value[-1]:
-        raise InputError('the covariance of the calibration has a negative variance, so it is not '
-                         'valid: use the calibration.yaml as it was written')
-    return np.asarray(vectors * np.sqrt(np.maximum(value, 0.0)))
-
-
-def fit_without_outliers(groups: Indices, fit_groups: Callable[[Indices], GroupFit[Result]]
-                         ) -> tuple[Result, dict[int, float], list[int]]:
-    """
-    Return the fit of the groups that agree, the p-value of each group, and the contradicting ones.
-
-    fit_groups: fits some of the groups. The p-value of a contradicting one is that of the last fit
-    in which it took part. All are used where these would be too many, or the others too few;
-    raises DataError where all are.
-    """
-    p_values, most = dict[int, float](), int(MAX_OUTLIER_SHARE * len(groups))
-
-    def of_groups(_: object, used: Indices, dropped: dict[int, float]
-                  ) -> tuple[Result, Array, Indices, list[int]]:
-        fit = fit_groups(used)
-        squares, degrees_of_freedom = _left_out_squares(fit, used)
-        p = chi2_sf(squares * degrees_of_freedom, degrees_of_freedom)
-        p_values.update(zip(used.tolist(), p.tolist(), strict=True))
-        return fit.result, squares, degrees_of_freedom, [*dropped]
-
-    with suppress(DataError):
-        result, _, _, dropped = drop_outliers(
-            # one more than `most` may go, which shows that there are too many
-            groups, len(groups), len(groups) - most - 1, of_groups, lambda fit: fit[1:3])
-        if len(dropped) <= most:
-            return result, p_values, dropped
-    return of_groups(None, groups, {})[0], p_values, []
-
-
-def _left_out_squares(fit: GroupFit[Result], groups: Indices) -> tuple[Array, Indices]:
-    """
-    Return the mean square (g,) of each group's residuals, and its degrees of freedom (g,).
-
-    The other groups predict these residuals; they are in units of the predicted variance (eq. (12)
-    of docs/estimator.md). What a group alone determines is no part of it.
-    """
-    U, s, _ = np.linalg.svd(fit.wrt_unknowns, full_matrices=False)
-    U *= s / np.hypot(s, 1.0)  # U U' r is what the unknowns take up
-    left = fit.residuals - U @ (U.T @ fit.residuals)
-    squares, degrees_of_freedom = np.zeros(len(groups)), np.zeros(len(groups), dtype=np.intp)
-    for k, group in enumerate(groups):
-        U_group, left_group = U[fit.group == group], left[fit.group == group]
-        share, V = np.linalg.eigh(U_group.T @ U_group)
-        by_others = share < 1 - LEFT_BY_OTHERS_SHARE  # directions that the others determine too
-        b = (left_group @ U_group @ V)[by_others]
-        squares[k] = left_group @ left_group + b @ (b / (1 - share[by_others]))  # Woodbury
-        degrees_of_freedom[k] = len(U_group) - np.count_nonzero(~by_others)
-    return squares / np.maximum(degrees_of_freedom, 1), degrees_of_freedom

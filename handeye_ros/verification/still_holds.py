@@ -39,7 +39,13 @@ from handeye_ros.data import (
     TimedPose,
 )
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.estimation.blocks import LINE_BEND, line_bend, sensor_distortion, wrt_smooth
+from handeye_ros.estimation.blocks import (
+    DISTORTION_ERROR,
+    LINE_BEND,
+    line_bend,
+    sensor_distortion,
+    wrt_smooth,
+)
 from handeye_ros.estimation.noise import NoiseModel, Whitening, whitening
 from handeye_ros.estimation.problem import (
     Estimate,
@@ -52,8 +58,9 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.estimation.target import Target
 from handeye_ros.frames import direction_in_words, mount_frame, target_frame
 from handeye_ros.targets import TARGETS
-from handeye_ros.targets.profile_target import GRAZING
-from handeye_ros.verification.fit import (
+from handeye_ros.targets.profile_target import FLATNESS_ERROR, GRAZING
+from handeye_ros.verification.station_set import require_stations
+from handeye_ros.verification.white_residuals import (
     covariance_root,
     fit_without_outliers,
     GroupFit,
@@ -61,7 +68,6 @@ from handeye_ros.verification.fit import (
     ONE_SIDED_95,
     regularised_least_squares,
 )
-from handeye_ros.verification.station_set import require_stations
 from handeye_ros.words import mm
 import numpy as np
 from scipy.special import softmax
@@ -73,7 +79,7 @@ MIN_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
 MOVE_SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
 TYPICAL_SCALE = 1e-3  # m, one of these
 MOVE_TURN_LENGTH = 0.1  # m: a scale over it is that of a turn
-MAX_ITERATIONS = 6
+STEP_COUNT = 6  # of the search for the likeliest move
 MAX_LOST_SHARE = 0.2  # of the stations: with edges far from those of the target
 NAMED_FROM = 0.95  # probability with which one cause, or some together, are named
 MAX_OF_SWEEP = 30  # samples of a sweep: neighbours share the errors of the robot
@@ -292,8 +298,8 @@ class CalibratedCell(NamedTuple):
                 '"handeye verify"') from error
         noise = replace(
             configured, robot_smooth=found.get(ROBOT_POSITION_ERROR, 0.0),
-            distortion=found.get('distortion_error', configured.distortion),
-            flatness=found.get('flatness_error', configured.flatness),
+            distortion=found.get(DISTORTION_ERROR, configured.distortion),
+            flatness=found.get(FLATNESS_ERROR, configured.flatness),
             line_bend=found.get(LINE_BEND, configured.line_bend))
         X = calibration.T_flange_sensor @ frames.T_sensor_plane(config)
         return cls(target, Estimate(X, state), covariance_root(covariance), factors, noise, config)
@@ -430,7 +436,7 @@ def _cause_of(prediction: _Prediction, name: str) -> _Cause:
     Gauss-Newton steps find the move; the scale of its prior is the likeliest of MOVE_SCALES.
     """
     move, sigmas = NO_MOVE, _move_sigmas(MOVE_SCALES[-1])
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(STEP_COUNT):
         r, D, lever = prediction.undoing(name, move)
         r = r + D @ move  # of no move, in this linearisation
         x, C, _ = regularised_least_squares(np.hstack([prediction.errors, D * sigmas]), r)

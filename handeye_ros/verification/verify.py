@@ -3,9 +3,14 @@
 """
 From the stations of several recordings and a calibration to the verdict of a routine.
 
-The decision is that of ISO 14253-1 with the expanded uncertainty U = k u of the measurement here
-(sensor, robot, nominal value). The covariance that the calibration states is what is verified, and
-takes no part in U.
+The decisions are those of ISO 14253-1: a tolerance with a margin on both sides, a factor times the
+uncertainty u of the measurement here (sensor, robot, nominal value). The margin is
+
+- for values with a nominal, and points: the expanded uncertainty U = 2 u
+- for the calibration's error, if chance does not explain it (p_chance): 1.64 u, one-sided 95 %
+
+It is insensitive where an error of 3.6 u exceeds the tolerance. The covariance that the
+calibration states is what is verified, and takes no part in u.
 """
 from __future__ import annotations
 
@@ -24,8 +29,6 @@ from handeye_ros.verification.fit import (
     COVERAGE_FACTOR,
     DETECTION_SIGMAS,
     fit_shape,
-    fit_without_outliers,
-    ONE_SIDED_95,
     Quantity,
     refit_shape,
     ShapeFit,
@@ -33,7 +36,8 @@ from handeye_ros.verification.fit import (
 from handeye_ros.verification.routines import Routine
 from handeye_ros.verification.station_set import StationSet
 from handeye_ros.verification.stations import stations_of
-from handeye_ros.words import mm
+from handeye_ros.verification.white_residuals import fit_without_outliers, ONE_SIDED_95
+from handeye_ros.words import count_of, mm
 import numpy as np
 
 SIGNIFICANCE = 0.01  # level of the tests of a calibration error
@@ -46,9 +50,9 @@ CONFORMS, VIOLATES, UNDECIDED = 'conforms', 'does not conform', 'not decided'
 
 
 @dataclass(frozen=True)
-class StationResult:
+class GroupResult:
     """
-    Result of one stop, of a sweep of one profile, of a routine in passes of one pass.
+    Result of one group of poses: a stop, of a sweep a profile, of a routine in passes a pass.
 
     label: what it is called in a sentence; it is written to no file
     recording: its number, from 1
@@ -82,11 +86,11 @@ class Verification:
         (an error of the calibration as large as the tolerance would not have shown)
     reasons: sentences
     tolerance (m), angle_tolerance (rad): as configured
-    stations: number of stops used, of a sweep or of passes that of profiles
+    stations: number of poses used: of stops, of a sweep or of passes of profiles
     quantities: those of the fit, the scatter of each face or ball, and the error of the
         calibration that the points suggest, as the largest displacement of one of them
     fit: of the shape of the routine
-    per_station: the results of all stops that show the artefact
+    per_group: the results of all groups of poses that show the artefact
     surface: a sentence on the choice between several surfaces in sight
     measures: see Routine
     recorded: the time of the first stop (ISO 8601), empty where it is not known
@@ -103,7 +107,7 @@ class Verification:
     stations: int
     quantities: tuple[Quantity, ...]
     fit: ShapeFit
-    per_station: tuple[StationResult, ...] = ()
+    per_group: tuple[GroupResult, ...] = ()
     surface: str = ''
     measures: str = ''
     recorded: str = ''
@@ -145,13 +149,13 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
     quantities = (*fit.quantities, *routine.form_errors(shape.stations, fit.distances), Quantity(
         'likeliest error of the calibration', fit.error.largest, fit.error.largest_std))
     kind = 'pass' if routine.in_passes else 'profile' if config.sampling.moving else 'stop'
-    per_station = _station_results(
+    per_group = _group_results(
         kind, stations, shape.stations, fit, p, dropped, rejects if kind == 'stop' else ())
-    verdict, reasons = _decide(fit, quantities, per_station, artefact, robot_smooth)
+    verdict, reasons = _decide(fit, quantities, per_group, kind, artefact, robot_smooth)
     return Verification(
         routine.name, calibration.name, verdict, reasons, artefact.tolerance,
         artefact.angle_tolerance, len(np.unique(shape.stations.observations.station)), quantities,
-        fit, per_station, stations.surface_note, routine.measures,
+        fit, per_group, stations.surface_note, routine.measures,
         output.iso_time(int(stations.stamps.min())), artefact.certificate, dict(config.record))
 
 
@@ -168,14 +172,15 @@ def verify_stops(routine: Routine, recordings: Sequence[Sequence[Sample | Reject
                            calibration, rejects)
 
 
-def _station_results(kind: str, stations: StationSet, used: StationSet, fit: ShapeFit,
-                     p: Mapping[int, float], dropped: Sequence[int],
-                     rejects: Sequence[Sequence[Reject]]) -> tuple[StationResult, ...]:
+def _group_results(kind: str, stations: StationSet, used: StationSet, fit: ShapeFit,
+                   p: Mapping[int, float], dropped: Sequence[int],
+                   rejects: Sequence[Sequence[Reject]]) -> tuple[GroupResult, ...]:
     """
-    Return the results of all stops or passes that have points, or contradict the others.
+    Return the results of all groups of poses that have points, or contradict the others.
 
-    kind: of them, stop, profile or pass; used: the stations as fitted, without contradicting ones
-    (dropped); p: of each group; rejects: stops of each recording that count, but gave no sample.
+    kind: what a group is, stop, profile or pass; used: the stations as fitted, without
+    contradicting groups (dropped); p: of each group; rejects: stops of each recording that count,
+    but gave no sample.
     """
     results = []
     groups, recordings = stations.group_of_pose, stations.recording_of_pose
@@ -187,22 +192,23 @@ def _station_results(kind: str, stations: StationSet, used: StationSet, fit: Sha
         identity = f'{kind} {number} of recording {recording + 1}', recording + 1, number, stamp
         rows = np.flatnonzero(used.group_of_point == group)
         if group in dropped:
-            results.append(StationResult(*identity, math.nan, math.nan, p[group], False, (
+            results.append(GroupResult(*identity, math.nan, math.nan, p[group], False, (
                 'it contradicts the others under every possible calibration')))
         elif len(rows):
             worst = rows[np.argmax(np.abs(fit.distances[rows]))]
-            results.append(StationResult(
+            results.append(GroupResult(
                 *identity, float(abs(fit.distances[worst])), float(fit.distance_stds[worst]),
                 p[group]))
     return tuple(results)
 
 
-def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[StationResult],
-            artefact: VerifyConfig, robot_smooth: float) -> tuple[str, tuple[str, ...]]:
+def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[GroupResult],
+            kind: str, artefact: VerifyConfig, robot_smooth: float) -> tuple[str, tuple[str, ...]]:
     """
     Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences.
 
-    robot_smooth: 1 sigma (m) of the robot's smooth error, which more stops do not reduce.
+    kind: what a group is, in words; robot_smooth: 1 sigma (m) of the robot's smooth error, which
+    more groups do not reduce.
     """
     used = sum(result.used for result in results)
 
@@ -212,8 +218,8 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Sta
             return (f': the smooth error of the robot that the calibration found '
                     f'({mm(robot_smooth)}) hides less')
         return '' if size >= 10 * largest else (
-            f': measure at about {math.ceil(used * (size / largest) ** 2)} stops like these, or '
-            'turn the sensor more between them')
+            f': record about {count_of(math.ceil(used * (size / largest) ** 2), kind)} like '
+            'these, or turn the sensor more between them')
 
     # the shape fits, but not in its size
     other_size = fit.error.p_explained < UNEXPLAINED_P < fit.scatter.p
@@ -232,11 +238,11 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Sta
         [*failed, *undecided, *_notes(fit, other_size, results)]))
 
 
-def decision(deviation: float, U: float, tolerance: float) -> str:
-    """Return the decision of ISO 14253-1 on a deviation with its expanded uncertainty U."""
-    if abs(deviation) + U <= tolerance:
+def decision(deviation: float, margin: float, tolerance: float) -> str:
+    """Return the decision of ISO 14253-1 on a deviation that is uncertain by a margin."""
+    if abs(deviation) + margin <= tolerance:
         return CONFORMS
-    return VIOLATES if abs(deviation) - U > tolerance else UNDECIDED
+    return VIOLATES if abs(deviation) - margin > tolerance else UNDECIDED
 
 
 def in_mm_or_degrees(value: float | None, unit: str) -> str:
@@ -265,7 +271,7 @@ def _quantity_findings(quantities: Sequence[Quantity], artefact: VerifyConfig,
                 f'{remedy(q.expanded, tolerance - abs(q.deviation))}')
 
 
-def _point_findings(fit: ShapeFit, results: Sequence[StationResult], artefact: VerifyConfig,
+def _point_findings(fit: ShapeFit, results: Sequence[GroupResult], artefact: VerifyConfig,
                     other_size: bool) -> Iterator[tuple[str, str]]:
     """
     Yield the decisions on points and calibration that do not conform, each with a sentence.
@@ -278,22 +284,22 @@ def _point_findings(fit: ShapeFit, results: Sequence[StationResult], artefact: V
         worst = max(outside, key=lambda s: s.distance)
         yield VIOLATES, (f'points lie up to {mm(worst.distance)} from the fit (too far in '
                          f'{len(outside)} of {len(results)}, the worst: {worst.label})')
-    size, std = fit.error.largest, fit.error.largest_std
-    outcome = decision(size, ONE_SIDED_95 * std, artefact.tolerance)
-    error = (f'an error of the calibration of {mm(size)} ± {mm(COVERAGE_FACTOR * std)} '
-             f'(k = {COVERAGE_FACTOR:g})')
+    size, margin = fit.error.largest, ONE_SIDED_95 * fit.error.largest_std
+    outcome = decision(size, margin, artefact.tolerance)
+    error = (f'an error of the calibration of {mm(size)} ± {mm(margin)} '
+             f'(k = {ONE_SIDED_95:g}, one-sided)')
     if fit.error.p_chance <= SIGNIFICANCE and outcome == VIOLATES and not other_size:
         yield VIOLATES, f'the pattern of the distances matches {error} at the points'
     elif fit.error.p_chance <= SIGNIFICANCE and outcome != CONFORMS:
         yield UNDECIDED, OTHER_SIZE if other_size else (
-            f'the points suggest {error}, which may exceed the tolerance: measure at more stops')
+            f'the points suggest {error}, which may exceed the tolerance: measure more')
     contradicting = [s.label for s in results if s.used and s.p * len(results) < FALSE_ALARM]
     if contradicting:
         yield UNDECIDED, (f'{", ".join(contradicting)} contradict the others under every possible '
                           'calibration, and without them too little would be left: measure again')
 
 
-def _notes(fit: ShapeFit, other_size: bool, results: Sequence[StationResult]) -> Iterator[str]:
+def _notes(fit: ShapeFit, other_size: bool, results: Sequence[GroupResult]) -> Iterator[str]:
     """Yield the sentences that qualify a verdict."""
     yield from (f'{s.label} is not used: {s.reason}' for s in results if not s.used)
     if fit.scatter.p < INCONSISTENT_P:

@@ -17,9 +17,9 @@ from xml.etree import ElementTree
 from calibrations import CALIBRATION
 from command import handeye
 from handeye_ros import config, se3
-from handeye_ros.csv_tables import notation_of
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError, UnknownNameError, UnwritableError
+from handeye_ros.notations import notation_of
 from handeye_ros.results import calibration_file, exports
 from hypothesis import example, given, settings
 from hypothesis import strategies as st

@@ -10,7 +10,7 @@ from calibrations import calibration_at
 from cells import ONE_IN_1000, squared_error
 from command import assert_refused, bench_of, handeye, ROOT, succeeds
 from handeye_ros import pipeline, se3
-from handeye_ros.arm import ALL_KINDS, arm_of, corrected_urdf, read_arm, read_urdf
+from handeye_ros.arm import arm_of, corrected_urdf, KINDS, read_arm, read_urdf
 from handeye_ros.bags.recording import read_bag
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import DataError, HandeyeError
@@ -56,8 +56,8 @@ ODD = """<?xml version="1.0"?>
 
 
 def with_errors(arm, rng):
-    arm = arm.with_errors_of(ALL_KINDS)
-    sigmas = arm.priors[arm.is_estimated]
+    arm = arm.with_errors_of(KINDS)
+    sigmas = arm.prior_stds[arm.is_estimated]
     return replace(arm, error_values=rng.normal(size=len(sigmas)) * sigmas)
 
 
@@ -91,7 +91,7 @@ def test_an_odd_urdf_moves_as_in_pinocchio_and_so_does_the_corrected_one():
 @pytest.mark.parametrize('urdf', [bench.urdf(bench.SIX), ODD])
 def test_twists_are_the_derivatives_of_the_pose(urdf):
     rng = np.random.default_rng(1)
-    arm = arm_of(urdf, flange='tip' if urdf == ODD else '').with_errors_of(ALL_KINDS)
+    arm = arm_of(urdf, flange='tip' if urdf == ODD else '').with_errors_of(KINDS)
     q = rng.uniform(-1, 1, (7, len(arm.joints)))
     twists = arm.error_jacobian(q)[:, :, arm.is_estimated]
     for k, step in enumerate(1e-6 * np.eye(len(arm.error_values))):
@@ -160,7 +160,7 @@ def test_bad_tables_are_refused_in_a_sentence(from_table, tmp_path, change, word
 def test_few_poses_do_not_make_an_error_less_certain_than_before():
     cell = bench.draw(bench.CASES['six'], 17, 2)
     arm = select_from_points([cell.data], cell.arm.with_errors_of(()), 1e-3).arm
-    assert (np.sqrt(np.diag(arm.covariance)) < 1.2 * arm.priors[arm.is_estimated]).all()
+    assert (np.sqrt(np.diag(arm.covariance)) < 1.2 * arm.prior_stds[arm.is_estimated]).all()
 
 
 @pytest.mark.parametrize(('joints', 'in_hand'), [
@@ -178,6 +178,7 @@ def test_joint_values_that_contradict_the_points_are_refused(from_table, joints,
     ('<robot', 'tip', 'no valid URDF'),
     (ODD.replace('<child link="camera"/>', '<child link="tip"/>'), 'tip', 'closed loops'),
     (ODD, 'tool9', '^the URDF has no link tool9'),
+    (ODD, '', r'^the URDF ends in several links \(.*\): name the flange, as in --flange '),
     (ODD.replace('type="continuous"', 'type="floating"'), 'tip', 'floating'),
     (ODD.replace('<child link="c"/>', '<child link="c"/><mimic joint="j.b"/>'), 'tip', 'mimics'),
 ])
@@ -197,11 +198,11 @@ def test_a_damaged_kinematics_file_is_refused(from_table, tmp_path):
 
 def test_the_file_of_an_arm_without_errors_is_read(from_table, tmp_path):
     content = yaml.safe_load((from_table[2] / 'out/kinematics.yaml').read_text())
-    joints = [{key: joint[key] for key in joint.keys() - set(ALL_KINDS)}
+    joints = [{key: joint[key] for key in joint.keys() - set(KINDS)}
               for joint in content['joints']]
     (tmp_path / 'kinematics.yaml').write_text(yaml.dump(
         content | {'joints': joints, 'covariance': []}))
-    assert read_arm(tmp_path).error_kinds == ()
+    assert read_arm(tmp_path).estimated_kinds == ()
 
 
 def test_profiles_and_joint_states_of_a_bag_correct_the_arm(tmp_path):
@@ -210,7 +211,7 @@ def test_profiles_and_joint_states_of_a_bag_correct_the_arm(tmp_path):
     out = tmp_path / 'out'
     arm, calibration = read_arm(out), read_calibration(out / 'calibration.yaml')
     assert calibration.quality.holdout_rms < 6e-5
-    assert (calibration.parent_frame, arm.error_kinds) == ('flange', ALL_KINDS)
+    assert (calibration.parent_frame, arm.estimated_kinds) == ('flange', KINDS)
     run = succeeds('solve', ROOT / 'bags/arm', '--set', 'target.type=sphere', '--kinematics',
                    'out/kinematics.yaml', '--budget', '--out', 'again', cwd=tmp_path)
     match = re.search(r'corrected arm .* ([\d.]+) %', run.stdout)
@@ -263,7 +264,7 @@ def test_two_recordings_give_one_answer(recorded):
     source = solve.arm_samples_of(session, recording, arm, config)
     from_two, from_one = (solve.solve_samples(parts, arm) for parts in (
         [every_other(source, 0), every_other(source, 1)], [source]))
-    assert from_two.selection.arm.error_kinds == ALL_KINDS
+    assert from_two.selection.arm.estimated_kinds == KINDS
     assert from_two.selection.chosen.left_out_rms < 6e-5
     assert from_two.calibration.quality.samples_used == len(source.samples)
     assert squared_error(from_two.calibration, from_one.calibration) < 6

@@ -21,7 +21,7 @@ from handeye_ros.simulate.tables import (
 )
 from handeye_ros.tabulated.pairs import PointPairs, PosePairs
 from handeye_ros.tabulated.problem import answer_table, TableAnswer
-from handeye_ros.tabulated.tracker import Piece, sweep_from, SWEPT_PARTS, TrackerProblem
+from handeye_ros.tabulated.tracker import PartPoints, sweep_from, SWEPT_PARTS, TrackerProblem
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -118,9 +118,9 @@ CELL = with_values(Config(), {'noise.sensor': SENSOR, 'target.radius': BALL_RADI
 
 def tracked(measured: jing2020.Readings) -> TableAnswer:
     config = with_values(CELL, {'tracker.h0': measured.height, 'tracker.h1': 0.0}, 'test')
-    pieces = {part: [Piece(row, point[None]) for row, point in enumerate(points)]
-              for part, points in measured.parts.items()}
-    return answer_table(TrackerProblem(config, pieces, measured.q30))
+    part_points = {part: [PartPoints(row, point[None]) for row, point in enumerate(points)]
+                   for part, points in measured.parts.items()}
+    return answer_table(TrackerProblem(config, part_points, measured.q30))
 
 
 def test_the_tracker_without_noise_finds_the_truth() -> None:
@@ -144,8 +144,8 @@ def of_cell(cell: SimulatedFiles) -> Config:
 
 def test_the_rim_of_the_ball_is_no_block() -> None:
     cell = laser_tracker(np.random.default_rng(1003))
-    pieces, q30 = sweep_from(cell.profiles, cell.poses, of_cell(cell))
-    ball, *faces = (np.concatenate([piece.points for piece in pieces[part]])
+    part_points, q30 = sweep_from(cell.profiles, cell.poses, of_cell(cell))
+    ball, *faces = (np.concatenate([one.points for one in part_points[part]])
                     for part in SWEPT_PARTS)
     assert faces[0][:, 2].min() > ball[:, 2].max()
     along = jing2020.fit_swept_ball(ball, q30, jing2020.SWEEP)[0]

@@ -96,9 +96,9 @@ def test_solve_answers_near_the_truth_and_says_how_near(name, handeye, tmp_path)
     for path, digest in inputs.items():
         assert hashlib.sha256(Path(path).read_bytes()).hexdigest() == digest
     read = read_configured(name, folder)
-    errors = errors_against(calibration.T_flange_sensor, T_true, read.field())
-    sentence = f'mapped points {errors.mapped_points * 1e3:.3f} mm RMS over {read.field_text}'
-    assert sentence in run.stdout
+    errors = errors_against(calibration.T_flange_sensor, T_true, read.error_points())
+    mapped = f'mapped points {errors.mapped_points * 1e3:.3f} mm RMS over '
+    assert mapped + read.error_points_text in run.stdout
     calibration.provenance.pop('created')
     assert equal(calibration, calibrate_table(read))
 

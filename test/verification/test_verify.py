@@ -20,6 +20,7 @@ from handeye_ros.verification.result_file import plain_values, protocol, sentenc
 from handeye_ros.verification.routines import ROUTINES
 from handeye_ros.verification.stations import stations_of
 from handeye_ros.verification.verify import verify_stations
+from handeye_ros.words import mm
 import numpy as np
 import pytest
 from verifications import assess, bench, measure
@@ -147,6 +148,7 @@ def test_the_result_tells_by_how_much_a_calibration_is_wrong(name):
         assert error['name'] == 'likeliest error of the calibration'
         assert 0.0 < error['std'] < 1e-4
         assert abs(error['value'] - 1e-3) < 3 * error['std']
+        assert f'± {mm(1.64 * error["std"])} (k = 1.64, one-sided)' in sentence(content)
         assert f'likeliest error of the calibration {1e3 * error["value"]:.4f} mm ± ' in sentence(
             content)
 
@@ -194,9 +196,9 @@ def test_what_could_not_have_shown_is_no_pass():
     detectable = assess('step', artefact, calibration).fit.error.smallest_detectable
     assert assess('step', artefact, calibration, tolerance=2.0 * detectable).verdict == 'pass'
     coarse = assess('step', artefact, calibration, tolerance=0.8 * detectable)
-    more = math.ceil(sum(stop.used for stop in coarse.per_station) / 0.8 ** 2)
+    more = math.ceil(sum(stop.used for stop in coarse.per_group) / 0.8 ** 2)
     assert coarse.verdict == 'insensitive'
-    assert f'measure at about {more} stops like these' in coarse.reasons[0]
+    assert f'record about {more} stops like these' in coarse.reasons[0]
     artefact, calibration = measure('ball_bar')  # a tolerance below the uncertainty is no pass
     assert assess('ball_bar', artefact, calibration, tolerance=1e-5).verdict != 'pass'
 
@@ -222,7 +224,7 @@ def test_a_few_contradicting_stops_are_left_out_and_named():
     moved = with_poses(artefact, {4: [2e-3, 2e-3, 2e-3, 0, 0, 0]})
     verification = assess('line', moved, calibration)
     assert verification.verdict == 'pass' and verification.stations == len(artefact.bags[0]) - 1
-    assert [s.label for s in verification.per_station if not s.used] == ['stop 5 of recording 1']
+    assert [s.label for s in verification.per_group if not s.used] == ['stop 5 of recording 1']
     assert verification.reasons[0].startswith('stop 5 of recording 1 is not used')
     written = yaml.safe_load(yaml_text(plain_values(verification)))['per_station'][4]
     assert (written['used'], written['number']) == (False, 5) and math.isnan(written['distance'])
@@ -240,8 +242,8 @@ def test_a_stop_keeps_its_number_where_another_gave_no_sample():
     samples, = moved.bags
     rejects = [Reject(samples[0].stamp - 1, 'too dark'), Reject(samples[-1].stamp + 1, 'too dark')]
     verification = assess('line', replace(moved, bags=((*samples, *rejects),)), calibration)
-    assert [s.label for s in verification.per_station if not s.used] == ['stop 6 of recording 1']
-    assert [s.number for s in verification.per_station] == [*range(2, len(samples) + 2)]
+    assert [s.label for s in verification.per_group if not s.used] == ['stop 6 of recording 1']
+    assert [s.number for s in verification.per_group] == [*range(2, len(samples) + 2)]
 
 
 def test_of_an_artefact_on_the_flange_the_truth_lies_in_the_stated_region():
