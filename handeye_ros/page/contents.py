@@ -38,11 +38,16 @@ if TYPE_CHECKING:
 # buttons that call the service of their name
 PAGE_SERVICES = ('take_sample', 'clear_samples', 'compute_calibration', 'save_calibration',
                  'verify_start', 'verify_result')
-# parameters that the page can set
-PAGE_SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', 'noise.robot_class',
-                 'target.radius', 'target.size', 'guidance.accuracy', 'sampling.mode',
-                 'verify.routine', 'verify.radius', 'verify.lengths', 'verify.reference',
-                 'verify.tolerance')
+# parameters that the page can set, with their labels in its forms
+PAGE_SETTINGS = {
+    'profile_topic': 'Topic of the profiles', 'pose_source': 'Poses come from',
+    'pose_topic': 'Topic of the flange poses', 'profile.unit': 'Unit of the profiles',
+    'noise.robot_class': 'Accuracy class of the robot', 'target.radius': 'Radius of the sphere / m',
+    'target.size': 'Lengths of the plate / m', 'guidance.accuracy': 'Wanted accuracy (1 sigma) / m',
+    'sampling.mode': '',  # has a place of its own
+    'verify.routine': 'What is measured', 'verify.radius': 'Radius / m',
+    'verify.lengths': 'Nominal lengths / m', 'verify.reference': 'Touched point x, y, z / m',
+    'verify.tolerance': 'Largest error that passes / m'}
 
 FEW_STOPS = 3  # of a session that has just begun, perhaps by itself after a restart
 EXCLUDING = Lock()  # held while samples.exclude is read and set again
@@ -105,7 +110,7 @@ def _exclude(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
 
 def _set(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Set parameters given as YAML: all or none."""
-    if others := sorted(values.keys() - {*PAGE_SETTINGS}):
+    if others := sorted(values.keys() - PAGE_SETTINGS.keys()):
         return False, f'{others[0][:40]} is not set by the page'
     settings = configuration.flatten(configuration.with_assignments(
         node.live.config, [f'{key}={text}' for key, text in values.items()]))
@@ -134,9 +139,10 @@ def _setup(node: HandeyeNode) -> dict[str, Any]:
         with suppress(InputError):  # a damaged one; who opens it is told
             stored = read_session(sessions[0])  # none may fit the settings of then
             previous = stored.sample_count or len(stored.stops)
-    settings = [{'key': key, 'value': values[key], 'description': parameters[key].description,
+    settings = [{'key': key, 'label': label, 'value': values[key],
+                 'description': parameters[key].description,
                  'choices': choices.get(key, list(parameters[key].choices))}
-                for key in PAGE_SETTINGS]
+                for key, label in PAGE_SETTINGS.items()]
     return {'sessions': [path.name for path in sessions], 'previous': previous,
             'settings': settings,
             'nominal_keys': {name: routine.nominal_keys for name, routine in ROUTINES.items()}}

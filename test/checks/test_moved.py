@@ -152,7 +152,8 @@ def test_an_answer_that_warns_of_a_move_is_as_uncertain_as_the_move(name: str, s
     assert error @ np.linalg.solve(covariance - move, error) > chi2_isf(0.05, 6)
 
 
-@pytest.mark.parametrize('name', ['plate, baseline', 'joints and links 0.1 mm', 'sphere, smooth 0.2 mm'])
+@pytest.mark.parametrize('name', [
+    'plate, baseline', 'joints and links 0.1 mm', 'sphere, smooth 0.2 mm'])
 def test_a_robot_less_accurate_than_stated_is_no_move(name: str) -> None:
     samples, _ = simulate_samples(FAULTS[name], np.random.default_rng(0))
     config = settings_of(FAULTS[name])

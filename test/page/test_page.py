@@ -158,7 +158,7 @@ def went_on(browser: Any, count: int) -> None:
     """Go on with the session before, with samples taken by hand."""
     setup = json.loads(fetched(browser, 'read/setup'))
     assert len(setup['sessions']) == 1
-    assert tuple(one['key'] for one in setup['settings']) == PAGE_SETTINGS  # in their order
+    assert tuple(one['key'] for one in setup['settings']) == (*PAGE_SETTINGS,)  # in their order
     wait(browser, "!document.getElementById('before').hidden", 'the banner')
     assert words(browser, 'before-text') == f'The previous session holds {count} samples.'
     click(browser, '#continue')
@@ -168,6 +168,57 @@ def went_on(browser: Any, count: int) -> None:
     press(browser, '[name=mode][value=manual]', 'sampling.mode is manual')
     wait(browser, "document.getElementById('link').textContent === 'samples are taken by hand'",
          'it says so')
+
+
+@pytest.mark.thorough
+def test_the_cell_is_set_and_sessions_change_by_clicking(tmp_path: Path, client: Client) -> None:
+    port = free_port()
+    with chromium(1280, 900) as browser, running_node(
+            tmp_path, '-p', 'target.type:=sphere', '-p', 'profile_topic:=elsewhere', '-p',
+            f'page.port:={port}'):
+        client.until(lambda: served(port), 'the page is there')
+        browser.get(f'http://127.0.0.1:{port}/')
+        wait(browser, "document.getElementById('choose').offsetParent", 'that no profiles come')
+        click(browser, '#choose')
+        wait(browser, "document.getElementById('setup-open').open", 'the settings')
+        set_to(browser, 'profile_topic', '/profile')
+        set_to(browser, 'target.radius', '0.04')
+        wait(browser, "document.getElementById('set-target.radius').value === '0.04'",
+             'the form of now')
+        client.connect()
+        stand_still(client, 10**18)
+        stand_still(client, 10**18 + 2 * 10**9, x=0.1)
+        wait(browser, f'{LINES} === 1', 'what the first stop gave')
+        first = words(browser, 'session').rsplit(' ', 1)[-1]
+        click(browser, '#new')
+        press_twice(browser)
+        wait(browser, f'{LINES} === 0', 'the new session')
+        wait(browser, f"document.getElementById('sessions').value === '{first}'", 'the one before')
+        press(browser, '#open', 'continuing with ')
+        wait(browser, f'{LINES} === 1', 'its stop')
+        before = browser.execute_script(SCENE)
+        click(browser, '[data-turn="0.3,0"]')
+        wait(browser, f'{SCENE[7:]} !== {before!r}', 'that the scene is turned')
+        assert complaints(browser) == []
+
+
+SCENE = "return document.getElementById('scene').toDataURL()"
+
+
+def set_to(browser: Any, key: str, value: str) -> None:
+    """Set a key in the form, as a person does."""
+    wait(browser, f"document.getElementById('set-{key}')", 'the form')
+    browser.execute_script(
+        'const input = document.getElementById(arguments[0]); if (input.options) '
+        'input.add(new Option(arguments[1], arguments[1])); input.value = arguments[1];',
+        f'set-{key}', value)
+    press(browser, f'.setting[data-key="{key}"] button', f'{key} is {value}')
+
+
+def press_twice(browser: Any) -> None:
+    """Answer yes to both questions before a session is left."""
+    browser.find_element('id', 'yes').click()
+    press(browser, '#yes', 'removed; bags and clocks may start again')
 
 
 @pytest.mark.thorough

@@ -3,20 +3,12 @@
 
 import { $, ask, element, say, sure, text } from './shared.js';
 
-const NAMES = {
-  profile_topic: 'Topic of the profiles', pose_topic: 'Topic of the flange poses',
-  pose_source: 'Poses come from', 'profile.unit': 'Unit of the profiles',
-  'noise.robot_class': 'Accuracy class of the robot', 'target.radius': 'Radius of the sphere / m',
-  'target.size': 'Lengths of the plate / m', 'guidance.accuracy': 'Wanted accuracy (1 sigma) / m',
-  'verify.routine': 'What is measured', 'verify.radius': 'Radius / m',
-  'verify.lengths': 'Nominal lengths / m', 'verify.reference': 'Touched point x, y, z / m',
-  'verify.tolerance': 'Largest error that passes / m' };
 let nominalKeys = {};  // which of these each routine needs
 let verification = {};  // of the last state
 const written = value => (Array.isArray(value) ? `[${value.join(', ')}]` : String(value));
 
-function setting({ key, value, description, choices }) {
-  const made = element('div', '', 'setting'), name = element('label', NAMES[key]);
+function setting({ key, label, value, description, choices }) {
+  const made = element('div', '', 'setting'), name = element('label', label);
   let input = document.createElement('input');
   if (choices.length || key.endsWith('topic')) {
     input = document.createElement('select');
@@ -45,7 +37,7 @@ export async function readSetup() {
   const { settings, nominal_keys, sessions, previous } = await answer.json();
   nominalKeys = nominal_keys;
   const edited = Object.entries(valuesOf('verify-form'));
-  const parts = verify => settings.filter(s => NAMES[s.key] && s.key.startsWith('verify.') === verify);
+  const parts = verify => settings.filter(s => s.label && s.key.startsWith('verify.') === verify);
   $('setup-form').replaceChildren(...parts(false).map(s => {
     const made = setting(s), button = element('button', 'Set');
     button.type = 'button';
