@@ -178,8 +178,10 @@ class HandeyeNode(Node):
         if path == live.files.path:
             return f'{name} is open already'
         stored = read_session(path)
-        config = replace(live.config, samples=stored.config.samples)
-        return live.worker.call(partial(live.open_session, stored, config))
+
+        def go_on() -> str:  # with the settings at the worker's turn
+            return live.open_session(stored, replace(live.config, samples=stored.config.samples))
+        return live.worker.call(go_on)
 
     # parameters
 

@@ -50,7 +50,7 @@ class LiveVerification:
         if self.routine:
             with suppress(InputError):  # of two frames, where no stop is taken
                 self._live.discard_begun_stops()
-        self.routine, self._most_recordings = None, 1
+        self.routine = None
         self._recordings: list[dict[int, Sample | Reject]] = [{}]  # by stamp what stops gave
 
     @property
@@ -60,6 +60,12 @@ class LiveVerification:
         is_current = live.config.verify.calibration or (
             self._verified and self._verified is live.solver.calibration)
         return self.last_result if is_current else {}
+
+    @property
+    def _most_recordings(self) -> int:
+        """Return the largest number of recordings with the settings of now."""
+        routine, lengths = self.routine, self._live.config.verify.lengths
+        return max(routine.recording_counts.get(len(lengths), [1])) if routine else 1
 
     @property
     def has_next_recording(self) -> bool:
@@ -87,10 +93,10 @@ class LiveVerification:
         progress_before = self.text
         measured = any(isinstance(result, Sample) for result in self._recordings[-1].values())
         begins = self.routine is None or (measured and not self.has_next_recording)
-        next_routine = self._routine_and_most_recordings() if begins else None
+        next_routine = self._configured_routine() if begins else None
         live.discard_begun_stops()
         if next_routine:
-            (self.routine, self._most_recordings), self._recordings = next_routine, [{}]
+            self.routine, self._recordings = next_routine, [{}]
         elif measured:
             self._recordings = [*self._recordings, {}]
         dropped = (f'; what was measured before is dropped ({progress_before})'
@@ -98,7 +104,7 @@ class LiveVerification:
         return (f'{self.text}; move on, and stop with other tilts: what begins from now on '
                 f'counts, until ~/verify_result{dropped}')
 
-    def _routine_and_most_recordings(self) -> tuple[Routine, int]:
+    def _configured_routine(self) -> Routine:
         """Return what the settings ask for; raises InputError, DataError without calibration."""
         settings = self._live.config.verify
         if not settings.routine:
@@ -108,9 +114,9 @@ class LiveVerification:
         if routine.in_passes:
             raise InputError(f'{routine.name} is scanned in passes: record a bag of each, and '
                              f'call "handeye verify {routine.name}" with them')
-        most_recordings = routine.recordings_for(len(settings.lengths))[-1]
+        routine.recordings_for(len(settings.lengths))  # raises for a wrong number
         self._calibration()  # raises what is missing
-        return routine, most_recordings
+        return routine
 
     def add_stop(self, stop: Stop) -> str:
         """

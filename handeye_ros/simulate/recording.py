@@ -57,8 +57,9 @@ class Truth:
     """
     The true values of a calibration; (4, 4) transforms. The sensor frame is the published one.
 
-    T_flange_sensor: with errors of robot or sensor, the best-fit transform over the volume of the
-        stops and the field of view; with eye_on_base the sensor's pose in the base
+    T_flange_sensor: with errors of joints and links (geometry), and with a distortion or scale of
+        the sensor, the best-fit transform over the volume of the stops and the field of view; with
+        other errors as mounted; with eye_on_base the sensor's pose in the base
     T_base_target: with eye_on_base the target's pose in the flange
     time_offset: of a sweep, to be added to the stamps of the profiles (s)
     T_corrected_sensor: the pose of a sensor on an arm with errors in the flange of the corrected
@@ -134,7 +135,7 @@ class Cell:
     T_mount_sensor: the sensor in the flange (eye_in_hand) or in the base (eye_on_base)
     T_fixed_target: the target in the base (eye_in_hand) or in the flange (eye_on_base)
     T_base_flange, T_base_flange_reported: (n, 4, 4), true and with the robot's errors
-    T_mount_best: T_mount_sensor as it fits the reported poses best
+    T_mount_best: T_mount_sensor; with errors of joints and links as it fits the reported poses best
     arm_errors, distortion: those of arm and sensor, if there are any
     """
 

@@ -197,7 +197,8 @@ class Scenario:
     repeats: number of runs of the programme of stops
     lever: smallest and largest distance of the sensor from its mount
     stated: settings that are not the values of the cell, by dotted key
-    sweep: the motion without stops; the repeatability is then drawn for each streamed pose
+    sweep: the motion without stops; the repeatability is then drawn for each streamed pose, and
+        bumped, wrong_conventions, and scale and jitter of the robot have no effect
     """
 
     name: str = 'plate'

@@ -122,14 +122,14 @@ def hand_eye(rng: Generator, eye_on_base: bool = False, noise: float = 1.0,
                               'eye_on_base' if eye_on_base else 'eye_in_hand')})
 
 
-BALL_RADIUS = 0.01905
-H0, H1 = 0.02543, 0.031
+BALL_RADIUS = 0.01905  # m, of the reflector
+H0, H1 = 0.02543, 0.031  # m: tracker.h0, tracker.h1
 SWEEP_ANGLE = np.deg2rad(12.0)
 RIDGE_X = 0.0145  # the block's ridge is at x = z = RIDGE_X
 SOLIDS = (Ball(BALL_RADIUS), box((-0.05, 0.03, -0.05), (RIDGE_X, 0.10, RIDGE_X)))
 FILE_SENSOR = SensorModel(columns=640, rate=10.0, noise=3.7e-5)
 SMALL_SENSOR = replace(FILE_SENSOR, columns=320, resolution=2.0**-20)  # compresses well
-TRACKER_NOISE = 2e-5
+TRACKER_NOISE = 2e-5  # m, 1 sigma by axis
 JOINT_READING_STD = 1e-6  # 1 sigma of the readings of P3 (m)
 
 
@@ -158,7 +158,7 @@ def laser_tracker(rng: Generator, sensor: SensorModel = FILE_SENSOR,
 
     q3 = np.linspace(-0.03, 0.11, 151)
     T = np.array([frame_3(SWEEP_ANGLE, q) for q in q3])
-    times = np.arange(len(q3)) / FILE_SENSOR.rate
+    times = np.arange(len(q3)) / sensor.rate
     exact = sensors.render(sensor, SOLIDS, se3.inverse(T_base_target) @ T @ X)
     profiles = timed_profiles(times, sensors.plane_points(
         sensor, sensors.measure(sensor, *exact, rng)))

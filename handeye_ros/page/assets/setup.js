@@ -79,7 +79,7 @@ function valuesOf(form) {
 async function startVerification() {
   const button = $('verify-start'), { running, next_recording } = verification;
   if (running && !next_recording && !await sure(`Begin anew, without what was measured (${running})?`)) return;
-  const values = running ? {} : valuesOf('verify-form');
+  const values = running && next_recording ? {} : valuesOf('verify-form');
   if (!Object.keys(values).length || await ask('set', values, button)) {
     await ask('verify_start', {}, button);
     readSetup();
