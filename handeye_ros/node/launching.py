@@ -27,7 +27,7 @@ TRUTHS = {'true': True, '1': True, 'false': False, '0': False}
 def declared(keys: Mapping[str, str], source: str, others: Mapping[str, tuple[object, str]]
              ) -> list[DeclareLaunchArgument]:
     """
-    Return arguments: keys of the configuration, others, and ARGUMENTS, for `replayed` and others.
+    Return arguments: keys of the configuration, others, and ARGUMENTS; `replayed` reads these.
 
     keys: by the names of their arguments; source: where a key is looked up that is not given;
     others: default and description.

@@ -258,10 +258,11 @@ def cloud(points: NDArray[Any], frame_id: str, stamp: int) -> PointCloud2:
 def session_markers(stops: Iterable[Stop], calibration: Calibration | None, config: Config
                     ) -> MarkerArray:
     """Return the flanges of samples with their numbers and, with an answer, its scene."""
-    used = {report.stamp for report in calibration.samples if report.used} if calibration else ()
+    used = {each.stamp: each.used for each in calibration.samples} if calibration else {}
 
-    def is_used(sample: Sample) -> bool:  # of a pass, most profiles, as in review.py
-        return bool(np.mean([each.stamp in used for each in sample.station_samples]) >= 0.5)
+    def is_used(sample: Sample) -> bool:  # of a pass, most profiles in the answer, as in review.py
+        stations = [used[each.stamp] for each in sample.station_samples if each.stamp in used]
+        return 2 * sum(stations) >= max(len(stations), 1)
 
     snapshots = [
         StopSnapshot(stop.number, sample.stamp, mount_poses(sample.T_base_flange, config),

@@ -227,7 +227,9 @@ def _scene(live: LiveSession, samples: Mapping[int, Sample], snapshot: StopSnaps
     known: whether the poses are of the sensor, or of the flange while the sensor's is unknown;
     live, next: the pose of now and the proposed one; round: whether the target is a ball; view:
     outline of the field of view in the sensor plane; aim: the motion to the next pose; move: the
-    advice while the sensor's pose is unknown.
+    advice while the sensor's pose is unknown; edges, outline: polylines (n, 3) of the target;
+    spots: (n, 3) points of it, one of each station; ball: its centre and radius, or None. Metres,
+    in the frame that the target is fixed in.
     """
     config, advice = live.config, live.solver.review.advice
     answer = live.solver.review.answer
@@ -249,7 +251,8 @@ def _scene(live: LiveSession, samples: Mapping[int, Sample], snapshot: StopSnaps
         'next': as_rows(next_pose),
         'aim': None if pose is None or next_pose is None else _motion_to(pose, next_pose),
         'move': advice.move_from_first_pose and _advised_move(advice.move_from_first_pose),
-        **(_target(answer, config) if solution else {'edges': [], 'outline': [], 'spots': []})}
+        **(_target(answer, config) if solution else {
+            'edges': [], 'outline': [], 'spots': [], 'ball': None})}
 
 
 def _motion_to(T_base_flange: Array, T_base_next: Array) -> dict[str, Any]:

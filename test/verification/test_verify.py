@@ -7,6 +7,7 @@ from dataclasses import replace
 import json
 import math
 import re
+from types import SimpleNamespace
 
 from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig, with_values
@@ -391,3 +392,13 @@ def test_steep_faces_disagree_no_more_than_their_doubtful_range(name):
         bags = bench.stops_of(ROUTINES[name], artefact, Config(noise=bench.NOISE))
         verification = assess(name, replace(artefact, bags=tuple(bags)), calibration)
         assert verification.fit.scatter.p > 1e-3 and verification.verdict == 'pass'
+
+
+@pytest.mark.parametrize('n', [20, 200])
+def test_the_std_of_a_span_is_that_of_the_spans_of_normal_distances(n: int) -> None:
+    rng = np.random.default_rng(0)
+    stations = SimpleNamespace(recording_of_point=np.zeros(n, dtype=int))
+    spans = [next(ROUTINES['plane'].form_errors(stations, rng.normal(size=n)))
+             for _ in range(2000)]
+    assert np.std([span.value for span in spans]) == pytest.approx(
+        np.mean([span.std for span in spans]), rel=0.06)
