@@ -110,8 +110,9 @@ class Profile:
 
     def read(self, config: ProfileConfig | None = None) -> Profile:
         """
-        Return this profile with its points in order along the laser line, as RawProfile.read does.
+        Return this profile with its points in order along the laser line.
 
+        config: of RawProfile.read, whose place it takes; these points are in metres already.
         Points in the origin become NaN: drivers publish the origin for missing returns.
         """
         points = np.where((self.points == 0).all(axis=1, keepdims=True), np.nan, self.points)
@@ -254,11 +255,11 @@ class EdgePoint:
     std_across: 1 sigma across it
     ending: of ENDINGS: 'step', 'shadow' (a step whose foot is hidden), 'roof' (its wall is seen),
         'gap' (nothing beyond it) or 'open' (the driver does not say)
-    to_lowest: (2,) from the point down to where the plate was last seen, of a rounded or bevelled
-        edge without a visible wall, else 0
+    to_lowest: (2,) down to where the plate was last seen, of a rounded or bevelled edge without a
+        visible wall, else 0: from the point or, once corrected, as deep as what was measured
     shape_log_likelihoods: (k + 1,) of roundings with k radii and of a bevel, 0 for the best, empty
         without a bend
-    rounding_offset: (2,) from the point to where its rounding is located best, if it is one
+    rounding_offset: (2,) from the point as seen to where its rounding is located best, if it is one
     rounding_std: 1 sigma of this place along the direction, for a given radius
     shape_std: 1 sigma of the edge position from its uncertain shape, common to all ends
     is_corrected: whether it is where face and wall meet by that shape, no longer where it was seen

@@ -128,7 +128,7 @@ def agreements(session: Session, answer: Answer) -> dict[int, Agreement]:
                 for station in sample.station_samples}
     sample_of_station = np.array([index_of[station.stamp] for station in answer.samples])
     sample_of_used = sample_of_station[solution.used_stations]
-    # a pass is used if the answer uses most of its profiles
+    # a pass is used if the answer uses at least half of its profiles in it
     is_used = 2 * np.bincount(sample_of_used, minlength=n) >= np.maximum(
         np.bincount(sample_of_station, minlength=n), 1)
     # each sample is predicted from the others, of a pass with all of its profiles

@@ -35,7 +35,7 @@ from handeye_ros.checks.stated_lengths import scale_hypotheses
 from handeye_ros.checks.surfaces import require_one_surface
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
-from handeye_ros.errors import DataError
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.sampling.session import Session
 from handeye_ros.words import mm
@@ -101,4 +101,6 @@ def with_known_cause(refusal: DataError, baseline: Explanation, session: Session
             require_same_clock(session, config)
     except DataError as named:
         return named
+    except InputError:  # the file of a stored stop is gone, and with it what would tell the cause
+        pass
     return refusal

@@ -15,7 +15,7 @@ import numpy as np
 CORRECTED_ARM = 'corrected arm'  # what the correction of an arm adds
 
 
-def budget(solution: Solution) -> list[BudgetTerm]:
+def budget(solution: Solution, levers: Array | None = None) -> list[BudgetTerm]:
     """
     Return what each cause contributes to the reported covariance of the transform, and the total.
 
@@ -24,7 +24,13 @@ def budget(solution: Solution) -> list[BudgetTerm]:
     parameters of a block, with the prior information 1/tau^2, give C_xn C_nx / tau^2. Then what
     (8), (10) and a corrected arm add to it. `best-fit transform` is the remainder, what (9)
     changes. A part without a positive variance of mapped points is left out.
+
+    levers: (k, 3) from the sensor's origin to the mapped points, in the mount (m); None: those of
+    nine over the points that were seen.
     """
+    if levers is None:
+        points = grid_over(solution.problem.observations.points, (-1, 0, 1))
+        levers = points @ solution.estimate.X[:3, [0, 2]].T
     reported = solution.report_posterior
     parts = _parts_of_noise(reported)
     for block, columns in blocks_with_columns(reported.blocks, reported.unknown_count):
@@ -35,9 +41,9 @@ def budget(solution: Solution) -> list[BudgetTerm]:
     parts['best-fit transform'] = (
         solution.transform_covariance - reported.covariance[:6, :6] - shift
         - sum(solution.added_covariances.values()))
-    terms = [_term(solution, name, part) for name, part in parts.items()]
+    terms = [_term(name, part, levers) for name, part in parts.items()]
     return [*sorted((term for term in terms if term.mapped > 0), key=lambda term: -term.mapped),
-            _term(solution, 'all', solution.transform_covariance)]
+            _term('all', solution.transform_covariance, levers)]
 
 
 def _parts_of_noise(reported: Posterior) -> dict[str, Array]:
@@ -54,10 +60,8 @@ def _parts_of_noise(reported: Posterior) -> dict[str, Array]:
     return parts
 
 
-def _term(solution: Solution, name: str, part: Array) -> BudgetTerm:
+def _term(name: str, part: Array, levers: Array) -> BudgetTerm:
     """Return the sigmas of a part (6, 6) of the covariance."""
-    points = grid_over(solution.problem.observations.points, (-1, 0, 1))
-    levers = points @ solution.estimate.X[:3, [0, 2]].T
     mapped = np.trace(se3.mapped_covariance(levers, part))
     squares = (np.trace(part[:3, :3]) / 3, np.trace(part[3:, 3:]) / 3, mapped)
     return BudgetTerm(name, *(float(max(square, 0.0) ** 0.5) for square in squares))

@@ -140,7 +140,7 @@ def advise(samples: Sequence[Sample], config: Config, answer: Answer | None = No
         proposal = propose(solution, samples, config, certain_view, levers, failed_poses)
     enough, why = enough_and_why(sigmas[-1].std, sigmas[-1].limit,
                                  proposal.std if proposal else None,
-                                 largest_limiting_factor(solution), len(samples))
+                                 largest_limiting_factor(solution, levers), len(samples))
     if refused := outliers_at_one_end(solution) or str(answer.refusal or ''):
         enough, why = False, refused
     sentences = [why, *clock_notes(solution)]
@@ -179,13 +179,15 @@ def sigma_table(covariance: Array, levers: Array, config: Config) -> tuple[Uncer
                                 config.guidance.accuracy, 'm'))
 
 
-def largest_limiting_factor(solution: Solution) -> tuple[LimitingFactor, float] | None:
+def largest_limiting_factor(solution: Solution, levers: Array
+                            ) -> tuple[LimitingFactor, float] | None:
     """
     Return the largest systematic cause, and its sigma over that of mapped points.
 
-    None below MIN_FACTOR. White noise is none of the causes: more samples reduce it.
+    None below MIN_FACTOR. White noise is none of the causes: more samples reduce it. levers: (k,
+    3) of the points, as in sigma_table.
     """
-    *terms, total = budget(solution)
+    *terms, total = budget(solution, levers)
     squares = [sum(term.mapped ** 2 for term in terms if term.name.startswith(factor.terms))
                for factor in LIMITING_FACTORS]
     largest = int(np.argmax(squares))

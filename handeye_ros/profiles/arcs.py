@@ -157,7 +157,7 @@ def _arc_inliers(points: Array, circle: Array, noise: float, config: Config
         if not NOISE_RATIO * noise < scatter < MAX_NOISE * config.noise.sensor:
             break
         noise, widths = scatter, ARC_REFIT_WIDTHS
-    if len(columns) < config.sampling.min_points or (
+    if len(columns) < max(config.sampling.min_points, 2 * MIN_LINE_POINTS) or (
             len(columns) < MIN_DENSITY * (columns[-1] - columns[0] + 1)):
         raise FeatureError(SCATTERED)
     return points.take(columns, axis=0), noise

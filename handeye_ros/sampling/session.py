@@ -202,6 +202,7 @@ class Session(Copyable):
         if poses.late:
             raise DataError('the robot position is not known: its poses have older stamps than '
                             'those before', code='late_poses')
+        # of stamps: more than REORDER_TIME may be clocks that differ; the node asks its own clock
         silence = (self._profile_stream.latest - poses.latest) / NS
         if max(POSES_MISSING_TIME, 5 * poses.period) < silence < REORDER_TIME / NS:
             raise silent_poses_error(silence)

@@ -207,3 +207,16 @@ def test_a_small_ball_before_a_table_is_found(config: Config) -> None:
             return np.where(np.isnan(z), 0.21 + 0.05 * at, z)
         arc, = arc_features(wide(scene, seed), config_of_ball)
         assert np.linalg.norm(arc.centre - centre) < 1e-4
+
+
+def test_an_arc_of_few_points_is_found_or_refused() -> None:
+    rng, counts = np.random.default_rng(0), set()
+    few = with_values(UNKNOWN, {'sampling.min_points': 5}, 'test')
+    for _ in range(1000):
+        x = np.sort(rng.uniform(-1, 1, rng.integers(5, 15))) * rng.uniform(0.005, 0.038)
+        try:
+            arc, = arc_features(np.column_stack([x, ball(x, 0.04)]), few)
+        except FeatureError:
+            continue
+        counts.add(len(arc.measured))
+    assert min(counts) >= 8 and max(counts) < 15
