@@ -51,15 +51,15 @@ class SeamSections:
     """
     The two edges of a seam, by k sections across it.
 
-    lengths: (k,) of the sections along the rough seam (m)
+    t: (k,) parameter of the sections along the rough seam (m)
     lines: points (k, 3) by name: first and second edge, root, centre (m)
     resolution: 1 sigma of each line that all its points have in common (m)
     normals: (k, 3) out of the part
     noise: 1 sigma of the points about the sheets (m)
-    ends: lengths of start and end of the seam (m)
+    ends: t of start and end of the seam (m)
     """
 
-    lengths: Array
+    t: Array
     lines: dict[str, Array]
     resolution: dict[str, float]
     normals: Array
@@ -87,7 +87,7 @@ def sections_of_seam(sheets: Sheets, rough_seam: RoughSeam) -> SeamSections:
     rough_seam = replace(rough_seam, pairs=pairs)
     sections = _sections_along(sheets, rough_seam, curve)
     if is_corner:  # out of it the rough seam may bend at its ends
-        stiff = spline(sections.lengths, sections.lines['root'], STIFF_ONLY)
+        stiff = spline(sections.t, sections.lines['root'], STIFF_ONLY)
         sections = _sections_along(sheets, rough_seam, stiff)
     return sections
 
@@ -110,17 +110,17 @@ def _sections_along(sheets: Sheets, rough_seam: RoughSeam, curve: Curve) -> Seam
     both_ends = {t: [_sheet_end(sheets, rough_seam, curve, side, t, step) for side in (0, 1)]
                  for t in places.tolist()}
     sections = {t: ends for t, ends in both_ends.items() if None not in ends}
-    lengths = np.array([*sections] or [first, last])
-    missing = np.append(np.diff(lengths) - step, 0.0)
+    t = np.array([*sections] or [first, last])
+    missing = np.append(np.diff(t) - step, 0.0)
     worst = int(np.argmax(missing))
     if missing[worst] > MAX_MISSING_EDGE:
-        place = position_text(curve.extrapolated(lengths[worst:worst + 2].mean())[0])
+        place = position_text(curve.extrapolated(t[worst:worst + 2].mean())[0])
         raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
                         'there again, or cut one part out with --box')
 
     ends = np.array([*sections.values()], SHEET_END)  # (k, 2)
     extent = ends['extent']
-    seam_ends = (lengths[0] + extent[0, :, 0].max(), lengths[-1] + extent[-1, :, 1].min())
+    seam_ends = (t[0] + extent[0, :, 0].max(), t[-1] + extent[-1, :, 1].min())
     # the ends of the sheets in a section of few points are not known well
     filled = np.ptp(extent, axis=2).min(axis=1) > 0.5 * step - sheets.spacing
     ends = ends[filled]
@@ -136,7 +136,7 @@ def _sections_along(sheets: Sheets, rough_seam: RoughSeam, curve: Curve) -> Seam
     resolution = {name: float(np.median(np.linalg.norm(
         [moved[name] - line for moved in moved_lines], axis=(0, 2))))
         for name, line in lines.items()}
-    return SeamSections(lengths[filled], lines, resolution, unit(normals.sum(axis=1)),
+    return SeamSections(t[filled], lines, resolution, unit(normals.sum(axis=1)),
                         float(np.median(ends['noise'])), seam_ends)
 
 
