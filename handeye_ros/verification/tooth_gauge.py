@@ -36,14 +36,14 @@ ROUND_COUNT = 6
 MIN_COSINE = 0.05  # cosine of a face to the ray, at least
 
 
-def teeth(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
+def teeth(stations: StationSet, X: Array, settings: VerifyConfig) -> Shape:
     """
     Return the teeth, and the stations with the points on them only, whose kind is their face.
 
     Raises DataError where they lie on no such teeth.
     """
-    pitch, height = artefact.lengths
-    flank_length = artefact.flank or pitch / 4
+    pitch, height = settings.lengths
+    flank_length = settings.flank or pitch / 4
     p = stations.problem.points_in_base(X)
     frame = _frame(p, pitch, height, flank_length)
     q = np.append(np.zeros(8), flank_length / height)
