@@ -107,7 +107,7 @@ def table(answer: ArmAnswer) -> RenderableType:
     """
     Return the joints with their errors, and the cross-validation errors before and after.
 
-    Not known are the kinds of errors of a joint of which no value is.
+    The last column names the kinds of errors of which the data determine no value.
     """
     joints = figures_table('joint', 'zero offset', 'axis direction', 'axis position', 'not known')
     for joint in answer.joints:

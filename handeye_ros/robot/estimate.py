@@ -50,9 +50,9 @@ MAX_VARIANCE = 1e3  # of a kind of error, relative to its prior
 @dataclass(frozen=True, eq=False)
 class Residuals:
     """
-    The residuals of one target, independent and of one variance, and their derivatives.
+    The independent residuals of one target, and their derivatives; ArmFit.noise are their sigmas.
 
-    values: (m,) of profiles in sigmas, of points in metres
+    values: (m,) of profiles in sigmas as configured, of points in metres
     station: (m,) the stop of each residual
     wrt_X_and_target: (m, 6 + k) derivatives by X and the k parameters of the target
     wrt_pose: (m, 6) derivatives by a shift of the flange and a turn about it, in the base
@@ -139,11 +139,11 @@ class ArmFit:
     Its unknowns (u of them): sensor in its mount X (4, 4), errors of the arm, smooth error of the
     robot, state of each target.
 
-    smooth: (3 r,) coefficients of smooth functions, the remaining error of the robot
+    smooth: (3 b,) coefficients of smooth functions, the remaining error of the robot
     noise: (axes,) 1 sigma of the residuals: of points one for each axis, else one
     used: (n,) which stops count
     variances: (g,) of each kind of error of the robot, relative to its prior
-    smooth_error_basis: (n, r) the smooth functions at the stops
+    smooth_error_basis: (n, b) the smooth functions at the stops
     """
 
     measured: tuple[Measurement, ...]
@@ -222,7 +222,7 @@ class ArmFit:
     @cached_property
     def whitened_rows(self) -> tuple[Array, Array]:
         """Return the residuals (m,) of used stops in sigmas, and their derivatives (m, u)."""
-        shifts = np.einsum('nr,tx->ntrx', self.smooth_error_basis, np.eye(6, 3)).reshape(
+        shifts = np.einsum('nb,tx->ntbx', self.smooth_error_basis, np.eye(6, 3)).reshape(
             len(self.q), 6, -1)
         by_errors = self.arm.error_jacobian(self.q)[..., self.arm.is_estimated]
         twists = np.append(by_errors, shifts, axis=2)

@@ -97,10 +97,10 @@ def select_model(fit: ArmFit, stop_count: int, limit: float) -> ArmSelection:
     if fit.used.sum() < max(MIN_STOPS, MIN_AGREEING_SHARE * stop_count) or (
             fit.residual_rms > HOPELESS_FACTOR * limit):
         raise _contradiction(fit, stop_count, limit)
-    richest = without_bad_stops(solved_with_arm(fit, stated.with_errors_of(KINDS)))
-    if richest.residual_rms > limit or richest.used.mean() < MIN_AGREEING_SHARE:
-        raise _contradiction(richest, stop_count, limit)
-    agreed, fold = replace(fit, used=richest.used), _regions(fit.q)
+    of_all_kinds = without_bad_stops(solved_with_arm(fit, stated.with_errors_of(KINDS)))
+    if of_all_kinds.residual_rms > limit or of_all_kinds.used.mean() < MIN_AGREEING_SHARE:
+        raise _contradiction(of_all_kinds, stop_count, limit)
+    agreed, fold = replace(fit, used=of_all_kinds.used), _regions(fit.q)
     models = [_validated(
         with_estimated_weights(solved_with_arm(agreed, stated.with_errors_of(kinds))), fold)
               for kinds in ((), (OFFSET,), KINDS)]
@@ -108,7 +108,7 @@ def select_model(fit: ArmFit, stop_count: int, limit: float) -> ArmSelection:
     for richer in models[1:]:
         chosen = richer if _predicts_better(richer, chosen) else chosen
     _require_same_robot(chosen.fit.arm)
-    covariance, smooth = arm_covariance(richest, chosen.fit)
+    covariance, smooth = arm_covariance(of_all_kinds, chosen.fit)
     # by how much its left-out stops are further off than even the richest model predicts
     covariance *= models[-1].variance_ratio
     arm = replace(chosen.fit.arm, covariance=covariance[6:, 6:], configurations=fit.q)

@@ -44,7 +44,7 @@ MAX_SCATTER = 10.0  # largest scatter of the sections, in sigmas of the points, 
 @dataclass(frozen=True, eq=False)
 class Seam:
     """
-    A seam: its edges by sections, and curves through them over the same lengths.
+    A seam: its edges by sections, and curves through them over the same parameter t.
 
     kind: v, butt, lap or fillet
     line: the name of the curve that the path follows
@@ -78,7 +78,7 @@ class Seam:
 
     def normal(self, t: Array) -> Array:
         """Return the directions (n, 3) out of the part at t (n,), not beyond the sections."""
-        return self.normals.position(np.clip(t, *self.sections.lengths[[0, -1]]))
+        return self.normals.position(np.clip(t, *self.sections.t[[0, -1]]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ class ToolFrames:
     measures: (k, 4) gap, mismatch, residual, 1 sigma of the position (m)
     """
 
-    lengths: Array
+    arc_lengths: Array
     T_base_tool: Array
     measures: Array
 
@@ -129,11 +129,11 @@ def find_seam(points: Array, widest: float = DEFAULT_WIDEST,
     if line == 'auto':
         line = 'root' if rough_seam.kind in ('v', 'fillet') else 'centre'
     first, last = sections.ends
-    curves = {name: replace(spline(sections.lengths, values), first=first, last=last)
+    curves = {name: replace(spline(sections.t, values), first=first, last=last)
               for name, values in sections.lines.items()}
-    off_root = curves['root'].position(sections.lengths) - sections.lines['root']
+    off_root = curves['root'].position(sections.t) - sections.lines['root']
     seam = Seam(rough_seam.kind, line, sections, curves, curves[line].simplified(),
-                spline(sections.lengths, sections.normals), np.linalg.norm(off_root, axis=1),
+                spline(sections.t, sections.normals), np.linalg.norm(off_root, axis=1),
                 sheets.spacing, rough_seam.other_seam_count)
     if seam.scatter > max(MAX_SCATTER * sheets.noise, sheets.spacing):
         raise DataError(f'the sections of the seam scatter by {mm(seam.scatter)}, and the points '
@@ -158,22 +158,22 @@ def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, 
 
     Raises DataError where no frame is certain.
     """
-    lengths, t = seam.curve.arc
+    arc_lengths, t = seam.curve.arc
     std = seam.std(t)
-    certain = lengths[(std <= MAX_FRAME_STD).all(axis=1)]
+    certain = arc_lengths[(std <= MAX_FRAME_STD).all(axis=1)]
     if not len(certain):
         raise DataError('the position of the seam has a standard deviation of '
                         f'{mm(float(np.median(std[:, 0])))}, too much for a path: scan more '
                         'densely, or with less noise')
-    lengths = np.append(np.arange(certain[0], certain[-1] - 0.01 * pitch, pitch), certain[-1])
-    t = np.interp(lengths, *seam.curve.arc)
+    arc_lengths = np.append(np.arange(certain[0], certain[-1] - 0.01 * pitch, pitch), certain[-1])
+    t = np.interp(arc_lengths, *seam.curve.arc)
     n = seam.curve.tangent(t)
     o = -seam.normal(t)
     o[o @ np.asarray(towards) < 0] *= -1
     o = unit(o - (o * n).sum(axis=1, keepdims=True) * n)
     R = np.stack([n, o, np.cross(n, o)], axis=-1)
     tilt = Rotation.from_euler('xz', [work, travel]).as_matrix()
-    return ToolFrames(lengths, se3.transform(R @ tilt, seam.curve.position(t)),
+    return ToolFrames(arc_lengths, se3.transform(R @ tilt, seam.curve.position(t)),
                       _measures(seam, t))
 
 
@@ -188,7 +188,7 @@ def _measures(seam: Seam, t: Array) -> Array:
     across = seam.curves['second'].position(t) - seam.curves['first'].position(t)
     mismatch, advance = ((across * way).sum(axis=1, keepdims=True) for way in (normal, tangent))
     gap = np.linalg.norm(across - mismatch * normal - advance * tangent, axis=1)
-    nearby = np.abs(seam.sections.lengths - t[:, None]) <= NEARBY_LENGTH
+    nearby = np.abs(seam.sections.t - t[:, None]) <= NEARBY_LENGTH
     residual = np.sqrt(nearby @ seam.distances ** 2 / nearby.sum(axis=1))
     return np.column_stack([gap, np.abs(mismatch), residual, seam.std(t)[:, 0]])
 
@@ -199,7 +199,7 @@ def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
 
     frame_id: the frame of the poses. Raises UnwritableError.
     """
-    rows = np.column_stack([frames.lengths, frames.T_base_tool[:, :3, 3],
+    rows = np.column_stack([frames.arc_lengths, frames.T_base_tool[:, :3, 3],
                             se3.quaternion(frames.T_base_tool), frames.measures])
     texts = ([f'{value:.9f}' for value in row] for row in rows)
     write_atomically(folder / 'seam.csv', csv_text(FRAME_COLUMNS, texts))
@@ -216,9 +216,9 @@ def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
 def sentences(seam: Seam, frames: ToolFrames) -> list[str]:
     """Return the sentences that tell the user about a seam and its tool frames."""
     gap, mismatch, _, std = 1e3 * frames.measures.T
-    begins, ends = frames.lengths[0], seam.curve.length - frames.lengths[-1]
+    begins, ends = frames.arc_lengths[0], seam.curve.length - frames.arc_lengths[-1]
     lines = [f'{seam.kind} seam of {seam.curve.length * 1e3:.1f} mm, path along its {seam.line}: '
-             f'{seam.curve.kind}; {len(frames.lengths)} tool frames',
+             f'{seam.curve.kind}; {len(frames.arc_lengths)} tool frames',
              f'gap {gap.min():.2f} to {gap.max():.2f} mm, mismatch {mismatch.min():.2f} to '
              f'{mismatch.max():.2f} mm; its sections scatter by {seam.scatter * 1e3:.3f} mm',
              f'the points are {seam.spacing * 1e3:.2f} mm apart, their noise is '

@@ -28,21 +28,21 @@ FREQUENCIES = np.fft.rfftfreq(1024, BIN_WIDTH)  # of columns, per spacing
 MIN_PERIODICITY = 0.25  # periodicity of columns, more than random points have
 SECTION_WIDTH = 24.0  # spacings: width of a sheet's section, at least
 MIN_SECTION_WIDTH = 6e-3  # m: the same
-END_MARGIN = 2.5  # spacings: the sheet ends within this distance of its rim
-MAX_END_OFFSET = 2e-3  # m: largest distance of the end from the rim
+EDGE_MARGIN = 2.5  # spacings: the sheet ends within this distance of its rim
+MAX_EDGE_OFFSET = 2e-3  # m: largest distance of the edge from the rim
 MAX_LINE_WIDTH = 12.0  # spacings: largest width of the rough seam
 MAX_MISSING_EDGE = 5e-3  # m: largest missing part of an edge
 RIM_WINDOW = 5e-3  # m along the seam: pairs within it give the rims
 OVERHANG = 8e-3  # m beyond the ends of the rough seam where the seam may continue
 ROOT_GAP = 0.5  # spacings: a larger mean distance of the lower edges of a V is a root gap
 
-SHEET_END = np.dtype([  # one sheet in a section across the seam
-    ('end', float, 3),  # where it ends at the seam (m)
+SHEET_EDGE = np.dtype([  # one sheet in a section across the seam
+    ('edge', float, 3),  # where it ends at the seam (m)
     ('outwards', float, 3),  # direction out of the sheet there
     ('normal', float, 3),  # mean over the section
     ('noise', float),  # 1 sigma of the points about it (m)
     ('extent', float, 2),  # where its points begin and stop along the seam, from the section (m)
-    # 1 sigma of the end from the distance between columns that follow the seam (m)
+    # 1 sigma of the edge from the distance between columns that follow the seam (m)
     ('resolution', float)])
 
 
@@ -51,15 +51,15 @@ class SeamSections:
     """
     The two edges of a seam, by k sections across it.
 
-    lengths: (k,) of the sections along the rough seam (m)
+    t: (k,) parameter of the sections along the rough seam (m)
     lines: points (k, 3) by name: first and second edge, root, centre (m)
     resolution: 1 sigma of each line that all its points have in common (m)
     normals: (k, 3) out of the part
     noise: 1 sigma of the points about the sheets (m)
-    ends: lengths of start and end of the seam (m)
+    ends: t of start and end of the seam (m)
     """
 
-    lengths: Array
+    t: Array
     lines: dict[str, Array]
     resolution: dict[str, float]
     normals: Array
@@ -87,7 +87,7 @@ def sections_of_seam(sheets: Sheets, rough_seam: RoughSeam) -> SeamSections:
     rough_seam = replace(rough_seam, pairs=pairs)
     sections = _sections_along(sheets, rough_seam, curve)
     if is_corner:  # out of it the rough seam may bend at its ends
-        stiff = spline(sections.lengths, sections.lines['root'], STIFF_ONLY)
+        stiff = spline(sections.t, sections.lines['root'], STIFF_ONLY)
         sections = _sections_along(sheets, rough_seam, stiff)
     return sections
 
@@ -107,43 +107,43 @@ def _sections_along(sheets: Sheets, rough_seam: RoughSeam, curve: Curve) -> Seam
     first, last = rough_seam.t[0] - OVERHANG, rough_seam.t[-1] + OVERHANG
     count = int((last - first) / step)  # the same sections from the other end
     places = 0.5 * (first + last) + step * (np.arange(count) - 0.5 * (count - 1))
-    both_ends = {t: [_sheet_end(sheets, rough_seam, curve, side, t, step) for side in (0, 1)]
-                 for t in places.tolist()}
-    sections = {t: ends for t, ends in both_ends.items() if None not in ends}
-    lengths = np.array([*sections] or [first, last])
-    missing = np.append(np.diff(lengths) - step, 0.0)
+    edges_at = {t: [_sheet_edge(sheets, rough_seam, curve, side, t, step) for side in (0, 1)]
+                for t in places.tolist()}
+    sections = {t: edges for t, edges in edges_at.items() if None not in edges}
+    t = np.array([*sections] or [first, last])
+    missing = np.append(np.diff(t) - step, 0.0)
     worst = int(np.argmax(missing))
     if missing[worst] > MAX_MISSING_EDGE:
-        place = position_text(curve.extrapolated(lengths[worst:worst + 2].mean())[0])
+        place = position_text(curve.extrapolated(t[worst:worst + 2].mean())[0])
         raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
                         'there again, or cut one part out with --box')
 
-    ends = np.array([*sections.values()], SHEET_END)  # (k, 2)
-    extent = ends['extent']
-    seam_ends = (lengths[0] + extent[0, :, 0].max(), lengths[-1] + extent[-1, :, 1].min())
-    # the ends of the sheets in a section of few points are not known well
+    sheet_edges = np.array([*sections.values()], SHEET_EDGE)  # (k, 2)
+    extent = sheet_edges['extent']
+    ends = (t[0] + extent[0, :, 0].max(), t[-1] + extent[-1, :, 1].min())
+    # the edges of the sheets in a section of few points are not known well
     filled = np.ptp(extent, axis=2).min(axis=1) > 0.5 * step - sheets.spacing
-    ends = ends[filled]
-    end, outwards, normals = ends['end'], ends['outwards'], ends['normal']
-    gap = np.median(_dot(np.diff(end, axis=1), unit(np.diff(-outwards, axis=1))))
+    sheet_edges = sheet_edges[filled]
+    edge, outwards, normals = (sheet_edges[name] for name in ('edge', 'outwards', 'normal'))
+    gap = np.median(_dot(np.diff(edge, axis=1), unit(np.diff(-outwards, axis=1))))
     meeting_of_v = MIN_GAP_WIDTH * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)
     meeting = {'lap': np.inf, 'fillet': np.inf, 'v': meeting_of_v, 'butt': 0.0}[rough_seam.kind]
-    # by how much the lines move with the ends of one side, and then of the other, 1 sigma further
-    shift = outwards * ends['resolution'][..., None]
+    # by how much the lines move with the edges of one side, and then of the other, 1 sigma further
+    shift = outwards * sheet_edges['resolution'][..., None]
     lines, *moved_lines = (
-        _lines(rough_seam.kind, meeting, end + shift * by_side, outwards, normals)
+        _lines(rough_seam.kind, meeting, edge + shift * by_side, outwards, normals)
         for by_side in (0.0, [[1.0], [0.0]], [[0.0], [1.0]]))
     resolution = {name: float(np.median(np.linalg.norm(
         [moved[name] - line for moved in moved_lines], axis=(0, 2))))
         for name, line in lines.items()}
-    return SeamSections(lengths[filled], lines, resolution, unit(normals.sum(axis=1)),
-                        float(np.median(ends['noise'])), seam_ends)
+    return SeamSections(t[filled], lines, resolution, unit(normals.sum(axis=1)),
+                        float(np.median(sheet_edges['noise'])), ends)
 
 
-def _sheet_end(sheets: Sheets, rough_seam: RoughSeam, curve: Curve, side: int, t: float,
-               step: float) -> tuple[Array | float, ...] | None:
+def _sheet_edge(sheets: Sheets, rough_seam: RoughSeam, curve: Curve, side: int, t: float,
+                step: float) -> tuple[Array | float, ...] | None:
     """
-    Return a SHEET_END of the section at t along a curve, None where the sheet does not end there.
+    Return a SHEET_EDGE of the section at t along a curve, None where the sheet does not end there.
 
     side: 0 or 1, of the pairs of the rough seam; step: width of the section along the seam (m).
     """
@@ -160,7 +160,7 @@ def _sheet_end(sheets: Sheets, rough_seam: RoughSeam, curve: Curve, side: int, t
     points = _points_of_sheet(sheets, this_rim, other_rim, origin,
                               np.stack([tangent, into_sheet, upright]))
     along, inward, height = points[np.abs(points[:, 0]) <= step / 2].T
-    margin = END_MARGIN * sheets.spacing
+    margin = EDGE_MARGIN * sheets.spacing
     fit = _sheet_through(inward, height, margin, 1 if rough_seam.kind in ('v', 'fillet') else 2)
     if fit is None:
         return None
@@ -168,12 +168,12 @@ def _sheet_end(sheets: Sheets, rough_seam: RoughSeam, curve: Curve, side: int, t
     on_sheet = np.abs(height - np.polyval(sheet, inward)) < SAME_PLANE * noise
     inner = on_sheet & (inward > margin)
     # half the mean distance of points beyond the last one
-    end = inward[on_sheet].min() - 0.5 * (inward[inner].max() - margin) / inner.sum()
-    if abs(end) > MAX_END_OFFSET:
+    edge = inward[on_sheet].min() - 0.5 * (inward[inner].max() - margin) / inner.sum()
+    if abs(edge) > MAX_EDGE_OFFSET:
         return None
-    slope = np.polyval(np.polyder(sheet), end)
+    slope = np.polyval(np.polyder(sheet), edge)
     mean_slope = np.polyfit(inward[inner], height[inner], 1)[0]
-    return (origin + end * into_sheet + np.polyval(sheet, end) * upright,
+    return (origin + edge * into_sheet + np.polyval(sheet, edge) * upright,
             -(into_sheet + slope * upright) / np.hypot(1, slope),
             (upright - mean_slope * into_sheet) / np.hypot(1, mean_slope), noise,
             np.quantile(along[on_sheet], [0, 1]), _column_resolution(points[:, 1], sheets.spacing))
@@ -193,7 +193,7 @@ def _points_of_sheet(sheets: Sheets, this_rim: Indices, other_rim: Indices,
     labels, counts = np.unique(sheets.label[this_rim], return_counts=True)
     rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(this_rim)])]
     points = (sheets.points[rows] - origin) @ axes.T
-    beyond = MAX_END_OFFSET
+    beyond = MAX_EDGE_OFFSET
     if np.isin(labels, sheets.label[other_rim]).any():  # one sheet on both sides
         apart = (sheets.points[this_rim] - sheets.points[other_rim]) @ axes[1]
         beyond = min(0.5 * abs(float(np.median(apart))), beyond)
@@ -232,14 +232,14 @@ def _sheet_through(inward: Array, height: Array, margin: float, degree: int
 
 def _column_resolution(inward: Array, spacing: float) -> float:
     """
-    Return 1 sigma (m) of an end anywhere between two columns.
+    Return 1 sigma (m) of an edge anywhere between two columns.
 
     inward: (n,) across the seam from its edge, of the points of many profiles (m). If the columns
-    follow the seam, their distance is a period of inward; else the position of the end between
+    follow the seam, their distance is a period of inward; else the position of the edge between
     columns differs from profile to profile.
     """
-    counts, _ = np.histogram(inward / spacing, round((INNER_WIDTH - END_MARGIN) / BIN_WIDTH),
-                             (END_MARGIN, INNER_WIDTH))
+    counts, _ = np.histogram(inward / spacing, round((INNER_WIDTH - EDGE_MARGIN) / BIN_WIDTH),
+                             (EDGE_MARGIN, INNER_WIDTH))
     periodic = np.abs(np.fft.rfft(counts, 1024)) / max(counts.sum(), 1)
     periodic[(FREQUENCIES < 0.5) | (FREQUENCIES > 5.0)] = 0.0  # not those of columns
     # the first, not a multiple of it
@@ -249,15 +249,15 @@ def _column_resolution(inward: Array, spacing: float) -> float:
     return float(spacing / FREQUENCIES[peaks[0]] / np.sqrt(12))
 
 
-def _lines(kind: str, meeting: float, end: Array, outwards: Array, normals: Array
+def _lines(kind: str, meeting: float, edges: Array, outwards: Array, normals: Array
            ) -> dict[str, Array]:
     """
     Return the lines of k sections by name: points (k, 3) of first and second edge, root, centre.
 
-    end, outwards, normals: (k, 2, 3) of both sheets, see SHEET_END; meeting: sheets whose edges
+    edges, outwards, normals: (k, 2, 3) of both sheets, see SHEET_EDGE; meeting: sheets whose edges
     are nearer to each other than this (m) meet in the root.
     """
-    edges, root, lower, along = end.copy(), end.mean(axis=1), 0, outwards[:, 1]
+    edges, root, lower, along = edges.copy(), edges.mean(axis=1), 0, outwards[:, 1]
     if kind == 'lap':  # the rim of the upper sheet is above the root; their curvature cancels
         along = normals.sum(axis=1)
         lower = int(np.median(_dot(edges[:, 0] - edges[:, 1], along)) > 0)

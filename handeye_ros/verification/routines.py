@@ -17,7 +17,7 @@ from handeye_ros.verification.tooth_gauge import teeth
 import numpy as np
 
 
-def line(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
+def line(stations: StationSet, X: Array, settings: VerifyConfig) -> Shape:
     """
     Return a straight line; kinds 0 and 1 are its two distances.
 
@@ -35,7 +35,7 @@ def line(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
     return Shape(stations, np.zeros(4), distance)
 
 
-def point(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
+def point(stations: StationSet, X: Array, settings: VerifyConfig) -> Shape:
     """
     Return one point; kinds 0 to 2 are its distances along x, y and z.
 
@@ -47,13 +47,13 @@ def point(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
     def distance(p: Array, q: Array) -> Array:
         return np.asarray(np.take_along_axis(p - middle - q, kind, 1)[:, 0])
 
-    reference = artefact.reference or (None, None, None)
+    reference = settings.reference or (None, None, None)
     return Shape(stations, np.zeros(3), distance, lambda q: np.asarray(middle + q),
                  tuple(Quantity(axis, nominal=touched) for axis, touched in zip(
                      'xyz', reference, strict=True)))
 
 
-def planes(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
+def planes(stations: StationSet, X: Array, settings: VerifyConfig) -> Shape:
     """
     Return a plane for each recording; those of one block are parallel.
 
@@ -63,7 +63,7 @@ def planes(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
     """
     p, count = stations.problem.points_in_base(X), len(stations.counts)
     recording = stations.recording_of_point
-    blocks = count - len(artefact.lengths)
+    blocks = count - len(settings.lengths)
     block, face = np.divmod(np.arange(count), count // blocks)  # of each recording
     is_square = count == blocks == 2  # two blocks of one face, without a height between them
     middles = np.array([p[recording == k].mean(axis=0) for k in range(count)])
@@ -97,13 +97,13 @@ def planes(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
     quantities = tuple(
         Quantity(f'height of face {f} over face 0' + (f' of block {b + 1}' if blocks > 1 else ''),
                  nominal=length, characteristic='E')
-        for b, f, length in zip(block[face > 0], face[face > 0], artefact.lengths, strict=True))
+        for b, f, length in zip(block[face > 0], face[face > 0], settings.lengths, strict=True))
     if is_square:
         quantities = (Quantity('angle between the faces', nominal=np.pi / 2, unit='rad'),)
     return Shape(stations, np.zeros(2 * blocks + count), distance, values, quantities)
 
 
-def spheres(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
+def spheres(stations: StationSet, X: Array, settings: VerifyConfig) -> Shape:
     """
     Return one sphere of each recording; measured: radii, and distances of the centres.
 
@@ -122,10 +122,10 @@ def spheres(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
         return np.append(balls[:, 3], np.linalg.norm(np.diff(balls[:, :3], axis=0), axis=1))
 
     radii = [Quantity('radius' if count == 1 else f'radius of ball {k}',
-                      nominal=artefact.radius or None, characteristic='PS')
+                      nominal=settings.radius or None, characteristic='PS')
              for k in range(1, count + 1)]
     distances = [Quantity(f'distance of balls {k} and {k + 1}', nominal=length,
-                          characteristic='SD') for k, length in enumerate(artefact.lengths, 1)]
+                          characteristic='SD') for k, length in enumerate(settings.lengths, 1)]
     return Shape(stations, start, distance, values, (*radii, *distances))
 
 

@@ -230,9 +230,9 @@ def _select_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
     """
     Return the samples with the pieces of one surface only, and a sentence on which it is.
 
-    The surface is the plane nearest to the sensor of those that at least half of the stops see;
-    without one all pieces take part, and the sentence is ''. T: (n, 4, 4) sensor planes in the
-    base.
+    The surface is the plane nearest to the sensor of those seen from MIN_SEEN_SHARE of the stops
+    that show any piece, and from MIN_STATIONS; without one all pieces take part, and the sentence
+    is ''. T: (n, 4, 4) sensor planes in the base.
     """
     stop, pieces, ends = _features_with_stops(samples, T, FaceLine)
     if len(pieces) == len(np.unique(stop)):

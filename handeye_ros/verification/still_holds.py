@@ -102,7 +102,7 @@ class Move:
 
     shift, turn: of the likeliest move (m, rad)
     smallest_shifts: along each of three axes the smallest shift (m) that would have shown, nan
-        where none would
+        where none below UNSEEN_SHIFT would
     axes: (3, 3) the directions of these axes as rows, of the target in the base, of the sensor in
         the flange; with eye_on_base it is the other way round
     """

@@ -36,14 +36,14 @@ ROUND_COUNT = 6
 MIN_COSINE = 0.05  # cosine of a face to the ray, at least
 
 
-def teeth(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
+def teeth(stations: StationSet, X: Array, settings: VerifyConfig) -> Shape:
     """
     Return the teeth, and the stations with the points on them only, whose kind is their face.
 
     Raises DataError where they lie on no such teeth.
     """
-    pitch, height = artefact.lengths
-    flank_length = artefact.flank or pitch / 4
+    pitch, height = settings.lengths
+    flank_length = settings.flank or pitch / 4
     p = stations.problem.points_in_base(X)
     frame = _frame(p, pitch, height, flank_length)
     q = np.append(np.zeros(8), flank_length / height)
@@ -76,18 +76,18 @@ def teeth(stations: StationSet, X: Array, artefact: VerifyConfig) -> Shape:
     return _shape(stations, frame, pitch, height, tooth[good], q)
 
 
-def _without_outliers(distances: Array, wrt_range: Array, face: Indices, min_scatter: float
+def _without_outliers(distances: Array, wrt_range: Array, group_key: Indices, min_scatter: float
                       ) -> tuple[NDArray[np.bool_], Array]:
     """
     Return which points (m,) are no outliers of their pass and face, and their noise (m,).
 
-    wrt_range: derivatives of the distances; face: (m, 3) pass, face and tooth; min_scatter: the
-    smallest scatter assumed (m). A sensor measures steep faces worse than it states, so the noise
-    is the scatter of the points of a pass about their own mean.
+    wrt_range: derivatives of the distances; group_key: (m, 3) pass, face and tooth; min_scatter:
+    the smallest scatter assumed (m). A sensor measures steep faces worse than it states, so the
+    noise is the scatter of the points of a pass about their own mean.
     """
     # numpy 2.0 alone returns a column
-    group = np.unique(face, axis=0, return_inverse=True)[1].ravel()
-    good, noise = np.zeros(len(face), dtype=bool), np.zeros(len(face))
+    group = np.unique(group_key, axis=0, return_inverse=True)[1].ravel()
+    good, noise = np.zeros(len(group), dtype=bool), np.zeros(len(group))
     for k in range(group.max() + 1):
         members = np.flatnonzero(group == k)
         deviation = distances[members] - np.median(distances[members])

@@ -126,7 +126,7 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
     impossible.
     """
     stations.require_enough([*chain.from_iterable(rejects)])
-    config, artefact = stations.problem.config, stations.problem.config.verify
+    config, settings = stations.problem.config, stations.problem.config.verify
     stops = np.column_stack([stations.stamps, stations.problem.poses.reshape(-1, 16)])
     if len(np.unique(stops, axis=0)) < len(stops):
         raise InputError('two recordings hold the same stops: give one recording of each face, '
@@ -135,11 +135,11 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
     robot_smooth = float(calibration.target.get(ROBOT_POSITION_ERROR, 0.0))
     (shape, fit), p, dropped = fit_without_outliers(
         np.unique(stations.group_of_point), lambda groups: fit_shape(
-            routine.shape(stations.of_groups(groups), X, artefact), X,
+            routine.shape(stations.of_groups(groups), X, settings), X,
             calibration.covariance, robot_smooth))
     if max(fit.scatter.p, fit.error.p_explained) < UNEXPLAINED_P and not routine.in_passes:
         freed = refit_shape(shape, X, calibration.covariance, robot_smooth)
-        if freed.error.p_explained < UNEXPLAINED_P and freed.scatter.maximum > artefact.tolerance:
+        if freed.error.p_explained < UNEXPLAINED_P and freed.scatter.maximum > settings.tolerance:
             raise DataError(
                 f'this is not what "{routine.name}" measures: no small error of the calibration '
                 f'brings all points closer than {mm(freed.scatter.maximum)} to its shape. Check '
@@ -151,12 +151,12 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
     kind = 'pass' if routine.in_passes else 'profile' if config.sampling.moving else 'stop'
     per_group = _group_results(
         kind, stations, shape.stations, fit, p, dropped, rejects if kind == 'stop' else ())
-    verdict, reasons = _decide(fit, quantities, per_group, kind, artefact, robot_smooth)
+    verdict, reasons = _decide(fit, quantities, per_group, kind, settings, robot_smooth)
     return Verification(
-        routine.name, calibration.name, verdict, reasons, artefact.tolerance,
-        artefact.angle_tolerance, len(np.unique(shape.stations.observations.station)), quantities,
+        routine.name, calibration.name, verdict, reasons, settings.tolerance,
+        settings.angle_tolerance, len(np.unique(shape.stations.observations.station)), quantities,
         fit, per_group, stations.surface_note, routine.measures,
-        output.iso_time(int(stations.stamps.min())), artefact.certificate, dict(config.record))
+        output.iso_time(int(stations.stamps.min())), settings.certificate, dict(config.record))
 
 
 def verify_stops(routine: Routine, recordings: Sequence[Sequence[Sample | Reject]],
@@ -203,7 +203,7 @@ def _group_results(kind: str, stations: StationSet, used: StationSet, fit: Shape
 
 
 def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[GroupResult],
-            kind: str, artefact: VerifyConfig, robot_smooth: float) -> tuple[str, tuple[str, ...]]:
+            kind: str, settings: VerifyConfig, robot_smooth: float) -> tuple[str, tuple[str, ...]]:
     """
     Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences.
 
@@ -214,7 +214,7 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Gro
 
     def remedy(size: float, largest: float) -> str:
         """Return what makes a size that is too large, but not hopelessly so, small enough."""
-        if DETECTION_SIGMAS * robot_smooth > artefact.tolerance:
+        if DETECTION_SIGMAS * robot_smooth > settings.tolerance:
             return (f': the smooth error of the robot that the calibration found '
                     f'({mm(robot_smooth)}) hides less')
         return '' if size >= 10 * largest else (
@@ -223,17 +223,17 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Gro
 
     # the shape fits, but not in its size
     other_size = fit.error.p_explained < UNEXPLAINED_P < fit.scatter.p
-    findings = [*_quantity_findings(quantities, artefact, remedy),
-                *_point_findings(fit, results, artefact, other_size)]
+    findings = [*_quantity_findings(quantities, settings, remedy),
+                *_point_findings(fit, results, settings, other_size)]
     failed, undecided = ([sentence for outcome, sentence in findings if outcome == wanted]
                          for wanted in (VIOLATES, UNDECIDED))
     verdict = 'fail' if failed else 'undecided' if undecided else 'pass'
-    if not failed and (detectable := fit.error.smallest_detectable) > artefact.tolerance:
+    if not failed and (detectable := fit.error.smallest_detectable) > settings.tolerance:
         verdict = 'insensitive'
         undecided.insert(0, (
             'this decides nothing: an error of the calibration would show only from '
             f'{mm(detectable)} on ({fit.error.weakest_direction}), and the tolerance is '
-            f'{mm(artefact.tolerance)}{remedy(detectable, artefact.tolerance)}'))
+            f'{mm(settings.tolerance)}{remedy(detectable, settings.tolerance)}'))
     return verdict, tuple(dict.fromkeys(
         [*failed, *undecided, *_notes(fit, other_size, results)]))
 
@@ -252,7 +252,7 @@ def in_mm_or_degrees(value: float | None, unit: str) -> str:
     return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{math.degrees(value):.4f} degrees'
 
 
-def _quantity_findings(quantities: Sequence[Quantity], artefact: VerifyConfig,
+def _quantity_findings(quantities: Sequence[Quantity], settings: VerifyConfig,
                        remedy: Callable[[float, float], str]) -> Iterator[tuple[str, str]]:
     """
     Yield the decisions on the values with a nominal, each with a sentence.
@@ -261,7 +261,7 @@ def _quantity_findings(quantities: Sequence[Quantity], artefact: VerifyConfig,
     """
     for q in quantities:
         if q.deviation is not None:
-            tolerance = artefact.tolerance if q.unit == 'm' else artefact.angle_tolerance
+            tolerance = settings.tolerance if q.unit == 'm' else settings.angle_tolerance
             off, U = (in_mm_or_degrees(value, q.unit) for value in (q.deviation, q.expanded))
             outcome = decision(q.deviation, q.expanded, tolerance)
             yield outcome, f'{q.name} is off by {off} ± {U} (k = {COVERAGE_FACTOR:g})' if (
@@ -271,21 +271,21 @@ def _quantity_findings(quantities: Sequence[Quantity], artefact: VerifyConfig,
                 f'{remedy(q.expanded, tolerance - abs(q.deviation))}')
 
 
-def _point_findings(fit: ShapeFit, results: Sequence[GroupResult], artefact: VerifyConfig,
+def _point_findings(fit: ShapeFit, results: Sequence[GroupResult], settings: VerifyConfig,
                     other_size: bool) -> Iterator[tuple[str, str]]:
     """
     Yield the decisions on points and calibration that do not conform, each with a sentence.
 
     other_size: whether another size of the artefact explains an error of the calibration as well.
     """
-    outside = [s for s in results if s.used and COVERAGE_FACTOR * s.std <= artefact.tolerance
-               and s.distance - COVERAGE_FACTOR * s.std > artefact.tolerance]
+    outside = [s for s in results if s.used and COVERAGE_FACTOR * s.std <= settings.tolerance
+               and s.distance - COVERAGE_FACTOR * s.std > settings.tolerance]
     if outside:
         worst = max(outside, key=lambda s: s.distance)
         yield VIOLATES, (f'points lie up to {mm(worst.distance)} from the fit (too far in '
                          f'{len(outside)} of {len(results)}, the worst: {worst.label})')
     size, margin = fit.error.largest, ONE_SIDED_95 * fit.error.largest_std
-    outcome = decision(size, margin, artefact.tolerance)
+    outcome = decision(size, margin, settings.tolerance)
     error = (f'an error of the calibration of {mm(size)} ± {mm(margin)} '
              f'(k = {ONE_SIDED_95:g}, one-sided)')
     if fit.error.p_chance <= SIGNIFICANCE and outcome == VIOLATES and not other_size:

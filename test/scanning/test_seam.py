@@ -214,7 +214,7 @@ def test_centre_line_and_approach_of_a_preform_are_the_true_ones():
     assert away.max() < 1e-4 and angle < 1.0
     std = frames.measures[:, 3]
     assert std.max() < 5e-5 and np.sqrt((away ** 2).mean()) < 2 * std.mean()
-    assert 0 < frames.lengths[0] < 0.02  # the ends are not certain enough
+    assert 0 < frames.arc_lengths[0] < 0.02  # the ends are not certain enough
     assert 'no frames on the first' in ' '.join(sentences(seam, frames))
     with pytest.raises(DataError, match='scan more densely'):
         tool_frames(replace(seam, sections=replace(
@@ -257,7 +257,7 @@ def test_frames_are_rotations_at_the_pitch_and_lean_as_asked():
     np.testing.assert_allclose(R @ R.swapaxes(1, 2), np.tile(np.eye(3), (len(R), 1, 1)),
                                atol=1e-14)
     np.testing.assert_allclose(np.linalg.det(R), 1.0, atol=1e-14)
-    np.testing.assert_allclose(np.diff(frames.lengths)[:-1], 3e-3)
+    np.testing.assert_allclose(np.diff(frames.arc_lengths)[:-1], 3e-3)
     steps = np.linalg.norm(np.diff(frames.T_base_tool[:, :3, 3], axis=0), axis=1)[:-1]
     np.testing.assert_allclose(steps, 3e-3, rtol=1e-3)  # chords of a weakly bent curve
     for way in (towards, -towards):
