@@ -259,7 +259,8 @@ class EdgePoint:
         visible wall, else 0: from the point or, once corrected, as deep as what was measured
     shape_log_likelihoods: (k + 1,) of roundings with k radii and of a bevel, 0 for the best, empty
         without a bend
-    rounding_offset: (2,) from the point as seen to where its rounding is located best, if it is one
+    rounding_offset: (2,) from the point as seen to where its rounding is located best, if it is
+        one
     rounding_std: 1 sigma of this place along the direction, for a given radius
     shape_std: 1 sigma of the edge position from its uncertain shape, common to all ends
     is_corrected: whether it is where face and wall meet by that shape, no longer where it was seen

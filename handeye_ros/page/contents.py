@@ -40,13 +40,19 @@ PAGE_SERVICES = ('take_sample', 'clear_samples', 'compute_calibration', 'save_ca
                  'verify_start', 'verify_result')
 # parameters that the page can set, with their labels in its forms
 PAGE_SETTINGS = {
-    'profile_topic': 'Topic of the profiles', 'pose_source': 'Poses come from',
-    'pose_topic': 'Topic of the flange poses', 'profile.unit': 'Unit of the profiles',
-    'noise.robot_class': 'Accuracy class of the robot', 'target.radius': 'Radius of the sphere / m',
-    'target.size': 'Lengths of the plate / m', 'guidance.accuracy': 'Wanted accuracy (1 sigma) / m',
+    'profile_topic': 'Topic of the profiles',
+    'pose_source': 'Poses come from',
+    'pose_topic': 'Topic of the flange poses',
+    'profile.unit': 'Unit of the profiles',
+    'noise.robot_class': 'Accuracy class of the robot',
+    'target.radius': 'Radius of the sphere / m',
+    'target.size': 'Lengths of the plate / m',
+    'guidance.accuracy': 'Wanted accuracy (1 sigma) / m',
     'sampling.mode': '',  # has a place of its own
-    'verify.routine': 'What is measured', 'verify.radius': 'Radius / m',
-    'verify.lengths': 'Nominal lengths / m', 'verify.reference': 'Touched point x, y, z / m',
+    'verify.routine': 'What is measured',
+    'verify.radius': 'Radius / m',
+    'verify.lengths': 'Nominal lengths / m',
+    'verify.reference': 'Touched point x, y, z / m',
     'verify.tolerance': 'Largest error that passes / m'}
 
 FEW_STOPS = 3  # of a session that has just begun, perhaps by itself after a restart

@@ -61,7 +61,7 @@ MAX_OF_PASS = 32  # profiles of a pass that are evaluated, twice as many if few 
 
 
 def result_of(stop: Stop, config: Config) -> Sample | Reject:
-    """Return the sample of a stop, or the reject with the reason; raises InputError as Stop.load."""
+    """Return the sample of a stop, or a reject with the reason; raises InputError as Stop.load."""
     stop = stop.load(config)
     try:
         return (_sample_of_pass if config.sampling.moving else _sample_of_stop)(stop, config)
@@ -85,7 +85,7 @@ def _sample_of_stop(stop: Stop, config: Config) -> Sample:
 
 
 def _sample_of_pass(stop: Stop, config: Config) -> Sample:
-    """Return the middle sample of a pass, with those of its profiles; raises as result_of catches."""
+    """Return the middle sample of a pass, with its others; raises as result_of catches."""
     # of a stored pass some may lie beyond its poses, with another time_offset
     profiles = [p for p in stop.profiles if stop.start <= p.stamp <= stop.end]
     for most in (MAX_OF_PASS, 2 * MAX_OF_PASS):

@@ -82,7 +82,7 @@ class Stop:
         return result.reason if isinstance(result, Reject) and result.final else ''
 
     def load(self, config: Config) -> Stop:
-        """Return the stop with its messages; raises InputError for a stored one that is damaged."""
+        """Return the stop with its messages; raises InputError for a damaged stored one."""
         if self.load_messages is None:
             return self
         messages = self.load_messages(config)

@@ -135,7 +135,7 @@ class Cell:
     T_mount_sensor: the sensor in the flange (eye_in_hand) or in the base (eye_on_base)
     T_fixed_target: the target in the base (eye_in_hand) or in the flange (eye_on_base)
     T_base_flange, T_base_flange_reported: (n, 4, 4), true and with the robot's errors
-    T_mount_best: T_mount_sensor; with errors of joints and links as it fits the reported poses best
+    T_mount_best: T_mount_sensor; with errors of joints and links as it fits the poses best
     arm_errors, distortion: those of arm and sensor, if there are any
     """
 

@@ -23,7 +23,6 @@ from handeye_ros.simulate.sensor import lift
 import numpy as np
 import pytest
 
-
 EVERY = {**SCENARIOS, **FAULTS}
 
 
