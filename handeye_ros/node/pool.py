@@ -57,7 +57,7 @@ class Pool:
             1, multiprocessing.get_context('spawn'), _initialise_process)
 
     def start(self) -> None:
-        """Let the processes finish their imports before they are needed."""
+        """Start the processes; what they compute with is imported by the first call of each."""
         for _ in range(PROCESS_COUNT):
             self.submit(trim_memory)
 
