@@ -364,6 +364,15 @@ class Sample:
         """Return the sample of each of its stations: of a pass one per profile, else this one."""
         return self.profile_samples or (self,)
 
+    def is_used(self, used: Mapping[int, bool]) -> bool:
+        """
+        Return whether an answer uses it, of a pass at least half of its profiles in the answer.
+
+        used: of the stations of the answer, by their stamps.
+        """
+        stations = [used[each.stamp] for each in self.station_samples if each.stamp in used]
+        return 2 * sum(stations) >= max(len(stations), 1)
+
 
 @dataclass(frozen=True)
 class BudgetTerm:

@@ -123,14 +123,14 @@ def agreements(session: Session, answer: Answer) -> dict[int, Agreement]:
         return {}
     sample_of = {stop.number: stop.sample for stop in session.stops if stop.sample}
     samples, n = [*sample_of.values()], len(sample_of)
-    # index of the sample that each station of the answer, and each that it uses, comes from
+    stamps_used = [answer.samples[i].stamp for i in solution.used_stations]
+    used = dict.fromkeys([station.stamp for station in answer.samples], False)
+    used |= dict.fromkeys(stamps_used, True)
+    is_used = np.array([sample.is_used(used) for sample in samples])
+    # index of the sample that each used station comes from
     index_of = {station.stamp: k for k, sample in enumerate(samples)
                 for station in sample.station_samples}
-    sample_of_station = np.array([index_of[station.stamp] for station in answer.samples])
-    sample_of_used = sample_of_station[solution.used_stations]
-    # a pass is used if the answer uses at least half of its profiles in it
-    is_used = 2 * np.bincount(sample_of_used, minlength=n) >= np.maximum(
-        np.bincount(sample_of_station, minlength=n), 1)
+    sample_of_used = np.array([index_of[stamp] for stamp in stamps_used])
     # each sample is predicted from the others, of a pass with all of its profiles
     fold = np.unique(sample_of_used, return_inverse=True)[1].reshape(-1)
     measured, *residuals_of_points = residuals_and_left_out(
@@ -140,8 +140,7 @@ def agreements(session: Session, answer: Answer) -> dict[int, Agreement]:
     if not fold.any():  # a single one
         left_out = residual.copy()
     unused = np.flatnonzero(~is_used)
-    in_answer = {station.stamp for station in answer.samples}
-    shape = common_shape([station for station in session.samples if station.stamp in in_answer])
+    shape = common_shape([station for station in session.samples if station.stamp in used])
     residual[unused] = left_out[unused] = _residuals_of_unused(
         [samples[k] for k in unused], shape, answer.samples[0].clock_values, solution,
         session.config)

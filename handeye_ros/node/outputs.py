@@ -22,7 +22,7 @@ from geometry_msgs.msg import (
 )
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Calibration, has_return, Sample
+from handeye_ros.data import Calibration, has_return
 from handeye_ros.errors import INSTALL_TF2
 from handeye_ros.frames import mount_poses, target_frame
 from handeye_ros.node.live import LiveSession
@@ -259,15 +259,9 @@ def session_markers(stops: Iterable[Stop], calibration: Calibration | None, conf
                     ) -> MarkerArray:
     """Return the flanges of samples with their numbers and, with an answer, its scene."""
     used = {each.stamp: each.used for each in calibration.samples} if calibration else {}
-
-    def is_used(sample: Sample) -> bool:  # of a pass, most profiles in the answer, as in review.py
-        stations = [used[each.stamp] for each in sample.station_samples if each.stamp in used]
-        return 2 * sum(stations) >= max(len(stations), 1)
-
     snapshots = [
         StopSnapshot(stop.number, sample.stamp, mount_poses(sample.T_base_flange, config),
-                     np.empty((0, 2)), sample.features,
-                     '' if is_used(sample) else 'unused')
+                     np.empty((0, 2)), sample.features, '' if sample.is_used(used) else 'unused')
         for stop in stops if (sample := stop.sample)]
     parts: list[dict[str, Any]] = [
         {'name': 'numbers', 'color': FLANGE_COLOUR, 'width': 12.0, 'text': str(snapshot.number),

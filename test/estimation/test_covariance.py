@@ -163,6 +163,11 @@ def test_the_parts_add_up_to_what_is_reported(target: str) -> None:
         assert squares == pytest.approx(getattr(total, size) ** 2, rel=1e-6)
     std = np.sqrt(np.diag(solution.reported_covariance)[:3])
     assert total.translation == pytest.approx(np.sqrt((std ** 2).mean()))
+    levers = np.array([[0.0, 0.1, 0.4], [0.05, 0.1, 0.2]])
+    *terms, total = budget(solution, levers)
+    of_points = float(se3.mapped_std(levers, solution.transform_covariance))
+    assert total.mapped == pytest.approx(of_points), 'the points that are given'
+    assert sum(term.mapped ** 2 for term in terms) == pytest.approx(of_points ** 2)
 
 
 def test_a_covariance_that_covers_two_has_neither_less() -> None:

@@ -7,6 +7,7 @@ import hashlib
 from itertools import islice
 from pathlib import Path
 
+from cells import recorded
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node.state import state_of
 from live_sessions import (
@@ -99,3 +100,17 @@ def test_a_verification_begun_anew_says_what_is_dropped() -> None:
     feed(live, later(PARTS[1].messages, 1000))
     assert live.verification.verify_start().endswith(
         '; what was measured before is dropped (sphere: 6 usable stops of 6)')
+
+
+def test_more_lengths_ask_for_more_recordings_and_drop_none() -> None:
+    live, face = fed(TO_VERIFY, PARTS[0]), recorded('plane')
+    computed(live)
+    changed(live, verify__routine='step', verify__lengths=(0.01,))
+    live.verification.verify_start()  # two faces
+    for k in range(2):
+        feed(live, later(face.messages, 1000 * (k + 1)))
+        if k == 1:
+            assert not live.verification.has_next_recording
+            changed(live, verify__lengths=(0.01, 0.02, 0.03))  # four faces or more
+        answer = live.verification.verify_start()
+        assert f'recording {k + 2}:' in answer and 'dropped' not in answer

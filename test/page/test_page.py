@@ -21,7 +21,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 pytest.importorskip('aiohttp', reason='needs aiohttp')
 from handeye_ros.page.contents import PAGE_SETTINGS  # noqa: E402
-from ros_helpers import Client, replay, ROOT, running_node, stand_still  # noqa: E402
+from ros_helpers import Client, parameter, replay, ROOT, running_node, stand_still  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -233,12 +233,16 @@ def test_a_verification_by_clicking(tmp_path: Path, client: Client) -> None:
         client.connect()
         browser.get(f'http://127.0.0.1:{port}/')
         wait(browser, "document.getElementById('set-verify.routine')", 'the settings')
-        browser.execute_script(
-            "for (const [key, value] of [['routine', 'sphere'], ['radius', '0.04']]) {"
-            "const input = document.getElementById('set-verify.' + key);"
-            "input.value = value; input.dispatchEvent(new Event('change'));}")
-        press(browser, '#verify-start', '0 usable stops of 0')
-        wait(browser, "!document.getElementById('verify-result').disabled", 'that it goes on')
+        for radius in ('0.05', '0.04'):
+            browser.execute_script(
+                "for (const [key, value] of [['routine', 'sphere'], ['radius', arguments[0]]]) {"
+                "const input = document.getElementById('set-verify.' + key);"
+                "input.value = value; input.dispatchEvent(new Event('change'));}", radius)
+            if radius == '0.04':  # which was wrong before: it begins anew
+                click(browser, '#verify-start')
+            press(browser, '#yes' if radius == '0.04' else '#verify-start', '0 usable stops of 0')
+            wait(browser, "!document.getElementById('verify-result').disabled", 'that it goes on')
+        assert parameter(client, 'verify.radius') == 0.04
         press(browser, '#verify-result', 'fewer than 4')
         replay(bag)
         wait(browser, "/1[0-9] usable stops/.test(document.getElementById('course').textContent)",

@@ -7,6 +7,7 @@ from dataclasses import replace
 import math
 
 from handeye_ros import se3
+from handeye_ros.cli.simulated import CELLS
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine
 from handeye_ros.simulate import (
@@ -23,12 +24,10 @@ from handeye_ros.simulate.sensor import lift
 import numpy as np
 import pytest
 
-EVERY = {**SCENARIOS, **FAULTS}
-
 
 def scenario(name: str, columns: int = 320, rate: float = 6.0) -> Scenario:
     """Return a scenario in a size that is quick to render."""
-    full = EVERY[name]
+    full = CELLS[name]
     return replace(full, sensor=replace(full.sensor, columns=columns, rate=rate),
                    robot=replace(full.robot, rate=20.0))
 
@@ -44,10 +43,10 @@ def test_every_scenario_makes_an_ordered_recording_samples_and_settings(name: st
     assert np.allclose(np.linalg.norm(quaternions, axis=1), 1)
     config = with_values(Config(), settings(recording.scenario), name)
     assert config.profile.axes == recording.profiles[0].axes
-    samples, truth = simulate_samples(EVERY[name], np.random.default_rng(0))
+    samples, truth = simulate_samples(CELLS[name], np.random.default_rng(0))
     assert all(sample.features for sample in samples)
     assert {len(samples), len(truth.stops), len(recording.truth.stops)} == {
-        sum(EVERY[name].stops) * EVERY[name].repeats}
+        sum(CELLS[name].stops) * CELLS[name].repeats}
 
 
 def test_lost_points_are_marked_as_the_driver_does() -> None:
@@ -89,7 +88,7 @@ def of_face(face: FaceLine, T: Array, axis: int) -> list[float]:
 def test_lines_and_edges_have_the_noise_that_they_state(name: str) -> None:
     pulls = []
     for seed in range(50):
-        samples, truth = simulate_samples(EVERY[name], np.random.default_rng(seed))
+        samples, truth = simulate_samples(CELLS[name], np.random.default_rng(seed))
         for sample, stop in zip(samples, truth.stops, strict=True):
             T = T_target_sensor(stop, truth)
             face, *others = sample.features
