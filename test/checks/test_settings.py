@@ -10,8 +10,9 @@ from cells import ONE_IN_20, Recorded, recorded, simulated, squared_error
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.hypotheses import explain_samples, refuse_by_best
 from handeye_ros.checks.settings import setting_hypotheses, with_few_profiles
-from handeye_ros.config import with_flipped_range
-from handeye_ros.errors import DataError
+from handeye_ros.config import Config, with_flipped_range, with_values
+from handeye_ros.errors import DataError, InputError
+from handeye_ros.sampling.stops import Stop
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, scenes
 from handeye_ros.simulate.solids import box, Solid
 import numpy as np
@@ -112,3 +113,19 @@ def test_a_range_counted_the_wrong_way_is_named(name: str, seed: int) -> None:
     with pytest.raises(DataError, match=f'range_sign {recording.config.profile.range_sign}, '):
         pipeline.calibrate(recording.profiles, recording.poses,
                            with_flipped_range(recording.config))
+
+
+def test_a_refusal_stands_where_the_file_of_a_stop_is_gone() -> None:
+    recording = baseline_recording('plate')
+    config = with_values(recording.config, {'target.type': 'sphere'}, 'test')
+    session = pipeline.gather(recording.profiles, recording.poses, config)
+    with pytest.raises(DataError, match='set target.type to plate'):
+        pipeline.calibrate_session(session, config)
+
+    def gone(config: Config) -> Stop:
+        raise InputError('the file of a stop is gone')
+    for stop in session.stops:
+        session.add_stop(replace(stop, load_messages=gone))
+    with pytest.raises(DataError, match='usable samples') as refused:
+        pipeline.calibrate_session(session, config)
+    assert 'set target.type' not in str(refused.value)
