@@ -197,10 +197,11 @@ class Routine:
         for k in range(int(number.max()) + 1 if self.form_name else 0):
             values = distances[number == k]
             n, sigma = max(len(values), 2), float(values.std(ddof=1))
-            size, std, which = (
-                (3 * sigma, 3 * sigma / math.sqrt(2 * (n - 1)), 'xyz'[k]) if by_axis else
-                (float(np.ptp(values)), sigma * math.pi / math.sqrt(6 * math.log(n)),
-                 f'{k + 1}, noise included'))
+            if by_axis:
+                size, std, which = 3 * sigma, 3 * sigma / math.sqrt(2 * (n - 1)), 'xyz'[k]
+            else:
+                size, std = float(np.ptp(values)), sigma * math.pi / math.sqrt(6 * math.log(n))
+                which = f'{k + 1}, noise included'
             yield Quantity(f'{self.form_name} {which}', size, std,
                            characteristic=self.form_symbol)
 

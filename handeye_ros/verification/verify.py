@@ -187,7 +187,7 @@ def _group_results(kind: str, stations: StationSet, used: StationSet, fit: Shape
     for group, first in zip(*np.unique(groups, return_index=True), strict=True):
         recording, stamp = int(recordings[first]), int(stations.stamps[first])
         first_group = groups[np.searchsorted(recordings, recording)]
-        before = sum(reject.stamp < stamp for reject in chain(*rejects[recording:recording + 1]))
+        before = sum(reject.stamp < stamp for reject in rejects[recording]) if rejects else 0
         number = int(group - first_group) + before + 1
         identity = f'{kind} {number} of recording {recording + 1}', recording + 1, number, stamp
         rows = np.flatnonzero(used.group_of_point == group)
