@@ -53,7 +53,7 @@ from handeye_ros.pipeline import Answer
 from handeye_ros.results.truth import errors_against, field_points
 from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.features import combined_features
-from handeye_ros.sampling.session import duplicate_pose_reason
+from handeye_ros.sampling.input_faults import duplicate_pose_reason
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.simulate import Scenario, SCENARIOS, sensor, settings, simulate_samples
 from handeye_ros.simulate.scenario import PlateTarget, WedgeTarget

@@ -3,10 +3,10 @@
 """Frames that sensor and target are fixed in, poses of one in the other, directions in words."""
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from handeye_ros import se3
-from handeye_ros.config import Config, UNNAMED_FRAME
+from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 import numpy as np
 
@@ -83,18 +83,3 @@ def frame_mismatch_warning(frame: str, sensor: str) -> str:
         return ''
     return (f'the profiles are of the frame "{frame}", and the calibration is of "{sensor}": '
             'check that it is of this sensor')
-
-
-def frame_notes(frame: str | None, out_of_plane: float, config: Config) -> Iterator[str]:
-    """
-    Yield what is unusual in the frame of the profiles, one sentence each.
-
-    frame: its name, None before the first profile; out_of_plane: the largest distance (m) of
-    their points from the plane of the two axes used.
-    """
-    if frame == '':
-        yield f'the profiles have no frame_id: the result calls their frame "{UNNAMED_FRAME}"'
-    if out_of_plane > 1e-3:
-        yield (f'the profiles lie up to {out_of_plane * 1e3:.1f} mm beside the plane of '
-               f'{" and ".join(config.profile.axes)} in their frame: that coordinate is not '
-               'used, and the result holds for points in the plane')

@@ -64,8 +64,9 @@ from handeye_ros.node.worker import Worker
 from handeye_ros.results.printed import sample_summary
 from handeye_ros.results.scene import StopSnapshot
 from handeye_ros.sampling.features import features_of, result_of
+from handeye_ros.sampling.input_faults import frame_change_notice, silent_poses_error
 from handeye_ros.sampling.interpolation import interpolate
-from handeye_ros.sampling.session import Session, silent_poses_error
+from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.words import count_of
 
@@ -182,13 +183,13 @@ class LiveSession:
         Do the due work, stop by stop: whoever calls meanwhile waits for one stop only.
 
         A new session begins where another frame has replaced one that gave no sample
-        (`frame_change_notice` in sampling/session.py).
+        (`frame_change_notice` in sampling/input_faults.py).
         """
         with self.lock:
-            frame_change_notice = self._frame_change_notice
-        if frame_change_notice:
+            notice = self._frame_change_notice
+        if notice:
             self.clear_samples()
-            self.attempt = Attempt(frame_change_notice)
+            self.attempt = Attempt(notice)
         elif self.evaluate_next():
             self.worker.schedule()
         else:
@@ -503,7 +504,8 @@ class LiveSession:
     def _frame_change_notice(self) -> str:
         """Return a sentence that a topic has another frame now; '' if a result would be lost."""
         in_use = self.verification.routine or self.solver.calibration
-        return '' if in_use else self.session.frame_change_notice
+        return '' if in_use else frame_change_notice(
+            self.session.streams, self.session.has_samples)
 
     # settings
 

@@ -24,6 +24,11 @@ from handeye_ros.node.solver import LiveSolver, Review, summary
 from handeye_ros.output import folder_name
 from handeye_ros.results.printed import sample_summary
 from handeye_ros.results.scene import Agreement
+from handeye_ros.sampling.input_faults import (
+    late_streams,
+    unrequested_stops_notice,
+    unusable_poses_error,
+)
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import NO_STOP, Stop
 import numpy as np
@@ -165,16 +170,18 @@ def state_of(live: LiveSession, graph_troubles: Mapping[str, str] = MappingProxy
                for stop in session.stops]
     worst_first = sorted((sample for sample in samples if sample['left_out'] is not None),
                          key=lambda sample: -sample['left_out'])
-    late, conflict = ' and '.join(session.late_streams), session.conflict
+    late, conflict = ' and '.join(late_streams(session.streams)), session.conflict
     troubles = (
         graph_trouble, str(conflict or ''),
         'all samples are of the first: ~/clear_samples begins anew with the frame of now'
         if conflict and conflict.code == 'two_frames' and session.samples else '',
         late and f'{late} are dropped, as their stamps are older than those before; if they stay '
-        'so, sampling goes on with them', str(session.unusable_poses_error or ''),
+        'so, sampling goes on with them',
+        str(unusable_poses_error(session.pose_stream, session.flange_distance) or ''),
         # of two publishers stamps that seem to be of two clocks follow
         '' if graph_trouble else _clock_trouble(profiles, poses, config.time_offset),
-        session.unrequested_stops_notice, live.storing_trouble, live.worker.trouble)
+        unrequested_stops_notice(session.unrequested_count), live.storing_trouble,
+        live.worker.trouble)
     return {
         'name': folder_name(config),
         'profiles': profiles.state(config.profile_topic, graph_troubles.get('profile', '')),

@@ -181,6 +181,7 @@ class StopFinder(Copyable):
     """
     Cuts a stream of poses into stops, or into passes where sampling.mode is moving.
 
+    sampling: the settings; others may be set at any time
     stamp: of the first pose of the current stop or pass (ns), -1 before any pose
     longest_rest_ns: the longest time that the robot stood near one pose (ns); in a pass, too
     short_rest_count: number of stops or passes that lasted SHORT_REST, but not sampling.still_time

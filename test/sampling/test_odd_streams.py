@@ -10,6 +10,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import NS, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.sampling.features import result_of
+from handeye_ros.sampling.input_faults import late_streams
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.stream import in_majority_order
@@ -55,7 +56,7 @@ def test_repeated_messages_are_not_late_but_a_clock_that_stands_is_told() -> Non
     for item in in_order(stops((0, 1)), profiles(0, 1)):
         add(session, item)
         add(session, item)
-    assert session.late_streams == () and taken(session, MANUAL).profile_count > 5
+    assert late_streams(session.streams) == () and taken(session, MANUAL).profile_count > 5
     for _ in range(20):
         session.add_pose(pose(1.0))
     with pytest.raises(DataError, match='clock of their driver stands still'):
@@ -82,12 +83,12 @@ def test_a_tilted_light_plane_is_told_from_an_encoder(tilt: float, refused: bool
 def test_a_clock_that_is_set_back_goes_on_by_itself(config: Config) -> None:
     session = played(stops((100, 101), (102, 103)), profiles(100, 103), config, finish=False)
     add(session, pose(40.0, x=0.5))
-    assert session.late_streams == ('poses',)
+    assert late_streams(session.streams) == ('poses',)
     with pytest.raises(DataError, match='older stamps'):
         taken(session)  # of where the robot stood before its clock was set
     elsewhere = [replace(p, translation=p.translation + [0.5, 0.0, 0.0]) for p in stops((40, 42))]
     go_on(session, in_order(elsewhere, profiles(40, 42)), config)
-    assert session.late_streams == () and session.motion.rest_time > 1.0
+    assert late_streams(session.streams) == () and session.motion.rest_time > 1.0
     if config is MANUAL:
         taken(session)
     else:
@@ -257,7 +258,7 @@ def test_one_wild_stamp_changes_only_its_message(jump: float, kind: str, place: 
         go_on(session, [*items[:at], *changed, *items[at + 1:]])
         session.evaluate_remaining()
         outcomes.append(key(session))
-        assert not session.late_streams
+        assert not late_streams(session.streams)
     assert outcomes[0] == outcomes[1]
     # the first of all may be early: nothing tells that it is
     assert len(session.warnings) == (0 if place == 0 and jump < 0 else 1)
