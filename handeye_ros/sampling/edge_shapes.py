@@ -11,9 +11,10 @@ from handeye_ros.profiles.edge_rounding import TRIED_RADII
 import numpy as np
 
 SHARP_DEPTH = 2.5e-5  # largest depth of ends that count as sharp (m)
-# depth of a rounding, over its radius, from which light may be lost (26 degrees); where ends bend
-# less, the sensor's field or the face is bent, or a driver that smooths bends a few by much more
-MIN_SEEN = 0.1
+# the same over the size of the shape: from this depth of a rounding on light may be lost (26
+# degrees); where ends bend less, the sensor's field or the face is bent, or a driver that smooths
+# bends a few by much more
+SHARP_RELATIVE_DEPTH = 0.1
 MAX_LOG_RATIO = 8.0  # largest log odds of one end against a shape
 SHAPE_STD = 0.2  # relative 1 sigma of a radius or a bevel's legs: it may be another curve
 ELLIPSE_RADIUS_STD = 0.1  # 1 sigma of the log radius of one end: an oblique laser sees an ellipse
@@ -59,7 +60,7 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     Return the one shape that is likeliest for all ends together.
 
     Sharp with fewer than three ends, or where half of them bend by less than SHARP_DEPTH or
-    MIN_SEEN of the size.
+    SHARP_RELATIVE_DEPTH of the size.
     """
     edges = [f for sample in samples for f in sample.features
              if isinstance(f, EdgePoint) and f.ending != 'roof']
@@ -77,7 +78,7 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
         weighted_median = depth[order][np.searchsorted(squares, squares[-1] / 2)]
         legs = float(np.median(depth[depth > weighted_median / 2]))
         shape = EdgeShape(legs, SHAPE_STD, is_round=False)
-    return shape if np.median(depth) > MIN_SEEN * shape.size else EdgeShape()
+    return shape if np.median(depth) > SHARP_RELATIVE_DEPTH * shape.size else EdgeShape()
 
 
 def _blurred(log_likelihoods: Array) -> Array:
@@ -119,22 +120,30 @@ def _with_corrected_edge(feature: Feature, shape: EdgeShape) -> Feature:
     if not size:
         return replace(edge, to_lowest=np.zeros(2))
     # the point of the shape that is measured: how far outwards of the end it is, and how deep
-    outwards, to_lowest, least_depth, std = 0.0, edge.to_lowest, DEPTH_STD, 0.0
     is_arc = shape.is_round and 0 < edge.rounding_std < size
-    if is_arc:
-        least_depth, std = MIN_DEPTH, edge.rounding_std
-        outwards = float(edge.rounding_offset @ edge.direction)
-        to_lowest = edge.rounding_offset - outwards * edge.direction
-    depth = min(max(float(np.hypot(*to_lowest)), least_depth), size)
-    # the shape has this depth so far from its start; the wall is `size` from its start
-    if shape.is_round:
-        from_start = float(np.sqrt(depth * (2 * size - depth)))
-        wrt_size = 1 - depth / from_start
-        std = std if is_arc else (size - depth) / from_start * DEPTH_STD
-    else:
-        wrt_size = float(np.clip(1.5 - 2 * depth / size, 0.0, 1.0))
-        from_start = (1 - wrt_size) * size
+    outwards = float(edge.rounding_offset @ edge.direction) if is_arc else 0.0
+    to_lowest = edge.rounding_offset - outwards * edge.direction if is_arc else edge.to_lowest
+    depth = min(max(float(np.hypot(*to_lowest)), MIN_DEPTH if is_arc else DEPTH_STD), size)
+    from_start, wrt_depth, wrt_size = _place_at_depth(depth, shape)
     wall = outwards + size - from_start
+    std = edge.rounding_std if is_arc else wrt_depth * DEPTH_STD
     return replace(edge, point=edge.point + wall * edge.direction, to_lowest=to_lowest,
                    std=float(np.sqrt(edge.std ** 2 + std ** 2 + (ELLIPSE_EDGE_STD * size) ** 2)),
                    shape_std=shape.relative_std * size * wrt_size)
+
+
+def _place_at_depth(depth: float, shape: EdgeShape) -> tuple[float, float, float]:
+    """
+    Return how far from its start, along the face, a shape has a depth (both in m).
+
+    And how much the distance from there to the wall, which is `size` from the start, changes by
+    the depth (without the sign) and by the size. The end of a bevel is its start if it is less
+    than a quarter as deep as the bevel, and its foot, at the wall, if more than three quarters;
+    between these its place goes from one to the other.
+    """
+    size = shape.size
+    if shape.is_round:
+        from_start = float(np.sqrt(depth * (2 * size - depth)))
+        return from_start, (size - depth) / from_start, 1 - depth / from_start
+    wrt_size = float(np.clip(1.5 - 2 * depth / size, 0.0, 1.0))
+    return (1 - wrt_size) * size, 0.0, wrt_size

@@ -3,8 +3,10 @@
 """
 The sample that a stop gives: its pose, and the features of all its profiles combined.
 
-The scatter between the profiles gives the uncertainty of what they share. A pass gives the samples
-of its single profiles, each with the pose of its time.
+The target finds the features of each profile (features_of). Those of all profiles of a stop are
+combined (combined_features, features_of_stop): lines, edges and arcs each in their way. The
+scatter between the profiles gives the uncertainty of what they share. A pass gives the samples of
+its single profiles, each with the pose of its time.
 """
 from __future__ import annotations
 
@@ -13,6 +15,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from itertools import compress
 from typing import NoReturn
 
 from handeye_ros import se3, targets
@@ -142,7 +145,11 @@ def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
 
 def _features_by_profile(profiles: Sequence[Profile], config: Config
                          ) -> tuple[list[tuple[Profile, tuple[Feature, ...]]], str]:
-    """Return the profiles that show the target, with their features, and why most others fail."""
+    """
+    Return the profiles that show the target, each with its features, and why the others do not.
+
+    That is the most frequent reason, '' where all show it.
+    """
     shown, reasons = [], Counter[str]()
     for profile in profiles:
         try:
@@ -235,7 +242,7 @@ def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
     heights = centres[:, 1] + slopes * (x - centres[:, 0])
     least = ACROSS_SIGMAS * float(np.mean([line.std for line in lines]))
     agree = _near_median(heights, ACROSS_SCATTERS, least, 'how high the face is')
-    lines = [line for line, agrees in zip(lines, agree, strict=True) if agrees]
+    lines = list(compress(lines, agree))
     slope, centre = float(slopes[agree].mean()), np.array([x, heights[agree].mean()])
     spread = float(np.median([line.spread for line in lines]))
     # the means of the bins over the profiles that have as many of them as most
@@ -269,7 +276,7 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     std_across = float(np.median([edge.std_across for edge in edges]))
     agree = _near_median(along, EDGE_SCATTERS, EDGE_SIGMAS * single_std, 'where the edge is')
     agree &= _near_median(across, ACROSS_SCATTERS, ACROSS_SIGMAS * std_across, 'where the edge is')
-    edges = [edge for edge, agrees in zip(edges, agree, strict=True) if agrees]
+    edges = list(compress(edges, agree))
     n = len(edges)
     scatter = float(along[agree].std(ddof=1)) if n > 1 else single_std
     # a robot that stands still repeats the rounding to a column, and mixed and lost points pull
@@ -277,8 +284,13 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     std = np.hypot(single_std, scatter / min(n, MAX_INDEPENDENT) ** 0.5)
     combined = EdgePoint(points[agree].mean(axis=0), direction, float(std), std_across, ending,
                          np.median([edge.to_lowest for edge in edges], axis=0))
+    return _with_shape(combined, edges)
+
+
+def _with_shape(combined: EdgePoint, edges: Sequence[EdgePoint]) -> EdgePoint:
+    """Return the combined edge point with the rounding or bevel that most of the edges show."""
     bent = [edge for edge in edges if len(edge.shape_log_likelihoods)]
-    if len(bent) <= MIN_SHOWING_SHARE * n:
+    if len(bent) <= MIN_SHOWING_SHARE * len(edges):
         return combined
     independent = min(len(bent), MAX_INDEPENDENT)
     log_likelihoods = np.mean([edge.shape_log_likelihoods for edge in bent], axis=0) * independent
@@ -315,8 +327,7 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
                            scatter + max(3.0 * scatter, MIN_DISAGREEMENT))
     if agree.sum() < MIN_AGREEING_SHARE * len(arcs):
         raise _disagreement_error('where the sphere is', [arc.centre for arc in arcs])
-    combined = fitted_arc(np.concatenate([
-        arc.measured for arc, agrees in zip(arcs, agree, strict=True) if agrees]))
+    combined = fitted_arc(np.concatenate([arc.measured for arc in compress(arcs, agree)]))
     # for the residuals: 0.8 MB of a sample at most
     kept = even_indices(len(combined.measured), 50_000)
     return replace(combined, measured=combined.measured[kept])

@@ -168,9 +168,10 @@ def decoded(profiles: Iterable[AnyProfile], config: Config) -> list[Profile]:
 
 class Motion(NamedTuple):
     """
-    How the robot moves, in words.
+    How the robot moves.
 
     rest_time: how long it has stood near where it is (s); in a pass, too, it may stand
+    sentence: the same, or its speeds, in words, such as 'it has stood still for 1.20 s'
     """
 
     rest_time: float

@@ -45,7 +45,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
+from itertools import compress, islice
 
 from handeye_ros.config import Config
 from handeye_ros.data import (
@@ -83,7 +83,8 @@ from numpy.typing import NDArray
 CLOCK_KEYS = TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT
 MIN_SWEEP = 1.0  # s of a sweep: of less any cause may seem to explain what does not fit
 NO_POSES = 'there are no poses of that time'
-MAX_SAMPLES, SEARCH_SAMPLES = 400, 60  # of a sweep; where some do: a start, a wrong convention
+MAX_SAMPLES = 400  # of a sweep, for its answer
+SEARCH_SAMPLES = 60  # enough to start from (here) or to find a wrong convention (conventions.py)
 
 
 def passes_expanded(samples: Sequence[Sample]) -> tuple[Sample, ...]:
@@ -98,7 +99,10 @@ class ClockedPoses:
     """
     Poses of n samples as a function of the clocks; those of stops are constant.
 
-    T_base_flange: (n, 4, 4) with the stamps as they are; moving: (n,) whether the robot moved.
+    T_base_flange: (n, 4, 4) with the stamps as they are
+    stamps: (n,) of the samples, by the clock of the profiles (ns)
+    moving: (n,) whether the robot moved
+    trajectory: of the whole sweep
     """
 
     def __init__(self, samples: Sequence[Sample]) -> None:
@@ -148,7 +152,11 @@ def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:
 
 
 def errors_in_motion(stamps: NDArray[np.int64], linear: Linearisation) -> Blocks:
-    """Yield the blocks of errors of a moving robot: smooth in time, and of the exposure."""
+    """
+    Yield the blocks of errors of a moving robot: smooth in time, and of the exposure.
+
+    stamps: (n,) of all samples (ns), of which those of the problem are some.
+    """
     position_std, model = linear.problem.config.noise.robot_smooth, linear.problem.pose_model
     assert model is not None
     basis = smooth_basis_in_time((stamps[model.stations] - stamps[0]) * 1e-9,
@@ -199,25 +207,27 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> SyncedSa
         raise DataError(f'the profiles that show the target are of {seconds:.1f} s, in which a '
                         'robot hardly turns: record a longer sweep', code='few')
     clocked, problem = ClockedPoses(samples), problem_with_clocks(samples, config)
-    # the clocks from some samples, and then from all
-    start = _best_over_offsets(problem.subset(even_indices(len(samples), SEARCH_SAMPLES)),
-                               np.random.default_rng(SEED))
-    start_values = start.problem.pose_parameters
-    # profiles in gaps between the poses would pull the offset
-    with_poses = np.flatnonzero(_flange_at(start_values, clocked, problem).inside)
-    fit = robust_fit(problem.subset(with_poses).with_pose_parameters(start_values),
-                     start.estimate)
-    # each sample gets the pose of its time
+    fit = _fit_with_clocks(clocked, problem)
     clock_values = ClockValues(*fit.problem.pose_parameters.tolist())
     flange = _flange_at(clock_values, clocked, problem)
     timed = [replace(sample, T_base_flange=T, clock_values=clock_values)
              for sample, T, inside in zip(
                  samples, flange.T_base_flange, flange.inside, strict=True) if inside]
-    rejects = [Reject(sample.stamp, NO_POSES)
-               for sample, inside in zip(samples, flange.inside, strict=True) if not inside]
+    rejects = [Reject(sample.stamp, NO_POSES) for sample in compress(samples, ~flange.inside)]
     problem = problem.subset(np.flatnonzero(flange.inside))
     return SyncedSamples(timed, rejects, problem.with_pose_parameters(fit.problem.pose_parameters),
                          fit.estimate)
+
+
+def _fit_with_clocks(clocked: ClockedPoses, problem: Problem) -> Linearisation:
+    """Return the fit of the samples that have poses, from the clocks that some of them give."""
+    start = _best_over_offsets(problem.subset(even_indices(len(clocked.stamps), SEARCH_SAMPLES)),
+                               np.random.default_rng(SEED))
+    clock_values = start.problem.pose_parameters
+    # profiles in gaps between the poses would pull the offset
+    with_poses = np.flatnonzero(_flange_at(clock_values, clocked, problem).inside)
+    return robust_fit(problem.subset(with_poses).with_pose_parameters(clock_values),
+                      start.estimate)
 
 
 def _flange_at(clock_values: Iterable[float], clocked: ClockedPoses, problem: Problem
@@ -232,7 +242,11 @@ def _flange_at(clock_values: Iterable[float], clocked: ClockedPoses, problem: Pr
 
 
 def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Linearisation:
-    """Return the best fit over several offsets, or the first convincing one."""
+    """
+    Return the best fit over several offsets, or the first convincing one.
+
+    After an offset at which most samples fit, none further from zero is tried.
+    """
     fits, loss = list[Linearisation](), partial(mean_log_square, problem)
     for offset in sorted(np.arange(-10, 11, 2), key=abs):  # prior sigmas
         clock_values = np.zeros(len(problem.pose_parameters))

@@ -63,7 +63,7 @@ class Trajectory:
 
     @cached_property
     def longest_bridged(self) -> float:
-        """Return the longest time (s) between two poses that is interpolated."""
+        """Return the longest time (s) between two poses that is interpolated: some may be lost."""
         period = float(np.median(np.diff(self.stamps))) * 1e-9 if len(self.stamps) > 1 else 0.0
         return min(self.max_gap, max(4.0 * period, 0.06))
 
@@ -76,7 +76,11 @@ class Trajectory:
                      if len(stamps) >= MIN_POSES)
 
     def at(self, stamps: NDArray[np.int64], lag: float = 0.0) -> FlangeStates:
-        """Return the flange at stamps (n,); lag: of the reported rotation (s)."""
+        """
+        Return the flange at stamps (n,); lag: of the reported rotation (s).
+
+        Without any piece it is the identity at rest, and never inside.
+        """
         values, rates, inside = self._at(stamps)
         later_values, later_rates, later_inside = self._at(stamps + round(lag * 1e9))
         length = np.linalg.norm(later_values[:, 3:], axis=1, keepdims=True)
@@ -96,7 +100,7 @@ class Trajectory:
         return values, rates, inside
 
     def std(self, stamps: NDArray[np.int64]) -> Array:
-        """Return 1 sigma of the poses at stamps (n,), each axis: (n, 2) in m and rad."""
+        """Return 1 sigma of the poses at stamps (n,), each axis: (n, 2) in m and rad, or inf."""
         std = np.full((len(stamps), 2), np.inf)
         for piece, nearest in self._nearest_pieces(stamps):
             std[nearest] = piece.std_at(stamps[nearest])
@@ -218,7 +222,7 @@ def _fitted_spline(stamps: NDArray[np.int64], values: Array) -> tuple[_SplinePie
     for interval in (widest, *KNOT_SPACINGS[1:]):
         count = max(int(t[-1] / interval + 0.5), 1) + 3
         freedom = len(t) - count
-        if best and freedom < len(t) / 3:
+        if best and freedom < len(t) / 3:  # of so few the error says little
             break
         knots = interval * np.arange(-3.0, count + 1)
         design = BSpline.design_matrix(t, knots, 3, True)
