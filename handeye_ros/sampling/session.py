@@ -12,6 +12,7 @@ order, which is that of the methods:
    unless `mark_done` forbids it
 2. waiting, once the robot has gone on, until the profiles have passed its end, too: so it does not
    depend on the order of arrival. In manual mode no stop waits: it is only counted
+   (`unrequested_count`)
 3. done: `take_completed` returns it, once, with its profiles. At the end of a recording
    `take_remaining` returns all others, with the current one; `require_any_stop` refuses a
    recording without any
@@ -58,7 +59,7 @@ class Session(Copyable):
     Receives poses and profiles, returns each stop once, and keeps what it gives.
 
     config: the current settings
-    last_number: the last one assigned
+    last_number: the largest that a stop has had, also one that was removed
     pose_stream, profile_stream: what the messages of either topic pass through
     flange_distance: of the last pose from the base (m)
     """

@@ -151,7 +151,7 @@ class Stream(Copyable, Generic[Stamped]):
         self.step_back, self._late_stamps = 0, []
 
     def release(self, first: int, last: int) -> list[Stamped]:
-        """Return the message held back if its stamp lies between two given ones."""
+        """Pass on, and return, the message held back if its stamp is from first to last (ns)."""
         held = self._held
         if held is None or not first <= held.stamp <= last:
             return []
