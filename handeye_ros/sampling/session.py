@@ -4,8 +4,8 @@
 The session: from the messages of both topics to complete stops, and what each gives.
 
 The same Session takes the messages of a bag and those of live topics, by `add_pose` and
-`add_profile`. What is said here of a stop holds for a pass of a moving robot, too. It is, in this
-order, which is that of the methods:
+`add_profile`. A stop, or a pass of a moving robot, then goes through these states; the methods are
+in their order:
 
 1. current, while the robot stands: it is cut from the stream of poses alone (StopFinder).
    `early_stop` and `stop_on_request` return it already then: it may come back with more profiles,
