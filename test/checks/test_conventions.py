@@ -44,7 +44,9 @@ def angles(values: Array) -> Rotation:
 
 @pytest.mark.parametrize(('target', 'change', 'words'), [
     ('plate', simulated('wxyz'), 'w x y z'),
-    pytest.param('sphere', simulated('inverted'), 'inverse poses', marks=THOROUGH),
+    *(pytest.param('sphere', change, words, marks=THOROUGH) for change, words in (
+        (simulated('inverted'), 'inverse poses'),
+        (simulated('degrees'), 'angles in degrees are read as radians'))),
     *(pytest.param('plate', change, words, marks=THOROUGH) for change, words in (
         (simulated('inverted'), 'inverse poses'), (simulated('intrinsic'), 'intrinsic'),
         (simulated('millimetres'), 'positions in millimetres'),
@@ -54,8 +56,7 @@ def angles(values: Array) -> Rotation:
         (lambda R: angles(np.radians(R.as_euler('xyz'))), 'angles in radians'),
         (lambda R: angles(R.as_euler('XYZ')), 'intrinsic Euler angles'),
         (lambda R: angles(R.as_euler('xyz')[:, [2, 1, 0]]), 'roll and yaw exchanged'),
-        (lambda R: angles(R.as_rotvec()), 'with rotation vectors'))),
-    ('sphere', simulated('degrees'), 'angles in degrees are read as radians')])
+        (lambda R: angles(R.as_rotvec()), 'with rotation vectors')))])
 def test_convention_errors_are_named(target: str, change: Change, words: str) -> None:
     simulated_cell = cell(target, 1)
     with refused('convention', words):

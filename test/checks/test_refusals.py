@@ -18,6 +18,7 @@ from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS
 from handeye_ros.targets import TARGETS
 import numpy as np
 import pytest
+from quick import long_run
 
 everywhere = pytest.mark.parametrize(('where', 'frame'), [
     ('eye_in_hand', 'flange'), ('eye_on_base', 'base')])
@@ -190,7 +191,7 @@ def test_a_frame_of_the_robot_is_refused_by_its_key(frame: str, key: str) -> Non
 
 
 @pytest.mark.parametrize('seed', [
-    2, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (3, 6, 7))])
+    2, *long_run(3, 6, 7)])
 def test_an_answer_that_is_uncertain_by_millimetres_is_refused(seed: int) -> None:
     """A base that gives way by 0.2 degrees per metre of reach; a plane takes up most of it."""
     plane_cell = cell(FAULTS['plane, wide off-centre'], seed)
@@ -250,7 +251,7 @@ def seen_at(sample: Sample, X: Array, place: Array) -> Sample:
 @pytest.mark.parametrize(('name', 'place', 'words'), [
     ('plate', [0.0, 0.18], 'at one point'), ('plane', [0.0, 0.18], 'at one point'),
     ('sphere', [0.0, math.nan], 'on one line')])
-@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('seed', [0, *long_run(1, 2)])
 def test_one_place_only_is_refused(name: str, place: list[float], words: str, seed: int) -> None:
     """A sensor that is turned by half about that place sees the same."""
     simulated_cell, rng = cell(name, seed), np.random.default_rng(seed)

@@ -30,6 +30,7 @@ from handeye_ros.simulate import FAULTS, SCENARIOS, sensor, simulate_samples
 from handeye_ros.simulate.scenario import SensorModel
 import numpy as np
 import pytest
+from quick import long_run
 
 MANY = replace(SCENARIOS['plate'], stops=(24, 24))
 ALL_BLOCKS = {key: flatten(Config())[key.replace('__', '.')] for key in NO_DOUBTS}
@@ -191,7 +192,7 @@ MM = 1e-3
 
 
 @pytest.mark.parametrize('bend', [0.0, 0.15 * MM, 0.6 * MM])
-@pytest.mark.parametrize('target', ['plate', 'wedge'])
+@pytest.mark.parametrize('target', ['plate', *long_run('wedge')])
 def test_a_bent_laser_line_is_told_and_the_truth_lies_inside(target: str, bend: float) -> None:
     scenario = FAULTS[f'{target}, line bent by 0.15 mm']
     scenario = replace(scenario, sensor=replace(scenario.sensor, line_bend=bend))

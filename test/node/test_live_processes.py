@@ -149,6 +149,7 @@ def test_a_late_review_does_not_replace_a_newer_one(monkeypatch: pytest.MonkeyPa
     assert live.solver.review is newest_review
 
 
+@pytest.mark.thorough
 def test_of_two_answers_the_last_asked_for_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     live = fed()
     live.worker.call(live.evaluate_all)
@@ -174,6 +175,7 @@ def test_a_recomputation_whose_process_is_killed_is_told(monkeypatch: pytest.Mon
     assert 'ended before it had an answer' in state_of(live)['session']['trouble']
 
 
+@pytest.mark.thorough
 def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     live = fed()
     live.start()

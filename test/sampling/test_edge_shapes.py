@@ -14,6 +14,7 @@ from handeye_ros.simulate.scenario import BASELINE
 import numpy as np
 from profiles import drawn, edge_of, PITCH, X
 import pytest
+from quick import long_run
 
 LINE = FaceLine(np.array([0.01, 0.17]), np.array([1.0, 0.0]), 0.005, 1e-6)
 
@@ -65,7 +66,8 @@ def test_a_few_deep_ends_are_no_bevel_of_all() -> None:
 
 
 @pytest.mark.parametrize(('values', 'worst'), [
-    ({}, 3e-5), ({'rounding': 5e-4}, 9e-5), ({'bevel': 3e-4}, 1e-4), ({'thickness': 2e-3}, 4e-5)])
+    ({'rounding': 5e-4}, 9e-5), ({'bevel': 3e-4}, 1e-4),
+    *long_run(({}, 3e-5), ({'thickness': 2e-3}, 4e-5))])
 def test_simulated_ends_are_at_the_edge(values: dict[str, Any], worst: float) -> None:
     scenario = replace(BASELINE, target=replace(BASELINE.target, **values))
     away, std = [], []

@@ -26,6 +26,7 @@ from profiles import (
     with_lost,
 )
 import pytest
+from quick import long_run
 
 
 @pytest.mark.parametrize('other_shape', [
@@ -101,8 +102,8 @@ def test_frozen_speckle_of_a_face_does_not_average_out(
 
 
 @pytest.mark.parametrize('name', [
-    'plate', 'plate_reflections', *(pytest.param(name, marks=pytest.mark.thorough) for name in (
-        'plate_in_air', 'plate_clutter', 'plate_resampled', 'plate_omit', 'plate_x_reversed'))])
+    'plate', *long_run('plate_reflections', 'plate_in_air', 'plate_clutter', 'plate_resampled',
+                       'plate_omit', 'plate_x_reversed')])
 def test_simulated_edges_are_as_near_to_the_truth_as_they_say(name: str) -> None:
     along, across = [], []
     for seed in range(2):

@@ -150,6 +150,7 @@ def test_clocks_that_drift_apart_are_no_move_of_the_sensor() -> None:
     assert 'moved' not in ' '.join(calibration.provenance.get('warnings', ()))
 
 
+@pytest.mark.thorough
 def test_a_wrong_radius_in_a_sweep_is_told_as_configured() -> None:
     scenario = sweep('sphere', 0.02)
     recording = simulate(scenario, np.random.default_rng(3))
