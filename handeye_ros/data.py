@@ -487,3 +487,48 @@ class Calibration:
     samples: tuple[SampleReport, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
     time_offset: ClockEstimate | None = None
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """
+    RMS distances of a sample's points to the target of an answer, in metres.
+
+    residual: from the answer
+    left_out: from the answer without this sample; the same as residual for a sample that the
+        answer does not use, and for the only one that it uses
+    used: whether the answer uses it
+    """
+
+    residual: float
+    left_out: float
+    used: bool
+
+
+@dataclass(frozen=True, eq=False)
+class StopSnapshot:
+    """
+    What the report and the page show of a stop: one profile, its features, whether it is used.
+
+    number: counted from 1; 0 of what is seen now
+    stamp: that of its sample or reject, of what is seen now that of the profile (ns)
+    T_fixed_mount: (4, 4) pose of the mount of the sensor in the frame where the target is fixed
+    points: (n, 2) of one of its profiles, in the sensor plane (m); none where only the pose and
+        the features are drawn
+    features: what its profiles show, in the sensor plane (m)
+    reason: why it was not used, empty if it was
+    agreement: with the answer, None where it was not used
+    """
+
+    number: int
+    stamp: int
+    T_fixed_mount: Array
+    points: Array
+    features: tuple[Feature, ...] = ()
+    reason: str = ''
+    agreement: Agreement | None = None
+
+    @property
+    def used(self) -> bool:
+        """Return whether the answer uses the stop."""
+        return not self.reason
