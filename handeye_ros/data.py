@@ -28,6 +28,7 @@ TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT = 'time_offset', 'rotation_lag', 'clock_d
 # noise.robot_smooth as found: 1 sigma of the smooth error of the robot along each axis (m); in
 # kinematics.yaml `robot_smooth_error`
 ROBOT_POSITION_ERROR = 'robot_position_error'
+TURN_LENGTH = 0.3  # m: a joint error that turns the flange by 1 rad shifts it by this
 QUATERNION_TOLERANCE = 1e-3  # of its length
 ENDINGS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; see EdgePoint
 SIGMA_OF_MEDIAN = 1.4826  # 1 sigma of a normal distribution over its median absolute deviation

@@ -116,7 +116,7 @@ def configuration(file: Path | None, assignments: list[str], base: 'Config | Non
     from handeye_ros.config import Config, load, with_assignments
     base = base or Config()
     if kinematics:
-        from handeye_ros.arm import read_arm
+        from handeye_ros.results.kinematics_file import read_arm
         arm = read_arm(kinematics)
         assignments = [f'kinematics={kinematics.absolute()}', f'robot_base_frame={arm.base}',
                        f'robot_effector_frame={arm.flange}', *assignments]

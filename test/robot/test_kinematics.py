@@ -10,12 +10,13 @@ from calibrations import calibration_at
 from cells import ONE_IN_1000, squared_error
 from command import assert_refused, bench_of, handeye, ROOT, succeeds
 from handeye_ros import pipeline, se3
-from handeye_ros.arm import arm_of, corrected_urdf, KINDS, read_arm, read_urdf
+from handeye_ros.arm import arm_of, corrected_urdf, KINDS, read_urdf
 from handeye_ros.bags.recording import read_bag
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
+from handeye_ros.results.kinematics_file import read_arm
 from handeye_ros.robot import solve
 from handeye_ros.robot.solve import select_from_points
 from handeye_ros.sampling.session import Session
