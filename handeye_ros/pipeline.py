@@ -48,12 +48,11 @@ from handeye_ros.data import (
     QUATERNION_TOLERANCE,
     RawProfile,
     Reject,
-    require_each,
     Sample,
     SEED,
     TimedPose,
 )
-from handeye_ros.errors import DataError, InputError, require_type
+from handeye_ros.errors import DataError, InputError, require_each, require_type
 from handeye_ros.estimation.arm_errors import with_arm_errors
 from handeye_ros.estimation.search import refined_solution, robust_solution
 from handeye_ros.estimation.solution import Solution

@@ -15,10 +15,11 @@ from pathlib import Path
 from handeye_ros import pipeline, se3
 from handeye_ros.bags.recording import read_bag
 from handeye_ros.bags.session_files import is_session, read_session
-from handeye_ros.calibration import measured_points, residuals_and_left_out, rms_by
+from handeye_ros.calibration import measured_points, residuals_and_left_out
 from handeye_ros.config import Config, SOLVED_FROM_FILES
 from handeye_ros.data import Agreement, Array, Calibration, ClockValues, Sample, StopSnapshot
 from handeye_ros.errors import InputError, UnusableMessageError
+from handeye_ros.estimation.least_squares import rms_by
 from handeye_ros.estimation.search import reassigned
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses

@@ -3,5 +3,6 @@
 """
 What an answer says, in files and printed.
 
-calibration.yaml and its exports, kinematics.yaml, truth.yaml; tables, the report, its scene.
+calibration.yaml and its exports, kinematics.yaml, truth.yaml; tables, the report, its scene;
+templates of all pages.
 """

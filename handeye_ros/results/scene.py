@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from handeye_ros import se3
+from handeye_ros.arithmetic import even_indices
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Calibration, even_indices, Feature, has_return, StopSnapshot
+from handeye_ros.data import Array, Calibration, Feature, has_return, StopSnapshot
 from handeye_ros.frames import mount_frame, T_sensor_plane, target_frame
 import numpy as np
 

@@ -20,15 +20,16 @@ from functools import cached_property
 from typing import TypeAlias
 
 from handeye_ros import se3
+from handeye_ros.arithmetic import rms
 from handeye_ros.arm import Arm, KIND_OF_ERROR
-from handeye_ros.calibration import rms_by
-from handeye_ros.data import Array, Indices, rms
+from handeye_ros.data import Array, Indices
 from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.least_squares import (
     covariance_from_jacobian,
     drop_outliers,
     LeastSquares,
     leave_one_out_residuals,
+    rms_by,
     Rows,
 )
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, prior_variances, whitening

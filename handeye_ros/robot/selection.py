@@ -11,8 +11,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from handeye_ros.arithmetic import rms
 from handeye_ros.arm import Arm, DIRECTION, KIND_OF_ERROR, KINDS, OFFSET, POSITION
-from handeye_ros.data import Array, Indices, rms
+from handeye_ros.data import Array, Indices
 from handeye_ros.errors import DataError
 from handeye_ros.robot.estimate import (
     arm_covariance,

@@ -47,13 +47,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 
+from handeye_ros.arithmetic import even_indices, evenly_spaced
 from handeye_ros.config import Config
 from handeye_ros.data import (
     Array,
     CLOCK_DRIFT,
     ClockValues,
-    even_indices,
-    evenly_spaced,
     Reject,
     ROTATION_LAG,
     Sample,
