@@ -78,7 +78,7 @@ class ArmSelection:
     notes: tuple[str, ...]
 
 
-def require_enough(usable: int) -> None:
+def require_enough_stops(usable: int) -> None:
     """Raise DataError for fewer stops than the kinematics need."""
     if usable < MIN_STOPS:
         raise DataError(f'{count_of(usable, "usable robot configuration")}; the kinematics need '

@@ -47,7 +47,12 @@ from handeye_ros.robot.estimate import (
     MIN_STOPS,
     with_estimated_weights,
 )
-from handeye_ros.robot.selection import ArmSelection, require_enough, select_model, UNSOLVED
+from handeye_ros.robot.selection import (
+    ArmSelection,
+    require_enough_stops,
+    select_model,
+    UNSOLVED,
+)
 from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import with_estimated_clocks
@@ -96,13 +101,14 @@ def arm_samples_of(session: Session, recording: Recording, arm: Arm, config: Con
     """
     Return the samples of a session with the joint values of their time.
 
-    recording: holds the joint values. Raises InputError, DataError.
+    recording: holds the joint values. Raises DataError for few or no samples and for joint values
+    beyond the limits of the URDF, InputError for samples without joint values.
     """
     config = replace(config, kinematics='', pose_source='topic', robot_base_frame=arm.base,
                      robot_effector_frame=arm.flange)
     samples = sorted(session.samples, key=lambda sample: sample.stamp)
     require_samples(samples, session.rejects, target_for(config))
-    require_enough(len(samples))
+    require_enough_stops(len(samples))
     if recording.joints is None:
         raise InputError('the recording was read without an arm, so without its joint values')
     # as pipeline.answer_samples prepares them, none dropped
@@ -129,7 +135,7 @@ def _require_within_limits(arm: Arm, q: Array) -> None:
 
 
 def _unmoved_notes(arm: Arm, q: Array) -> Iterator[str]:
-    """Yield a sentence for each joint whose error values (n, joints) do not determine."""
+    """Yield a sentence for each joint whose error the values (n, joints) do not determine."""
     for joint, spread in zip(arm.joints, np.ptp(q, axis=0).tolist(), strict=True):
         if spread < UNMOVED_SPREAD[joint.type]:
             size = (degrees if joint.type == REVOLUTE else mm)(spread)
@@ -152,7 +158,11 @@ def _joints_at(samples: Sequence[Sample], recording: Recording, joints: Array) -
 
 
 def fit_of_samples(parts: Sequence[ArmSamples], arm: Arm) -> ArmFit:
-    """Return the hand-eye transform alone, of the stops that agree; raises DataError."""
+    """
+    Return the fit of the hand-eye transform alone, with the arm as stated, of stops that agree.
+
+    Raises DataError where the stops of a part do not agree, or two parts place the sensor apart.
+    """
     measured, estimates = list[ArmProfiles](), list[Estimate]()
     for part in parts:
         config = part.problem.config
@@ -232,12 +242,13 @@ def _combined(calibrations: Sequence[Calibration], X: Array, covariance: Array) 
 def read_arm_points(path: Path, arm: Arm, in_hand: bool
                     ) -> tuple[list[ArmPoints], dict[str, Indices], list[str]]:
     """
-    Return the points of a table, target by target, its rows by target, and peculiarities.
+    Return the points of a table, target by target, its rows by target, and sentences for the user.
 
     A row for each configuration. Columns: the joints of the URDF with their unit
     (`joint_1 [degrees]`), `x [mm]`, `y [mm]`, `z [mm]` in the sensor frame; optional: `target`
-    names the point where there are several. in_hand: as in ArmPoints. Rows count from 0, a
-    peculiarity is a sentence. Raises InputError and DataError.
+    names the point where there are several. in_hand: as in ArmPoints. Rows count from 0. Raises
+    TableError for a table that cannot be read, InputError for a joint without values, DataError
+    for rows that repeat others and for values beyond the limits of a joint.
     """
     table = CsvTable(path)
     kinds = {j.name: LENGTH if j.type == PRISMATIC else ANGLE for j in arm.joints}
@@ -256,14 +267,19 @@ def read_arm_points(path: Path, arm: Arm, in_hand: bool
 
 
 def select_from_points(measured: Sequence[ArmPoints], arm: Arm, limit: float) -> ArmSelection:
-    """Return the corrected arm; limit: the largest valid residual (m); raises DataError."""
+    """Return the best model of the arm; limit: as in select_model; raises DataError."""
     stop_count = sum(len(points.q) for points in measured)
-    require_enough(stop_count)
+    require_enough_stops(stop_count)
     return select_model(fit_of_points(measured, arm), stop_count, limit)
 
 
 def fit_of_points(measured: Sequence[ArmPoints], arm: Arm) -> ArmFit:
-    """Return the hand-eye transform alone, with the arm as stated, whatever its residuals."""
+    """
+    Return the fit of the hand-eye transform alone, with the arm as stated, whatever its residuals.
+
+    The linear solution of the target with the most points is the start; stops that contradict the
+    others are not used.
+    """
     poses = [points.mount_poses(arm) for points in measured]
     largest = max(range(len(measured)), key=lambda k: len(measured[k].q))
     X, _ = jing2020.fixed_point_linear(poses[largest], measured[largest].points)
@@ -280,7 +296,8 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     """
     Return the corrected arm from a table of joint values and points (read_arm_points).
 
-    inputs: path and sha256 of the files. Raises HandeyeError.
+    inputs: path and sha256 of the files. Raises InputError and DataError, as read_arm_points,
+    select_model and require_certain do.
     """
     measured, rows, notes = read_arm_points(path, arm, config.in_hand)
     selection = select_from_points(measured, arm, config.limits.residual)
