@@ -243,7 +243,8 @@ def kinematics(
     from handeye_ros.bags.session_files import is_session, read_session
     from handeye_ros.results.file_values import input_provenance
     from handeye_ros.robot.arm_answer import table
-    from handeye_ros.robot.solve import arm_samples_of, solve_samples, solve_table
+    from handeye_ros.robot.recordings import arm_samples_of, solve_samples
+    from handeye_ros.robot.table import solve_table
     text, arm = read_urdf(urdf, base, flange)
     if tables:
         with progress_bar('solving'):
