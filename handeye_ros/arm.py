@@ -6,7 +6,8 @@ A serial arm as stated by its URDF, with errors of joints and axes, by pinocchio
 T = prod_j P_j D_j Exp(a_j (q_j + o_j)) P_f (product of exponentials, each axis in the frame of the
 previous joint): P_j is the stated placement of joint j, D_j a small shift and rotation orthogonal
 to its axis a_j, o_j its zero offset. These are four errors of an axis and one of its zero,
-without redundancy even for parallel axes. kinematics.yaml holds such an arm.
+without redundancy even for parallel axes. robot/ estimates them, results/kinematics_file.py writes
+and reads an arm with them.
 """
 from __future__ import annotations
 
@@ -19,13 +20,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 from handeye_ros import se3
-from handeye_ros.config import read_yaml
-from handeye_ros.data import Array
+from handeye_ros.data import Array, TURN_LENGTH
 from handeye_ros.errors import did_you_mean, InputError, unusable_file
-from handeye_ros.estimation.budget import CORRECTED_ARM
-from handeye_ros.estimation.noise import TURN_LENGTH
-from handeye_ros.estimation.solution import Solution
-from handeye_ros.results.file_values import require_format, transform_from
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -37,7 +33,6 @@ KIND_OF_ERROR = np.array([OFFSET, DIRECTION, DIRECTION, POSITION, POSITION])  # 
 # prior 1 sigma of them (rad or m), 0: it has no such error
 PRIOR_STDS = {REVOLUTE: (1e-3, 5e-4, 5e-4, 5e-4, 5e-4), PRISMATIC: (5e-4, 5e-4, 5e-4, 0.0, 0.0)}
 STEP_COUNT, MAX_STEP = 20, 0.2  # of the search for joint values (rad or m)
-FORMAT, KINEMATICS_FILE = 'handeye_ros/kinematics/1', 'kinematics.yaml'
 FLANGE_FRAMES = ('tool0', 'flange', 'tool', 'tcp')  # usual names of the last frame
 
 
@@ -216,51 +211,6 @@ class Arm:
             step = np.einsum('njx,nx->nj', np.linalg.pinv(J, rcond=1e-3), missing)
             q = q + step / np.maximum(np.abs(step).max(axis=1) / MAX_STEP, 1)[:, None]
         return np.asarray(q)
-
-
-def with_arm_errors(solution: Solution, kinematics: Path) -> Solution:
-    """
-    Return a solution whose reported covariance includes that of the errors of the arm.
-
-    kinematics: the file of the arm that gave the poses. The covariance of X given the arm, plus
-    G C G^T with G the change of X by the errors, is that of X and the arm together, whether
-    or not the arm was found from the same samples. Raises InputError.
-    """
-    arm, posterior = read_arm(kinematics), solution.posterior
-    twists = arm.error_jacobian(arm.inverse(solution.problem.robot_poses))[..., arm.is_estimated]
-    wrt_arm = posterior.whitening(posterior.linear.wrt_twists(twists))
-    G = posterior.covariance[:6] @ posterior.jacobian.T @ wrt_arm
-    return replace(solution, added_covariances={
-        **solution.added_covariances, CORRECTED_ARM: G @ arm.covariance @ G.T})
-
-
-def read_arm(path: Path) -> Arm:
-    """Return the arm of a kinematics.yaml, or of the folder that holds it; raises InputError."""
-    path = path / KINEMATICS_FILE if path.is_dir() else path
-    content = read_yaml(path)
-    try:
-        require_format(path, str(content.get('format')), FORMAT)
-        stored = content['joints']
-        joints = tuple(Joint(
-            str(joint['name']), str(joint['type']),
-            transform_from(path, 'origin', joint['origin']),
-            np.array(joint['axis'], dtype=float), float(joint['lower']), float(joint['upper']))
-            for joint in stored)
-        kinds = tuple(kind for kind in KINDS if any(kind in joint for joint in stored))
-        values = [float(value) for joint in stored for kind in kinds if kind in joint
-                  for value in joint[kind]['value']]
-        covariance = np.array(content['covariance'], dtype=float).reshape(2 * [len(values)])
-        arm = Arm(str(content['base']), str(content['flange']), joints,
-                  transform_from(path, 'end', content['end']), kinds, np.array(values), covariance,
-                  np.array(content['configurations'], dtype=float).reshape(-1, len(joints)))
-        if arm.is_estimated.sum() != len(values) or not len(arm.configurations) or any(
-                joint.get('follows', joint['name']) != joint['name'] for joint in stored):
-            raise ValueError('errors of joints or all configurations are missing, or some mimic '
-                             'others, as files of earlier versions can say')
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise unusable_file(
-            path, 'it is no kinematics.yaml as "handeye kinematics" writes it') from error
-    return arm
 
 
 def read_urdf(path: Path, base: str = '', flange: str = '') -> tuple[str, Arm]:

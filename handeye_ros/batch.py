@@ -23,7 +23,8 @@ from handeye_ros.bags.storage import SUFFIXES
 from handeye_ros.config import read_yaml
 from handeye_ros.csv_tables import CsvTable
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.output import csv_text, rendered, write_atomically
+from handeye_ros.output import csv_text, write_atomically
+from handeye_ros.results.templates import rendered
 from handeye_ros.se3 import AXES
 from handeye_ros.verification.routines import ROUTINES
 from handeye_ros.words import count_of, without_numbers

@@ -14,22 +14,21 @@ import math
 from typing import Any
 
 from handeye_ros import __version__, se3
+from handeye_ros.arithmetic import even_indices, rms
 from handeye_ros.config import Config, flatten, UNNAMED_FRAME
 from handeye_ros.data import (
     Array,
     Calibration,
     CLOCK_DRIFT,
     ClockEstimate,
-    even_indices,
     Quality,
     Reject,
-    rms,
     Sample,
     SampleReport,
     TIME_OFFSET,
 )
 from handeye_ros.estimation.blocks import blocks_with_columns, LINE_BEND, ROBOT_SCALE
-from handeye_ros.estimation.least_squares import means_by
+from handeye_ros.estimation.least_squares import rms_by
 from handeye_ros.estimation.posterior import Posterior
 from handeye_ros.estimation.problem import Estimate, mapped, Problem
 from handeye_ros.estimation.solution import Solution
@@ -165,12 +164,6 @@ def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
         left_out[in_fold] = measured.select(in_fold).residuals(problem, estimate, poses)
     return measured, measured.residuals(
         problem, solution.estimate, solution.posterior.corrected_poses()), left_out
-
-
-def rms_by(number: NDArray[np.intp], residuals: Array, n: int) -> Array:
-    """Return the RMS (n,) of the residuals (k,) of each number (k,), NaN for one without any."""
-    has_any = np.bincount(number, minlength=n) > 0
-    return np.sqrt(np.where(has_any, means_by(number, residuals ** 2, n), np.nan))
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,10 +17,11 @@ import time
 from typing import Any, ClassVar, TypeAlias
 
 from handeye_ros import pipeline, se3, targets
+from handeye_ros.arithmetic import rms
 from handeye_ros.calibration import measured_points
 from handeye_ros.checks.refusals import missing_motion, require_certain
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, Indices, Reject, rms, Sample
+from handeye_ros.data import Arc, Array, Indices, Reject, Sample
 from handeye_ros.errors import DataError, InputError, SingularError
 from handeye_ros.estimation.noise import NoiseModel
 from handeye_ros.estimation.problem import Estimate, Problem

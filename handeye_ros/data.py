@@ -1,16 +1,12 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-Frozen values that pass between the stages (docs/contract.md): SI units, stamps in ns.
-
-And what all stages compute with: RMS, robust spread, the order of columns.
-"""
+"""Frozen values that pass between the stages (docs/contract.md): SI units, stamps in ns."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Integral
-from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 from handeye_ros.config import ProfileConfig
 from handeye_ros.errors import InputError, require_type, type_in_words
@@ -19,7 +15,6 @@ from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.intp]
-T = TypeVar('T')
 SEED = 0  # of random searches: the same samples give the same answer
 NS = 1_000_000_000  # nanoseconds in a second: stamps are in ns
 # keys of estimated values: two times (s), and the seconds that the clock of the profiles loses in
@@ -28,30 +23,10 @@ TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT = 'time_offset', 'rotation_lag', 'clock_d
 # noise.robot_smooth as found: 1 sigma of the smooth error of the robot along each axis (m); in
 # kinematics.yaml `robot_smooth_error`
 ROBOT_POSITION_ERROR = 'robot_position_error'
+TURN_LENGTH = 0.3  # m: a joint error that turns the flange by 1 rad shifts it by this
 QUATERNION_TOLERANCE = 1e-3  # of its length
 ENDINGS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; see EdgePoint
-SIGMA_OF_MEDIAN = 1.4826  # 1 sigma of a normal distribution over its median absolute deviation
 MAX_BACK_SHARE = 0.2  # way back of columns in order, over the way forth: at steps they jump
-
-
-def rms(values: Array) -> float:
-    """Return the root mean square of values of any shape, in their unit."""
-    return float(np.sqrt((values ** 2).mean()))
-
-
-def robust_std(deviations: Array) -> float:
-    """Return 1 sigma of normal deviations (n,), by their median size: outliers do not widen it."""
-    return float(SIGMA_OF_MEDIAN * np.median(np.abs(deviations)))
-
-
-def even_indices(n: int, most: int) -> Indices:
-    """Return at most `most` indices of n items, evenly spaced from the first to the last."""
-    return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.intp)
-
-
-def evenly_spaced(items: Sequence[T], most: int) -> list[T]:
-    """Return at most `most` of some items, evenly spaced from the first to the last."""
-    return [items[i] for i in even_indices(len(items), most)]
 
 
 def has_return(points: Array) -> NDArray[np.bool_]:
@@ -197,14 +172,6 @@ def _require_stamp(what: str, stamp: object) -> None:
     if type(stamp) is not int and (isinstance(stamp, bool | np.unsignedinteger)
                                    or not isinstance(stamp, Integral)):
         raise InputError(f'stamp of a {what} is {stamp!r}, expected whole nanoseconds (int)')
-
-
-def require_each(name: str, values: Iterable[T], *types: type) -> Iterator[T]:
-    """Yield the values of an argument; raises InputError, which names it, for another type."""
-    require_type(name, values, Iterable)
-    for value in values:
-        require_type(name, value, *types)
-        yield value
 
 
 @dataclass(frozen=True, eq=False)
@@ -487,3 +454,48 @@ class Calibration:
     samples: tuple[SampleReport, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
     time_offset: ClockEstimate | None = None
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """
+    RMS distances of a sample's points to the target of an answer, in metres.
+
+    residual: from the answer
+    left_out: from the answer without this sample; the same as residual for a sample that the
+        answer does not use, and for the only one that it uses
+    used: whether the answer uses it
+    """
+
+    residual: float
+    left_out: float
+    used: bool
+
+
+@dataclass(frozen=True, eq=False)
+class StopSnapshot:
+    """
+    What the report and the page show of a stop: one profile, its features, whether it is used.
+
+    number: counted from 1; 0 of what is seen now
+    stamp: that of its sample or reject, of what is seen now that of the profile (ns)
+    T_fixed_mount: (4, 4) pose of the mount of the sensor in the frame where the target is fixed
+    points: (n, 2) of one of its profiles, in the sensor plane (m); none where only the pose and
+        the features are drawn
+    features: what its profiles show, in the sensor plane (m)
+    reason: why it was not used, empty if it was
+    agreement: with the answer, None where it was not used
+    """
+
+    number: int
+    stamp: int
+    T_fixed_mount: Array
+    points: Array
+    features: tuple[Feature, ...] = ()
+    reason: str = ''
+    agreement: Agreement | None = None
+
+    @property
+    def used(self) -> bool:
+        """Return whether the answer uses the stop."""
+        return not self.reason

@@ -9,7 +9,7 @@ cannot carry an answer.
 """
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 import difflib
 import errno
 import os
@@ -90,6 +90,14 @@ def require_type(name: str, value: object, *types: type) -> None:
     """Raise InputError, which names the argument, for a value of none of some types."""
     if not isinstance(value, types):
         raise InputError(f'{name}: {type_in_words(value)}, expected {types[0].__name__}')
+
+
+def require_each(name: str, values: Iterable[T], *types: type) -> Iterator[T]:
+    """Yield the values of an argument; raises InputError, which names it, for another type."""
+    require_type(name, values, Iterable)
+    for value in values:
+        require_type(name, value, *types)
+        yield value
 
 
 def path_of(name: str, value: Path | str) -> Path:

@@ -1,10 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-Writes files whole or not at all, as text, YAML, CSV or from templates.
-
-Also names their folders and times.
-"""
+"""Writes files whole or not at all, as text, YAML or CSV; names their folders and times."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,7 +12,6 @@ import os
 from pathlib import Path
 from typing import Any
 
-from handeye_ros import __version__
 from handeye_ros.config import Config
 from handeye_ros.errors import BadValueError, UnwritableError
 import numpy as np
@@ -48,13 +43,6 @@ def now_text() -> str:
 def folder_time() -> str:
     """Return the present time (UTC) as the name of a folder; names are in the order of time."""
     return datetime.now(UTC).strftime('%Y-%m-%dT%H%M%S.%fZ')
-
-
-def require_html_name(path: Path) -> None:
-    """Raise BadValueError for the name of a page that has the ending of another kind of file."""
-    if path.suffix.lower() not in ('.html', '.htm'):
-        raise BadValueError('the file of the page', str(path), 'a name that ends with .html (a '
-                            'browser prints it as PDF)')
 
 
 def csv_text(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
@@ -119,17 +107,3 @@ def atomic_file(path: Path) -> Iterator[Path]:
         finally:
             with suppress(OSError):
                 temporary.unlink()
-
-
-def rendered(template: str, **values: Any) -> str:
-    """Return a page, or another text, by its template in results/assets."""
-    from jinja2 import Environment, PackageLoader, select_autoescape, StrictUndefined
-    from markupsafe import Markup
-    texts = Environment(loader=PackageLoader('handeye_ros.results', 'assets'),
-                        autoescape=select_autoescape(('html', 'xacro.jinja')),
-                        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-                        keep_trailing_newline=True)
-    texts.policies['json.dumps_kwargs'] = {'ensure_ascii': False}
-    texts.globals['source'] = lambda name: Markup(texts.get_template(name).render())
-    return texts.get_template(template).render(
-        version=__version__, now=now_text(), **values)

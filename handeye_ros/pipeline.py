@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handeye_ros import targets
-from handeye_ros.arm import with_arm_errors
 from handeye_ros.calibration import calibration_of
 from handeye_ros.checks.causes import require_agreement, with_known_cause
 from handeye_ros.checks.clocks import require_steady_clocks
@@ -49,15 +48,16 @@ from handeye_ros.data import (
     QUATERNION_TOLERANCE,
     RawProfile,
     Reject,
-    require_each,
     Sample,
     SEED,
     TimedPose,
 )
-from handeye_ros.errors import DataError, InputError, require_type
+from handeye_ros.errors import DataError, InputError, require_each, require_type
+from handeye_ros.estimation.arm_errors import with_arm_errors
 from handeye_ros.estimation.search import refined_solution, robust_solution
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_frame, mount_poses_of
+from handeye_ros.results.kinematics_file import read_arm
 from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import with_estimated_clocks
@@ -230,7 +230,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         # or an answer that cannot be tested, has a twin turned by half, is too uncertain, or
         # ignores the edges seen.
         if config.kinematics:
-            solution = with_arm_errors(solution, Path(config.kinematics))
+            solution = with_arm_errors(solution, read_arm(Path(config.kinematics)))
         require_testable(solution)
         require_no_half_turn_twin(solution)
         solution, move_warning = with_possible_move(solution)

@@ -15,10 +15,11 @@ from pathlib import Path
 from handeye_ros import pipeline, se3
 from handeye_ros.bags.recording import read_bag
 from handeye_ros.bags.session_files import is_session, read_session
-from handeye_ros.calibration import measured_points, residuals_and_left_out, rms_by
+from handeye_ros.calibration import measured_points, residuals_and_left_out
 from handeye_ros.config import Config, SOLVED_FROM_FILES
-from handeye_ros.data import Array, Calibration, ClockValues, Sample
+from handeye_ros.data import Agreement, Array, Calibration, ClockValues, Sample, StopSnapshot
 from handeye_ros.errors import InputError, UnusableMessageError
+from handeye_ros.estimation.least_squares import rms_by
 from handeye_ros.estimation.search import reassigned
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses
@@ -27,7 +28,6 @@ from handeye_ros.results.calibration_file import config_of
 from handeye_ros.results.file_values import input_provenance
 from handeye_ros.results.printed import figures_table, sample_summary
 from handeye_ros.results.report import SolvedRecording
-from handeye_ros.results.scene import Agreement, StopSnapshot
 from handeye_ros.sampling.edge_shapes import common_shape, EdgeShape, with_common_edge_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop

@@ -183,18 +183,6 @@ def align_points(points: Array, reference: Array) -> Array:
     return transform(R, reference_mean - R @ mean)
 
 
-def fit_round(points: Array) -> Array:
-    """
-    Return the centre and radius (d + 1,) of the circle or sphere nearest to points (n, d).
-
-    Least squares of the squared distances (Kasa 1976, IEEE Trans. Instrum. Meas. 25:8).
-    """
-    design = np.column_stack([2.0 * points, np.ones(len(points))])
-    fit = np.linalg.lstsq(design, np.sum(points ** 2, axis=1), rcond=None)[0]
-    fit[-1] = np.sqrt(max(fit[-1] + fit[:-1] @ fit[:-1], 1e-12))
-    return np.asarray(fit)
-
-
 def mean_pose(T: Array) -> Array:
     """Return the mean (4, 4) of close (n, 4, 4) transforms."""
     R = _rotations(T[:, :3, :3]).mean().as_matrix()

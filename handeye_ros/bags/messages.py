@@ -19,9 +19,10 @@ from functools import cache, lru_cache, partial
 import math
 from typing import Any
 
+from handeye_ros.arithmetic import rms
 from handeye_ros.bags.storage import CLOUD_TYPE, POSE_TYPE, TF_TYPE
 from handeye_ros.config import ProfileConfig
-from handeye_ros.data import Array, column_order, NS, Profile, RawProfile, rms, TimedPose
+from handeye_ros.data import Array, column_order, NS, Profile, RawProfile, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.units import UNITS
 import numpy as np

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from handeye_ros import se3
-from handeye_ros.arm import Arm, read_arm
+from handeye_ros.arm import Arm
 from handeye_ros.bags.messages import (
     message_of,
     pose_from_cdr,
@@ -22,6 +22,7 @@ from handeye_ros.bags.transforms import FlangeFollower
 from handeye_ros.config import Config
 from handeye_ros.data import Array, TimedPose
 from handeye_ros.errors import InputError, UnusableMessageError
+from handeye_ros.results.kinematics_file import read_arm
 import numpy as np
 
 

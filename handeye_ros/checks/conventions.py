@@ -13,13 +13,14 @@ from dataclasses import replace
 from functools import partial
 
 from handeye_ros import se3
+from handeye_ros.arithmetic import evenly_spaced
 from handeye_ros.checks.hypotheses import (
     explain_problem,
     explain_samples,
     Explanation,
     Hypothesis,
 )
-from handeye_ros.data import Array, evenly_spaced, Sample
+from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mount_poses

@@ -19,13 +19,14 @@ from functools import cached_property
 import math
 
 from handeye_ros import se3
+from handeye_ros.arithmetic import rms
 from handeye_ros.checks.hypotheses import (
     DECISIVE_EVIDENCE,
     Explanation,
     FALSE_CAUSE_PROBABILITY,
     Hypothesis,
 )
-from handeye_ros.data import Array, rms, SEED
+from handeye_ros.data import Array, SEED
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import ParameterBlock, ROBOT_SMOOTH
 from handeye_ros.estimation.least_squares import chi2_isf

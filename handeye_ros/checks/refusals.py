@@ -15,7 +15,7 @@ from handeye_ros.calibration import unused_edges_in_words
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.budget import CORRECTED_ARM
+from handeye_ros.estimation.arm_errors import CORRECTED_ARM
 from handeye_ros.estimation.noise import EDGE_INDEX
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import axes_across, direction_in_words, mount_frame

@@ -14,6 +14,7 @@ from dataclasses import replace
 from itertools import permutations
 
 from handeye_ros import targets
+from handeye_ros.arithmetic import evenly_spaced
 from handeye_ros.checks.hypotheses import (
     explain_samples,
     Explanation,
@@ -22,7 +23,7 @@ from handeye_ros.checks.hypotheses import (
 )
 from handeye_ros.checks.refusals import UnexplainedError
 from handeye_ros.config import Config, TargetConfig, with_assignments, with_flipped_range
-from handeye_ros.data import EdgePoint, evenly_spaced, Sample
+from handeye_ros.data import EdgePoint, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session

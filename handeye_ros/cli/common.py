@@ -17,7 +17,7 @@ import sys
 from typing import Annotated, Any, Optional, TYPE_CHECKING
 
 from handeye_ros import __version__
-from handeye_ros.errors import HandeyeError, InputError
+from handeye_ros.errors import BadValueError, HandeyeError, InputError
 import typer
 from typer.core import TyperGroup
 
@@ -116,7 +116,7 @@ def configuration(file: Path | None, assignments: list[str], base: 'Config | Non
     from handeye_ros.config import Config, load, with_assignments
     base = base or Config()
     if kinematics:
-        from handeye_ros.arm import read_arm
+        from handeye_ros.results.kinematics_file import read_arm
         arm = read_arm(kinematics)
         assignments = [f'kinematics={kinematics.absolute()}', f'robot_base_frame={arm.base}',
                        f'robot_effector_frame={arm.flange}', *assignments]
@@ -217,6 +217,13 @@ def show(renderable: Any) -> None:
     with console.capture() as output:  # rich itself would end the process at a broken pipe
         console.print(renderable)
     typer.echo(output.get(), nl=False)
+
+
+def require_html_name(path: Path) -> None:
+    """Raise BadValueError for the name of a page that has the ending of another kind of file."""
+    if path.suffix.lower() not in ('.html', '.htm'):
+        raise BadValueError('the file of the page', str(path), 'a name that ends with .html (a '
+                            'browser prints it as PDF)')
 
 
 def write_yaml(file: Path | None, values: Any) -> None:

@@ -23,6 +23,7 @@ from handeye_ros.cli.common import (
     OptionalPath,
     OutFile,
     progress_bar,
+    require_html_name,
     show,
     stream_recording,
     warn,
@@ -71,7 +72,7 @@ def verify(
     --set verify.lengths=[200mm] --set verify.tolerance=0.3mm; docs/measure.md tells which of them
     a routine needs.
     """
-    from handeye_ros.output import require_html_name, write_atomically
+    from handeye_ros.output import write_atomically
     from handeye_ros.results.calibration_file import file_of
     from handeye_ros.verification import result_file
     from handeye_ros.verification.routines import ROUTINES

@@ -30,6 +30,7 @@ from handeye_ros.cli.common import (
     OptionalPath,
     OutFile,
     progress_bar,
+    require_html_name,
     show,
     warn,
     write_yaml,
@@ -144,7 +145,7 @@ def report(
     out: Annotated[OptionalPath, file_option(help='Default: a page beside the file.')] = None,
 ) -> None:
     """Show a calibration or verification in one HTML file."""
-    from handeye_ros.output import require_html_name, write_atomically
+    from handeye_ros.output import write_atomically
     from handeye_ros.results import exports
     from handeye_ros.results.calibration_file import file_of, read_calibration
     from handeye_ros.results.report import disagreement, html
@@ -242,7 +243,8 @@ def kinematics(
     from handeye_ros.bags.session_files import is_session, read_session
     from handeye_ros.results.file_values import input_provenance
     from handeye_ros.robot.arm_answer import table
-    from handeye_ros.robot.solve import arm_samples_of, solve_samples, solve_table
+    from handeye_ros.robot.recordings import arm_samples_of, solve_samples
+    from handeye_ros.robot.table import solve_table
     text, arm = read_urdf(urdf, base, flange)
     if tables:
         with progress_bar('solving'):

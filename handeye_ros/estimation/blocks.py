@@ -29,7 +29,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from handeye_ros.data import Array, ROBOT_POSITION_ERROR
+from handeye_ros.data import Array, ROBOT_POSITION_ERROR, TURN_LENGTH
 from handeye_ros.estimation.basis import (
     BEND_OF_S,
     bent_line,
@@ -38,7 +38,6 @@ from handeye_ros.estimation.basis import (
     line_span,
 )
 from handeye_ros.estimation.best_fit import field_motions, motions_by_poses, plane_motions
-from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Linearisation, Problem
 import numpy as np
 

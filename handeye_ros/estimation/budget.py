@@ -12,8 +12,6 @@ from handeye_ros.estimation.posterior import Posterior
 from handeye_ros.estimation.solution import Solution
 import numpy as np
 
-CORRECTED_ARM = 'corrected arm'  # what the correction of an arm adds
-
 
 def budget(solution: Solution, levers: Array | None = None) -> list[BudgetTerm]:
     """

@@ -199,6 +199,12 @@ def means_by(item: NDArray[np.intp], values: Array, n: int) -> Array:
     return np.asarray(np.bincount(item, values, minlength=n) / np.maximum(count, 1))
 
 
+def rms_by(item: NDArray[np.intp], values: Array, n: int) -> Array:
+    """Return the RMS (n,) of the values (m,) of each item, NaN of one without any."""
+    has_any = np.bincount(item, minlength=n) > 0
+    return np.sqrt(np.where(has_any, means_by(item, values ** 2, n), np.nan))
+
+
 def leave_one_out_residuals(whitened: Array, jacobian: Array, cross_covariance: Array,
                             item: NDArray[np.intp]) -> Array:
     """

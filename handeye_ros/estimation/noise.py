@@ -15,13 +15,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from handeye_ros.data import Array
+from handeye_ros.data import Array, TURN_LENGTH
 from handeye_ros.estimation.least_squares import eigen, inverse_roots
 from handeye_ros.estimation.problem import Linearisation, StationGroup
 import numpy as np
 from numpy.typing import NDArray
 
-TURN_LENGTH = 0.3  # m: a joint error that turns the flange by 1 rad shifts it by this
 FACTOR_FREEDOM = 4.0  # degrees of freedom of the prior of variance factors, about 1
 LOCAL_SHARE = 0.6  # of the sensor's distortion that differs between stations, as speckle does
 

@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from handeye_ros import se3
-from handeye_ros.data import Array, rms
+from handeye_ros.arithmetic import rms
+from handeye_ros.data import Array
 from handeye_ros.estimation.basis import farthest_points, scaled_pose_vectors
 from handeye_ros.estimation.blocks import blocks_at, blocks_with_columns, ParameterBlock
 from handeye_ros.estimation.least_squares import (

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, TYPE_CHECKING
 
 from handeye_ros import se3
+from handeye_ros.arithmetic import rms
 from handeye_ros.config import Config
-from handeye_ros.data import Array, rms, Sample
+from handeye_ros.data import Array, Sample
 import numpy as np
 from numpy.typing import NDArray
 

@@ -12,8 +12,9 @@ from handeye_ros.calibration import clock_notes
 from handeye_ros.checks.moved import outliers_at_one_end
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
+from handeye_ros.estimation.arm_errors import CORRECTED_ARM
 from handeye_ros.estimation.blocks import LINE_BEND, ROBOT_SCALE, ROBOT_SMOOTH, SENSOR_SCALE
-from handeye_ros.estimation.budget import budget, CORRECTED_ARM
+from handeye_ros.estimation.budget import budget
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import direction_in_words, mount_frame
 from handeye_ros.guidance.candidates import Proposal, propose

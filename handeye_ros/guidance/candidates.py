@@ -17,8 +17,9 @@ from dataclasses import dataclass, replace
 import math
 
 from handeye_ros import se3
+from handeye_ros.arithmetic import evenly_spaced
 from handeye_ros.config import Config
-from handeye_ros.data import Array, evenly_spaced, Sample, SEED
+from handeye_ros.data import Array, Sample, SEED
 from handeye_ros.estimation.posterior import posterior_at
 from handeye_ros.estimation.problem import Linearisation, linearise, Observations, Problem
 from handeye_ros.estimation.solution import Solution

@@ -46,7 +46,7 @@ from handeye_ros.bags.session_files import (
     StoredSession,
 )
 from handeye_ros.config import Config, SamplesConfig
-from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Array, Reject, Sample, StopSnapshot, TimedPose
 from handeye_ros.errors import (
     DataError,
     FeatureError,
@@ -62,7 +62,6 @@ from handeye_ros.node.state import Attempt, new_counts
 from handeye_ros.node.verification import LiveVerification
 from handeye_ros.node.worker import Worker
 from handeye_ros.results.printed import sample_summary
-from handeye_ros.results.scene import StopSnapshot
 from handeye_ros.sampling.features import features_of, result_of
 from handeye_ros.sampling.input_faults import frame_change_notice, silent_poses_error
 from handeye_ros.sampling.interpolation import interpolate

@@ -22,7 +22,7 @@ from geometry_msgs.msg import (
 )
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Calibration, has_return
+from handeye_ros.data import Calibration, has_return, StopSnapshot
 from handeye_ros.errors import INSTALL_TF2
 from handeye_ros.frames import mount_poses, target_frame
 from handeye_ros.node.live import LiveSession
@@ -45,7 +45,6 @@ from handeye_ros.results.scene import (
     scene,
     SEEN_COLOUR,
     sensor_points,
-    StopSnapshot,
 )
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.words import count_of, without_numbers

@@ -17,14 +17,13 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 
 from handeye_ros import pipeline
 from handeye_ros.config import Config, flatten, record_texts
-from handeye_ros.data import Array, Calibration, Sample
+from handeye_ros.data import Agreement, Array, Calibration, Sample
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.guidance.advice import Advice, advise
 from handeye_ros.guidance.view import extremes
 from handeye_ros.output import folder_name
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.results.printed import transform_rows
-from handeye_ros.results.scene import Agreement
 from handeye_ros.review import agreements
 from handeye_ros.sampling.session import Session
 from handeye_ros.words import count_of

@@ -19,11 +19,10 @@ from typing import Any, TYPE_CHECKING
 
 from handeye_ros import se3
 from handeye_ros.config import MAX_TIME_OFFSET
-from handeye_ros.data import Array
+from handeye_ros.data import Agreement, Array
 from handeye_ros.node.solver import LiveSolver, Review, summary
 from handeye_ros.output import folder_name
 from handeye_ros.results.printed import sample_summary
-from handeye_ros.results.scene import Agreement
 from handeye_ros.sampling.input_faults import (
     late_streams,
     unrequested_stops_notice,

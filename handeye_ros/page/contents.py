@@ -17,14 +17,14 @@ from handeye_ros.bags.session_files import read_session, sessions_in
 from handeye_ros.bags.storage import CLOUD_TYPE, POSE_TYPE
 from handeye_ros.calibration import edges_used
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, Calibration, Sample
+from handeye_ros.data import Arc, Array, Calibration, Sample, StopSnapshot
 from handeye_ros.errors import InputError, looked_up
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.guidance.view import AdvisedMove, extremes
 from handeye_ros.pipeline import Answer
 from handeye_ros.results import exports, printed
-from handeye_ros.results.scene import outline_of, profile_picture, rounded, StopSnapshot
+from handeye_ros.results.scene import outline_of, profile_picture, rounded
 from handeye_ros.review import stop_snapshot
 from handeye_ros.targets import target_for
 from handeye_ros.verification.result_file import reasons_and_figures, title_of

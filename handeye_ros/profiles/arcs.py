@@ -13,8 +13,9 @@ from contextlib import suppress
 from dataclasses import replace
 import math
 
+from handeye_ros.arithmetic import even_indices, SIGMA_OF_MEDIAN
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, even_indices, Indices, SIGMA_OF_MEDIAN
+from handeye_ros.data import Arc, Array, Indices
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
 from handeye_ros.profiles.ransac import circles_among
@@ -87,7 +88,7 @@ def fit_circle(points: Array, steps: int = 4) -> Array:
     """
     Return the circle (x, z, r) with the least squared radial distances to (n, 2) points.
 
-    steps: of Gauss-Newton from the algebraic fit of se3.fit_round, which is biased for short arcs.
+    steps: of Gauss-Newton from the algebraic fit of `fit_round`, which is biased for short arcs.
     It is written out here, about the mean of the points: profiles are read in less time.
     """
     middle = points.sum(axis=0) / len(points)

@@ -38,6 +38,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from handeye_ros import se3
+from handeye_ros.arithmetic import fit_round
 from handeye_ros.data import Array
 from handeye_ros.errors import require_count
 import numpy as np
@@ -157,7 +158,7 @@ def fit_arc(points: Array) -> tuple[Array, Array]:
     basis = np.linalg.svd(points - mean)[2]
     flat = (points - mean) @ basis[:2].T
     from scipy.optimize import least_squares  # 0.1 s, only for trackers
-    fit = least_squares(lambda c: np.linalg.norm(flat - c[:2], axis=1) - c[2], se3.fit_round(flat),
+    fit = least_squares(lambda c: np.linalg.norm(flat - c[:2], axis=1) - c[2], fit_round(flat),
                         xtol=1e-15, ftol=1e-15, gtol=1e-15, method='lm')
     spokes = flat - fit.x[:2]
     turn = np.sum(spokes[:-1, 0] * spokes[1:, 1] - spokes[:-1, 1] * spokes[1:, 0])
@@ -187,7 +188,7 @@ def fit_swept_ball(points: Array, q30: float, direction: Array) -> tuple[Array, 
         cloud = swept(points, q30, at(unknown))
         return np.asarray(np.linalg.norm(cloud - unknown[2:5], axis=1) - unknown[5])
 
-    start = np.append(np.zeros(2), se3.fit_round(swept(points, q30, direction)))
+    start = np.append(np.zeros(2), fit_round(swept(points, q30, direction)))
     from scipy.optimize import least_squares  # 0.1 s, only for trackers
     fit = least_squares(residuals, start, x_scale='jac', method='lm', xtol=1e-15, ftol=1e-15,
                         gtol=1e-15)

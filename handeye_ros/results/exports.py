@@ -25,9 +25,10 @@ from handeye_ros import se3
 from handeye_ros.data import Calibration
 from handeye_ros.errors import InputError, looked_up
 from handeye_ros.notations import notation_of
-from handeye_ros.output import folder_time, rendered, write_atomically, write_errors_for, yaml_text
+from handeye_ros.output import folder_time, write_atomically, write_errors_for, yaml_text
 from handeye_ros.results import calibration_file
 from handeye_ros.results.calibration_file import config_of, one_line, preamble
+from handeye_ros.results.templates import rendered
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Checks the values in a file: a refusal names the file and the key."""
+"""Checks the values in a file, where a refusal names file and key; path and hash of an input."""
 from __future__ import annotations
 
 from dataclasses import fields, is_dataclass, MISSING

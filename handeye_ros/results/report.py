@@ -13,18 +13,12 @@ import math
 
 from handeye_ros import config as configuration
 from handeye_ros import se3
-from handeye_ros.data import Array, Calibration
+from handeye_ros.data import Array, Calibration, StopSnapshot
 from handeye_ros.frames import T_sensor_plane
-from handeye_ros.output import rendered
 from handeye_ros.results import exports, printed
 from handeye_ros.results.calibration_file import config_of
-from handeye_ros.results.scene import (
-    feature_points,
-    profile_picture,
-    scene,
-    sensor_points,
-    StopSnapshot,
-)
+from handeye_ros.results.scene import feature_points, profile_picture, scene, sensor_points
+from handeye_ros.results.templates import rendered
 from handeye_ros.results.truth import field_points, FIELD_TEXT
 from handeye_ros.words import mm
 import numpy as np

@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Stops, and drawings of them: the scene of the report, the shape of a target, a profile.
+Drawings: the scene of the report, the shape of a target, a profile.
 
 The scene is polylines and points, which a small script turns; every target is lines and balls.
 """
@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from handeye_ros import se3
+from handeye_ros.arithmetic import even_indices
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Calibration, even_indices, Feature, has_return
+from handeye_ros.data import Array, Calibration, Feature, has_return, StopSnapshot
 from handeye_ros.frames import mount_frame, T_sensor_plane, target_frame
 import numpy as np
 
@@ -25,50 +26,6 @@ MAX_POINTS = 60  # of a laser line in the scene
 MAX_OF_PROFILE = 400  # points: about the pixels of a tablet
 DRAWN_EDGE_LENGTH = 0.1  # m of an edge that is drawn when its length is unknown
 CIRCLE_ANGLES = np.linspace(0, 2 * np.pi, 49)
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """
-    RMS distances of a sample's points to the target of an answer, in metres.
-
-    residual: from the answer
-    left_out: from the answer without this sample; the same as residual for a sample that the
-        answer does not use, and for the only one that it uses
-    used: whether the answer uses it
-    """
-
-    residual: float
-    left_out: float
-    used: bool
-
-
-@dataclass(frozen=True, eq=False)
-class StopSnapshot:
-    """
-    What the report and the page show of a stop: one profile, its features, whether it is used.
-
-    number: counted from 1
-    stamp: that of its sample or reject (ns)
-    T_fixed_mount: (4, 4) pose of the mount of the sensor in the frame where the target is fixed
-    points: (n, 2) of one of its profiles, in the sensor plane (m)
-    features: what its profiles show, in the sensor plane (m)
-    reason: why it was not used, empty if it was
-    agreement: with the answer, None where it was not used
-    """
-
-    number: int
-    stamp: int
-    T_fixed_mount: Array
-    points: Array
-    features: tuple[Feature, ...] = ()
-    reason: str = ''
-    agreement: Agreement | None = None
-
-    @property
-    def used(self) -> bool:
-        """Return whether the answer uses the stop."""
-        return not self.reason
 
 
 def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Config

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handeye_ros import se3
+from handeye_ros.arithmetic import rms
 from handeye_ros.config import read_yaml
-from handeye_ros.data import Array, rms
+from handeye_ros.data import Array
 from handeye_ros.results.file_values import checked_value, transform_from
 import numpy as np
 

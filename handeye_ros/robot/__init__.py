@@ -4,5 +4,5 @@
 Kinematic calibration of the robot: joints and axes that differ from its URDF.
 
 The data are those of a hand-eye calibration with joint values; the answer is a corrected URDF with
-the calibration that belongs to it.
+the calibration that belongs to it. The model of the arm is arm.py.
 """

@@ -20,15 +20,16 @@ from functools import cached_property
 from typing import TypeAlias
 
 from handeye_ros import se3
+from handeye_ros.arithmetic import rms
 from handeye_ros.arm import Arm, KIND_OF_ERROR
-from handeye_ros.calibration import rms_by
-from handeye_ros.data import Array, Indices, rms
+from handeye_ros.data import Array, Indices
 from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.least_squares import (
     covariance_from_jacobian,
     drop_outliers,
     LeastSquares,
     leave_one_out_residuals,
+    rms_by,
     Rows,
 )
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, prior_variances, whitening
@@ -139,6 +140,7 @@ class ArmFit:
     Its unknowns (u of them): sensor in its mount X (4, 4), errors of the arm, smooth error of the
     robot, state of each target.
 
+    measured, targets: what the sensor measured of each target, and the state of the target
     smooth: (3 b,) coefficients of smooth functions, the remaining error of the robot
     noise: (axes,) 1 sigma of the residuals: of points one for each axis, else one
     used: (n,) which stops count
@@ -198,7 +200,7 @@ class ArmFit:
 
     @property
     def prior_stds(self) -> Array:
-        """Return the prior sigmas (p,) of the errors, scaled by their estimated variances."""
+        """Return the prior sigmas (p,) of the errors, at the estimated variance of each kind."""
         stated = np.append(self.arm.prior_stds[self.arm.is_estimated],
                            np.full(len(self.smooth), SMOOTH_ERROR_STD))
         return stated * np.sqrt(self.variances[self.kind_numbers])
@@ -332,12 +334,12 @@ def solved_with_arm(fit: ArmFit, arm: Arm) -> ArmFit:
 
 def arm_covariance(fit: ArmFit, chosen_fit: ArmFit) -> tuple[Array, float]:
     """
-    Return the covariance (6 + k, 6 + k) of X and the errors of the arm in a chosen fit.
+    Return the covariance of a chosen fit to report, and the RMS of the robot's smooth error.
 
-    And the RMS per axis (m) of the smooth remaining error of the robot, which neighbouring stops
-    have in common. Both come from fit, which has all kinds of errors of the arm, with conservative
-    variances and the smooth error; the covariance includes how far X and the errors of the arm
-    are from those of the chosen fit there.
+    The covariance (6 + k, 6 + k) is that of X and the errors of the arm, the RMS (m, per axis)
+    that of what is left, which neighbouring stops have in common. Both come from fit, which has
+    all kinds of errors of the arm, with conservative variances and the smooth error; the
+    covariance includes how far X and the errors of the arm are from those of the chosen fit there.
     """
     wide = with_estimated_weights(fit, conservative=True)
     arm_variances, noise = wide.variances, wide.noise

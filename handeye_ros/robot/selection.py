@@ -11,8 +11,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from handeye_ros.arm import Arm, DIRECTION, KIND_OF_ERROR, KINDS, OFFSET, POSITION
-from handeye_ros.data import Array, Indices, rms
+from handeye_ros.arithmetic import rms
+from handeye_ros.arm import (
+    Arm,
+    DIRECTION,
+    KIND_OF_ERROR,
+    KINDS,
+    OFFSET,
+    POSITION,
+    PRISMATIC,
+    REVOLUTE,
+)
+from handeye_ros.data import Array, Indices
 from handeye_ros.errors import DataError
 from handeye_ros.robot.estimate import (
     arm_covariance,
@@ -33,6 +43,10 @@ MIN_OF_REGION = 3  # stops of a region
 FOLD_ROUNDS = 2
 MIN_AGREEING_SHARE = 0.5  # smallest share of the stops that agree
 HOPELESS_FACTOR = 20.0  # times the limit of the residual: no arm is so inaccurate
+# by kind of joint (rad, m): tolerance of the limits, which are often stated roughly
+MAX_EXTRAPOLATION = {REVOLUTE: 0.35, PRISMATIC: 0.1}
+# the same: smallest range of values that determines the error of a joint
+UNMOVED_SPREAD = {REVOLUTE: 0.02, PRISMATIC: 0.005}
 MAX_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis, if the URDF belongs to the robot
 
 
@@ -77,12 +91,33 @@ class ArmSelection:
     notes: tuple[str, ...]
 
 
-def require_enough(usable: int) -> None:
+def require_enough_stops(usable: int) -> None:
     """Raise DataError for fewer stops than the kinematics need."""
     if usable < MIN_STOPS:
         raise DataError(f'{count_of(usable, "usable robot configuration")}; the kinematics need '
                         f'at least {MIN_STOPS}, and 40 are a good number: record more, with '
                         'all joints moving')
+
+
+def require_within_limits(arm: Arm, q: Array) -> None:
+    """Raise DataError for values (n, joints) beyond the limits of a joint."""
+    for joint, low, high in zip(arm.joints, q.min(axis=0), q.max(axis=0), strict=True):
+        tolerance = MAX_EXTRAPOLATION[joint.type]
+        if low < joint.lower - tolerance or high > joint.upper + tolerance:
+            raise DataError(
+                f'{joint.name} goes from {low:.4g} to {high:.4g}, and the URDF limits it to '
+                f'{joint.lower:.4g} to {joint.upper:.4g} (radians or metres): check unit (degrees '
+                'stated as radians?), sign, zero, and order of the joint values, whether it is '
+                'counted from the horizontal, and the limits in the URDF')
+
+
+def unmoved_notes(arm: Arm, q: Array) -> Iterator[str]:
+    """Yield a sentence for each joint whose error the values (n, joints) do not determine."""
+    for joint, spread in zip(arm.joints, np.ptp(q, axis=0).tolist(), strict=True):
+        if spread < UNMOVED_SPREAD[joint.type]:
+            size = (degrees if joint.type == REVOLUTE else mm)(spread)
+            yield (f'{joint.name} moves by {size} only: these configurations do not determine its '
+                   'error')
 
 
 @single_threaded

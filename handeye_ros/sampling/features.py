@@ -19,21 +19,18 @@ from itertools import compress
 from typing import NoReturn
 
 from handeye_ros import se3, targets
+from handeye_ros.arithmetic import even_indices, evenly_spaced, rms, robust_std
 from handeye_ros.config import Config, with_flipped_range
 from handeye_ros.data import (
     AnyProfile,
     Arc,
     Array,
     EdgePoint,
-    even_indices,
-    evenly_spaced,
     FaceLine,
     Feature,
     NS,
     Profile,
     Reject,
-    rms,
-    robust_std,
     Sample,
 )
 from handeye_ros.errors import FeatureError, UnusableMessageError

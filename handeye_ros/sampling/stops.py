@@ -17,17 +17,9 @@ import math
 from typing import NamedTuple
 
 from handeye_ros import se3
+from handeye_ros.arithmetic import evenly_spaced
 from handeye_ros.config import Config, SamplingConfig
-from handeye_ros.data import (
-    AnyProfile,
-    Array,
-    evenly_spaced,
-    NS,
-    Profile,
-    Reject,
-    Sample,
-    TimedPose,
-)
+from handeye_ros.data import AnyProfile, Array, NS, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.sampling.interpolation import poses_around
 from handeye_ros.sampling.stream import by_stamp, Copyable, LAST_STAMP

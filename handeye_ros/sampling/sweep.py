@@ -38,7 +38,8 @@ estimation, Problem.is_sweep:
   profiles on either side of it (moved.py); a pass agrees if most of its profiles do (review.py)
 - a calibration of a sweep measures at stops all the same (calibration_file.py); a gauge is
   measured in passes (stations.py); a sweep also checks a calibration (still_holds.py); the arm's
-  errors are found at the estimated times (robot/solve.py); the node counts profiles (solver.py)
+  errors are found at the estimated times (robot/recordings.py); the node counts profiles
+  (solver.py)
 """
 from __future__ import annotations
 
@@ -47,24 +48,23 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress, islice
 
+from handeye_ros.arithmetic import even_indices, evenly_spaced
 from handeye_ros.config import Config
 from handeye_ros.data import (
     Array,
     CLOCK_DRIFT,
     ClockValues,
-    even_indices,
-    evenly_spaced,
     Reject,
     ROTATION_LAG,
     Sample,
     SEED,
     TIME_OFFSET,
+    TURN_LENGTH,
 )
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.basis import smooth_basis_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock, smooth_errors
 from handeye_ros.estimation.least_squares import typical_square
-from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Estimate, Linearisation, PoseModel, Problem
 from handeye_ros.estimation.search import (
     CONVINCING_SQUARE,

@@ -18,7 +18,8 @@ from itertools import pairwise
 from typing import Any
 
 from handeye_ros import se3
-from handeye_ros.data import Array, robust_std, TimedPose
+from handeye_ros.arithmetic import robust_std
+from handeye_ros.data import Array, TimedPose
 from handeye_ros.sampling.stream import in_majority_order
 import numpy as np
 from numpy.typing import NDArray

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import itemgetter
 
-from handeye_ros.data import Array, rms, robust_std
+from handeye_ros.arithmetic import rms, robust_std
+from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.se3 import unit
 from handeye_ros.words import count_of

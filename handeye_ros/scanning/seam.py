@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from handeye_ros import se3
-from handeye_ros.data import Array, rms
+from handeye_ros.arithmetic import rms
+from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.output import csv_text, write_atomically, yaml_text
 from handeye_ros.scanning.curves import Curve, spline

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from handeye_ros.data import Array, Indices, robust_std
+from handeye_ros.arithmetic import robust_std
+from handeye_ros.data import Array, Indices
 from handeye_ros.errors import DataError
 from handeye_ros.scanning.curves import Curve, spline, STIFF_ONLY
 from handeye_ros.scanning.rough_seam import MIN_GAP_WIDTH, position_text, RoughSeam

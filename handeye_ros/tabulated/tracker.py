@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import NamedTuple, Self
 
 from handeye_ros import se3
+from handeye_ros.arithmetic import rms
 from handeye_ros.bags.recording import read_bag
-from handeye_ros.calibration import rms_by
 from handeye_ros.config import Config
 from handeye_ros.csv_tables import CsvTable, LENGTH, TableError
-from handeye_ros.data import AnyProfile, Array, rms, SEED, TimedPose
+from handeye_ros.data import AnyProfile, Array, SEED, TimedPose
 from handeye_ros.errors import (
     BadValueError,
     DataError,
@@ -29,6 +29,7 @@ from handeye_ros.errors import (
     InputError,
     UnusableMessageError,
 )
+from handeye_ros.estimation.least_squares import rms_by
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.profiles.arcs import arc_features
 from handeye_ros.profiles.faces import face_pair_features

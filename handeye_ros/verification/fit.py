@@ -23,7 +23,8 @@ import math
 from typing import NamedTuple
 
 from handeye_ros import se3
-from handeye_ros.data import Array, rms
+from handeye_ros.arithmetic import rms
+from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import wrt_smooth
 from handeye_ros.estimation.least_squares import (
     chi2_sf,

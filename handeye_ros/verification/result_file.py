@@ -17,9 +17,10 @@ from typing import Any
 from handeye_ros import __version__
 from handeye_ros.config import read_yaml
 from handeye_ros.errors import unusable_file
-from handeye_ros.output import now_text, rendered
+from handeye_ros.output import now_text
 from handeye_ros.results.file_values import input_provenance, require_format
 from handeye_ros.results.printed import figures_table
+from handeye_ros.results.templates import rendered
 from handeye_ros.verification.fit import COVERAGE_FACTOR
 from handeye_ros.verification.verify import decision, in_mm_or_degrees, Verification
 from rich.table import Table

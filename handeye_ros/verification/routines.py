@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import math
 
 from handeye_ros import se3
+from handeye_ros.arithmetic import fit_round
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError
@@ -111,7 +112,7 @@ def spheres(stations: StationSet, X: Array, settings: VerifyConfig) -> Shape:
     """
     p, count = stations.problem.points_in_base(X), len(stations.counts)
     recording = stations.recording_of_point
-    start = np.concatenate([se3.fit_round(p[recording == k]) for k in range(count)])
+    start = np.concatenate([fit_round(p[recording == k]) for k in range(count)])
 
     def distance(p: Array, q: Array) -> Array:
         balls = q.reshape(count, 4)[recording]

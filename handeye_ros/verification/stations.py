@@ -15,13 +15,12 @@ from itertools import combinations
 import math
 from typing import TypeVar
 
+from handeye_ros.arithmetic import even_indices, evenly_spaced
 from handeye_ros.config import Config
 from handeye_ros.data import (
     Array,
     Calibration,
     EdgePoint,
-    even_indices,
-    evenly_spaced,
     FaceLine,
     Feature,
     has_return,

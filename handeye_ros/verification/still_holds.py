@@ -24,16 +24,15 @@ import math
 from typing import Any, NamedTuple
 
 from handeye_ros import frames, pipeline, se3
+from handeye_ros.arithmetic import evenly_spaced, rms
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import (
     AnyProfile,
     Array,
     Calibration,
     ClockEstimate,
-    evenly_spaced,
     Indices,
     Reject,
-    rms,
     ROBOT_POSITION_ERROR,
     Sample,
     TimedPose,

@@ -11,8 +11,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros import se3
+from handeye_ros.arithmetic import robust_std
 from handeye_ros.config import VerifyConfig
-from handeye_ros.data import Array, Indices, robust_std
+from handeye_ros.data import Array, Indices
 from handeye_ros.errors import DataError
 from handeye_ros.verification.fit import Quantity, Shape
 from handeye_ros.verification.station_set import StationSet

@@ -10,14 +10,15 @@ from calibrations import calibration_at
 from cells import ONE_IN_1000, squared_error
 from command import assert_refused, bench_of, handeye, ROOT, succeeds
 from handeye_ros import pipeline, se3
-from handeye_ros.arm import arm_of, corrected_urdf, KINDS, read_arm, read_urdf
+from handeye_ros.arm import arm_of, corrected_urdf, KINDS, read_urdf
 from handeye_ros.bags.recording import read_bag
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
-from handeye_ros.robot import solve
-from handeye_ros.robot.solve import select_from_points
+from handeye_ros.results.kinematics_file import read_arm
+from handeye_ros.robot.recordings import arm_samples_of, ArmSamples, solve_samples
+from handeye_ros.robot.table import select_from_points, solve_table
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import robot as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples
@@ -154,7 +155,7 @@ def test_bad_tables_are_refused_in_a_sentence(from_table, tmp_path, change, word
     table = tmp_path / 'points.csv'
     table.write_text(change((from_table[2] / 'points.csv').read_text()))
     with pytest.raises(HandeyeError, match=words):
-        solve.solve_table(table, arm_of(bench.urdf(bench.SIX)), Config(), ())
+        solve_table(table, arm_of(bench.urdf(bench.SIX)), Config(), ())
 
 
 def test_few_poses_do_not_make_an_error_less_certain_than_before():
@@ -261,8 +262,8 @@ def test_two_recordings_give_one_answer(recorded):
     """Also with other axes of the profile: the features are those of its plane."""
     arm, session, recording, config = recorded
     config = replace(config, profile=replace(config.profile, axes=('y', 'z')))
-    source = solve.arm_samples_of(session, recording, arm, config)
-    from_two, from_one = (solve.solve_samples(parts, arm) for parts in (
+    source = arm_samples_of(session, recording, arm, config)
+    from_two, from_one = (solve_samples(parts, arm) for parts in (
         [every_other(source, 0), every_other(source, 1)], [source]))
     assert from_two.selection.arm.estimated_kinds == KINDS
     assert from_two.selection.chosen.left_out_rms < 6e-5
@@ -275,7 +276,7 @@ def test_stops_without_joint_values_are_counted(recorded):
     most = len(recording.poses) * 6 // 10
     recording = replace(recording, poses=recording.poses[:most], joints=recording.joints[:most])
     with pytest.raises(HandeyeError, match='11 of 30 samples have no joint values'):
-        solve.arm_samples_of(session, recording, arm, config)
+        arm_samples_of(session, recording, arm, config)
 
 
 @pytest.mark.parametrize(('setting', 'words'), [
@@ -293,7 +294,7 @@ def test_a_urdf_of_another_robot_is_refused(recorded):
         joint, origin=se3.transform(joint.origin[:3, :3], 1.1 * joint.origin[:3, 3]))
         for joint in arm.joints))
     with pytest.raises(HandeyeError, match='the URDF is of another robot'):
-        solve.solve_samples([solve.arm_samples_of(session, recording, longer, config)], longer)
+        solve_samples([arm_samples_of(session, recording, longer, config)], longer)
 
 
 def test_a_solve_with_a_corrected_arm_carries_its_uncertainty(tmp_path):
@@ -309,8 +310,8 @@ def test_a_solve_with_a_corrected_arm_carries_its_uncertainty(tmp_path):
     config = Config(target=TargetConfig(type='sphere'), robot_effector_frame='flange')
     method = target_for(config)
     problem = Problem(method, stated.forward(q), method.observe(samples), config)
-    measured = solve.ArmSamples(Session(config), samples, problem, q)
-    answer = solve.solve_samples([measured], stated)
+    measured = ArmSamples(Session(config), samples, problem, q)
+    answer = solve_samples([measured], stated)
     answer.save(simulated_arm.URDF, tmp_path, ())
     corrected = [replace(s, T_base_flange=T) for s, T in zip(
         samples, read_arm(tmp_path).forward(q), strict=True)]

@@ -1,60 +1,42 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The corrected arm from its data: recordings and sessions, or a table.
+The corrected arm from recordings and sessions: samples with the joint values of their time.
 
-They give samples with the joint values of their time; a table has a row for each configuration,
-with the point that the sensor measured there. Both are read (arm_samples_of, read_arm_points),
-give the hand-eye transform alone (fit_of_samples, fit_of_points), then the best model of the arm
-(select_model), and the answer with its calibration (solve_samples, solve_table).
+They are read (arm_samples_of), give the hand-eye transform alone (fit_of_samples), then the best
+model of the arm (select_model), and the answer with its calibration (solve_samples).
 """
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from operator import attrgetter
-from pathlib import Path
 
 from handeye_ros import pipeline, se3
-from handeye_ros.arm import Arm, PRISMATIC, REVOLUTE
+from handeye_ros.arm import Arm
 from handeye_ros.bags.recording import Recording
-from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.clocks import require_same_clock
-from handeye_ros.checks.refusals import require_certain, require_samples
+from handeye_ros.checks.refusals import require_samples
 from handeye_ros.config import Config
-from handeye_ros.csv_tables import ANGLE, CsvTable, LENGTH, require_different
-from handeye_ros.data import (
-    Array,
-    Calibration,
-    Indices,
-    NS,
-    ROBOT_POSITION_ERROR,
-    Sample,
-    SEED,
-)
+from handeye_ros.data import Array, Calibration, NS, Sample, SEED
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.estimation.least_squares import robust_least_squares
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solution import cover
 from handeye_ros.frames import mount_poses, T_sensor_plane
-from handeye_ros.published import jing2020
 from handeye_ros.robot.arm_answer import ArmAnswer
-from handeye_ros.robot.estimate import (
-    ArmFit,
-    ArmPoints,
-    ArmProfiles,
-    MIN_STOPS,
-    with_estimated_weights,
+from handeye_ros.robot.estimate import ArmFit, ArmProfiles, with_estimated_weights
+from handeye_ros.robot.selection import (
+    require_enough_stops,
+    require_within_limits,
+    select_model,
+    unmoved_notes,
+    UNSOLVED,
 )
-from handeye_ros.robot.selection import ArmSelection, require_enough, select_model, UNSOLVED
 from handeye_ros.sampling.edge_shapes import with_common_edge_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import with_estimated_clocks
 from handeye_ros.targets import problem_of_known_poses, target_for
-from handeye_ros.targets.profile_target import xyz
-from handeye_ros.units import UNITS
-from handeye_ros.words import degrees, mm
+from handeye_ros.words import mm
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial import KDTree
@@ -64,11 +46,6 @@ from scipy.spatial import KDTree
 MAX_GAP = NS
 UNCORRECTED_STD = 5e-4  # 1 sigma of the robot's error before its correction (m)
 MAX_X_DIFFERENCE = 0.05  # m and rad: largest difference of X between targets
-INACCURATE_RMS = 1e-3  # 1 sigma (m) of the residuals of an inaccurate robot
-# by kind of joint (rad, m): tolerance of the limits, which are often stated roughly
-MAX_EXTRAPOLATION = {REVOLUTE: 0.35, PRISMATIC: 0.1}
-# the same: smallest range of values that determines the error of a joint
-UNMOVED_SPREAD = {REVOLUTE: 0.02, PRISMATIC: 0.005}
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,13 +73,14 @@ def arm_samples_of(session: Session, recording: Recording, arm: Arm, config: Con
     """
     Return the samples of a session with the joint values of their time.
 
-    recording: holds the joint values. Raises InputError, DataError.
+    recording: holds the joint values. Raises DataError for few or no samples and for joint values
+    beyond the limits of the URDF, InputError for samples without joint values.
     """
     config = replace(config, kinematics='', pose_source='topic', robot_base_frame=arm.base,
                      robot_effector_frame=arm.flange)
     samples = sorted(session.samples, key=lambda sample: sample.stamp)
     require_samples(samples, session.rejects, target_for(config))
-    require_enough(len(samples))
+    require_enough_stops(len(samples))
     if recording.joints is None:
         raise InputError('the recording was read without an arm, so without its joint values')
     # as pipeline.answer_samples prepares them, none dropped
@@ -111,30 +89,9 @@ def arm_samples_of(session: Session, recording: Recording, arm: Arm, config: Con
     problem = problem_of_known_poses(samples, config)
     q = _joints_at(samples, recording, recording.joints)
     problem = replace(problem, poses=mount_poses(arm.forward(q), config))
-    _require_within_limits(arm, recording.joints)
+    require_within_limits(arm, recording.joints)
     return ArmSamples(session, samples, problem, q, inputs, (
-        *recording.warnings, *session.warnings, *_unmoved_notes(arm, recording.joints)))
-
-
-def _require_within_limits(arm: Arm, q: Array) -> None:
-    """Raise DataError for values (n, joints) beyond the limits of a joint."""
-    for joint, low, high in zip(arm.joints, q.min(axis=0), q.max(axis=0), strict=True):
-        tolerance = MAX_EXTRAPOLATION[joint.type]
-        if low < joint.lower - tolerance or high > joint.upper + tolerance:
-            raise DataError(
-                f'{joint.name} goes from {low:.4g} to {high:.4g}, and the URDF limits it to '
-                f'{joint.lower:.4g} to {joint.upper:.4g} (radians or metres): check unit (degrees '
-                'stated as radians?), sign, zero, and order of the joint values, whether it is '
-                'counted from the horizontal, and the limits in the URDF')
-
-
-def _unmoved_notes(arm: Arm, q: Array) -> Iterator[str]:
-    """Yield a sentence for each joint whose error values (n, joints) do not determine."""
-    for joint, spread in zip(arm.joints, np.ptp(q, axis=0).tolist(), strict=True):
-        if spread < UNMOVED_SPREAD[joint.type]:
-            size = (degrees if joint.type == REVOLUTE else mm)(spread)
-            yield (f'{joint.name} moves by {size} only: these configurations do not determine its '
-                   'error')
+        *recording.warnings, *session.warnings, *unmoved_notes(arm, recording.joints)))
 
 
 def _joints_at(samples: Sequence[Sample], recording: Recording, joints: Array) -> Array:
@@ -152,7 +109,11 @@ def _joints_at(samples: Sequence[Sample], recording: Recording, joints: Array) -
 
 
 def fit_of_samples(parts: Sequence[ArmSamples], arm: Arm) -> ArmFit:
-    """Return the hand-eye transform alone, of the stops that agree; raises DataError."""
+    """
+    Return the fit of the hand-eye transform alone, with the arm as stated, of stops that agree.
+
+    Raises DataError where the stops of a part do not agree, or two parts place the sensor apart.
+    """
     measured, estimates = list[ArmProfiles](), list[Estimate]()
     for part in parts:
         config = part.problem.config
@@ -224,79 +185,3 @@ def _combined(calibrations: Sequence[Calibration], X: Array, covariance: Array) 
     reports = tuple(report for calibration in calibrations for report in calibration.samples)
     return replace(calibrations[0], T_flange_sensor=X, covariance=covariance, quality=quality,
                    samples=reports)
-
-
-# -- a table
-
-
-def read_arm_points(path: Path, arm: Arm, in_hand: bool
-                    ) -> tuple[list[ArmPoints], dict[str, Indices], list[str]]:
-    """
-    Return the points of a table, target by target, its rows by target, and peculiarities.
-
-    A row for each configuration. Columns: the joints of the URDF with their unit
-    (`joint_1 [degrees]`), `x [mm]`, `y [mm]`, `z [mm]` in the sensor frame; optional: `target`
-    names the point where there are several. in_hand: as in ArmPoints. Rows count from 0, a
-    peculiarity is a sentence. Raises InputError and DataError.
-    """
-    table = CsvTable(path)
-    kinds = {j.name: LENGTH if j.type == PRISMATIC else ANGLE for j in arm.joints}
-    readings = {name: table.values([name], kind)[:, 0] for name, kind in kinds.items()
-                if name in table.columns}
-    q, points = arm.joint_values(readings, path), table.values(['x', 'y', 'z'], LENGTH)
-    require_different(np.hstack([q, points]))
-    _require_within_limits(arm, q)
-    labels = table.texts('target') if 'target' in table.columns else ['target'] * len(points)
-    rows = {name: np.flatnonzero(np.array(labels) == name) for name in dict.fromkeys(labels)}
-    unused = [f'the column {name} is no joint between {arm.base} and {arm.flange}: it is not used'
-              for name, (unit, _) in table.columns.items()
-              if unit in UNITS[ANGLE] and name not in kinds]
-    return ([ArmPoints(q[part], points[part], in_hand) for part in rows.values()], rows,
-            [*unused, *_unmoved_notes(arm, q)])
-
-
-def select_from_points(measured: Sequence[ArmPoints], arm: Arm, limit: float) -> ArmSelection:
-    """Return the corrected arm; limit: the largest valid residual (m); raises DataError."""
-    stop_count = sum(len(points.q) for points in measured)
-    require_enough(stop_count)
-    return select_model(fit_of_points(measured, arm), stop_count, limit)
-
-
-def fit_of_points(measured: Sequence[ArmPoints], arm: Arm) -> ArmFit:
-    """Return the hand-eye transform alone, with the arm as stated, whatever its residuals."""
-    poses = [points.mount_poses(arm) for points in measured]
-    largest = max(range(len(measured)), key=lambda k: len(measured[k].q))
-    X, _ = jing2020.fixed_point_linear(poses[largest], measured[largest].points)
-    places = [np.median(se3.apply(T @ X, points.points[:, None])[:, 0], axis=0)
-              for T, points in zip(poses, measured, strict=True)]
-    start = ArmFit.of_arm(arm, measured, X, places, np.full(3, INACCURATE_RMS))
-    adjusted = robust_least_squares(start.system, start, MIN_STOPS)
-    used = np.isin(np.arange(len(start.q)), adjusted.used)
-    return with_estimated_weights(replace(adjusted.state, used=used).solved())
-
-
-def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str, str]]
-                ) -> ArmAnswer:
-    """
-    Return the corrected arm from a table of joint values and points (read_arm_points).
-
-    inputs: path and sha256 of the files. Raises HandeyeError.
-    """
-    measured, rows, notes = read_arm_points(path, arm, config.in_hand)
-    selection = select_from_points(measured, arm, config.limits.residual)
-    fit, covariance = selection.chosen.fit, selection.covariance
-    config = replace(config, robot_base_frame=arm.base, robot_effector_frame=arm.flange)
-    require_certain(covariance, config, 'move all joints, and bring the target to different '
-                    'points of the field of view')
-    target = {f'point_{name}': xyz(place)
-              for name, place in zip(rows, fit.targets, strict=True)}
-    numbered = [(row + 1, name) for name, part in rows.items() for row in part]
-    reports = [report_of_row(*of_row, used, distance) for of_row, used, distance in zip(
-        numbered, fit.used, fit.distances, strict=True)]
-    calibration = assemble_calibration(
-        config, 'kinematics', config.sensor_frame, fit.X, covariance,
-        fit.residual_rms, selection.chosen.left_out_rms,
-        {**target, ROBOT_POSITION_ERROR: selection.robot_smooth},
-        sorted(reports, key=attrgetter('stamp')), {'inputs': list(inputs)})
-    return ArmAnswer(selection, replace(calibration, name=config.name or calibration.method),
-                     (*notes, *selection.notes))

@@ -1,0 +1,103 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+Writes and reads kinematics.yaml: an arm as its URDF states it, and its estimated errors.
+
+Only the arm is read again; the other values are for the user.
+"""
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+from pathlib import Path
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.arm import Arm, Joint, KIND_OF_ERROR, KINDS, REVOLUTE
+from handeye_ros.config import read_yaml
+from handeye_ros.data import Array, Calibration
+from handeye_ros.errors import unusable_file
+from handeye_ros.output import yaml_text
+from handeye_ros.results.calibration_file import with_origin
+from handeye_ros.results.file_values import require_format, transform_from
+import numpy as np
+
+FORMAT = 'handeye_ros/kinematics/1'
+NAME = 'kinematics.yaml'
+UNDETERMINED_SHARE = 0.9  # of the prior sigma: the data hardly determine the error
+HEADER = f"""\
+# Errors of the joints and axes of an arm, found with the hand-eye transform in calibration.yaml.
+# offset is added to the joint's reading; direction (rad) and position (m) turn and shift its axis
+# across itself. covariance: of all these values, in their order; configurations: joint values of
+# which they were found. undetermined: sigma after over sigma before; above {UNDETERMINED_SHARE}: \
+not known.
+"""
+
+
+def text(arm: Arm, undetermined: Array, found: Mapping[str, Any], calibration: Calibration) -> str:
+    """
+    Return the content of kinematics.yaml.
+
+    undetermined: as in joint_entries; found: the entries on how the arm was found, by key;
+    calibration: the one that belongs to the arm, with its provenance.
+    """
+    return HEADER + yaml_text({
+        'format': FORMAT, 'name': calibration.name, 'base': arm.base, 'flange': arm.flange,
+        'joints': joint_entries(arm, undetermined), 'end': se3.transform_values(arm.end),
+        'zero_offsets_degrees': {
+            joint.name: round(math.degrees(offset), 5)
+            for joint, offset in zip(arm.joints, arm.errors[:, 0].tolist(), strict=True)
+            if joint.type == REVOLUTE},
+        'transform': se3.transform_values(calibration.T_flange_sensor), **found,
+        'covariance': arm.covariance, 'configurations': arm.configurations.round(6),
+        'provenance': with_origin(calibration).provenance})
+
+
+def joint_entries(arm: Arm, undetermined: Array) -> list[dict[str, Any]]:
+    """
+    Return an entry for each joint of an arm: the joint as stated, and its errors by kind.
+
+    undetermined: (k,) posterior over prior sigma of each error value.
+    """
+    columns = {'value': arm.error_values, 'std': np.sqrt(np.diag(arm.covariance)),
+               'undetermined': undetermined}
+    joint_of, column_of = np.nonzero(arm.is_estimated)
+    entries = []
+    for j, joint in enumerate(arm.joints):
+        rows_of = {kind: (joint_of == j) & (KIND_OF_ERROR[column_of] == kind)
+                   for kind in arm.estimated_kinds}
+        entries.append({
+            'name': joint.name, 'type': joint.type, 'origin': se3.transform_values(joint.origin),
+            'axis': joint.axis.tolist(), 'lower': joint.lower, 'upper': joint.upper,
+            **{kind: {name: column[rows].tolist() for name, column in columns.items()}
+               for kind, rows in rows_of.items() if rows.any()}})
+    return entries
+
+
+def read_arm(path: Path) -> Arm:
+    """Return the arm of a kinematics.yaml, or of the folder that holds it; raises InputError."""
+    path = path / NAME if path.is_dir() else path
+    content = read_yaml(path)
+    try:
+        require_format(path, str(content.get('format')), FORMAT)
+        stored = content['joints']
+        joints = tuple(Joint(
+            str(joint['name']), str(joint['type']),
+            transform_from(path, 'origin', joint['origin']),
+            np.array(joint['axis'], dtype=float), float(joint['lower']), float(joint['upper']))
+            for joint in stored)
+        kinds = tuple(kind for kind in KINDS if any(kind in joint for joint in stored))
+        values = [float(value) for joint in stored for kind in kinds if kind in joint
+                  for value in joint[kind]['value']]
+        covariance = np.array(content['covariance'], dtype=float).reshape(2 * [len(values)])
+        arm = Arm(str(content['base']), str(content['flange']), joints,
+                  transform_from(path, 'end', content['end']), kinds, np.array(values), covariance,
+                  np.array(content['configurations'], dtype=float).reshape(-1, len(joints)))
+        if arm.is_estimated.sum() != len(values) or not len(arm.configurations) or any(
+                joint.get('follows', joint['name']) != joint['name'] for joint in stored):
+            raise ValueError('errors of joints or all configurations are missing, or some mimic '
+                             'others, as files of earlier versions can say')
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise unusable_file(
+            path, 'it is no kinematics.yaml as "handeye kinematics" writes it') from error
+    return arm
