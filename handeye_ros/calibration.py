@@ -88,13 +88,25 @@ def assemble_calibration(config: Config, method: str, sensor_frame: str, T_flang
     version and config.
     """
     parent, used = mount_frame(config), sum(report.used for report in reports)
-    weakest, std = weakest_position(covariance, parent)
     quality = Quality(used, len(reports) - used, residual_rms, holdout_rms,
-                      f'{weakest} (m)', std)
+                      *_weakest(covariance, parent))
     return Calibration(
         config.calibration_name, method, parent, sensor_frame, T_flange_sensor,
         covariance, target, quality, tuple(reports),
         {'version': __version__, **provenance, 'config': flatten(config)}, time_offset)
+
+
+def with_covariance(calibration: Calibration, covariance: Array) -> Calibration:
+    """Return a calibration with another covariance (6, 6), which its quality agrees with."""
+    direction, std = _weakest(covariance, calibration.parent_frame)
+    return replace(calibration, covariance=covariance, quality=replace(
+        calibration.quality, weakest_direction=direction, weakest_std=std))
+
+
+def _weakest(covariance: Array, frame: str) -> tuple[str, float]:
+    """Return weakest_direction and weakest_std of the quality."""
+    words, std = weakest_position(covariance, frame)
+    return f'{words} (m)', std
 
 
 def report_of_row(number: int, kind: str, used: bool, off: float) -> SampleReport:

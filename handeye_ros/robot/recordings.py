@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from handeye_ros import pipeline, se3
 from handeye_ros.arm import Arm
 from handeye_ros.bags.recording import Recording
+from handeye_ros.calibration import with_covariance
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.refusals import require_samples
 from handeye_ros.config import Config
@@ -153,7 +154,7 @@ def solve_samples(parts: Sequence[ArmSamples], arm: Arm, inputs: Sequence[dict[s
     calibrations = [_calibrated(part, selection.arm) for part in parts]
     first, covariance = calibrations[0], selection.covariance
     if len(calibrations) == 1:
-        calibration = replace(first, covariance=cover(first.covariance, covariance))
+        calibration = with_covariance(first, cover(first.covariance, covariance))
     else:
         calibration = _combined(calibrations, selection.chosen.fit.X @ se3.inverse(
             T_sensor_plane(parts[0].problem.config)), covariance)
@@ -183,5 +184,5 @@ def _combined(calibrations: Sequence[Calibration], X: Array, covariance: Array) 
                       residual_rms=max(q.residual_rms for q in qualities),
                       holdout_rms=max(q.holdout_rms for q in qualities))
     reports = tuple(report for calibration in calibrations for report in calibration.samples)
-    return replace(calibrations[0], T_flange_sensor=X, covariance=covariance, quality=quality,
-                   samples=reports)
+    return with_covariance(replace(calibrations[0], T_flange_sensor=X, quality=quality,
+                                   samples=reports), covariance)

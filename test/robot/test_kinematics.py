@@ -213,6 +213,8 @@ def test_profiles_and_joint_states_of_a_bag_correct_the_arm(tmp_path):
     arm, calibration = read_arm(out), read_calibration(out / 'calibration.yaml')
     assert calibration.quality.holdout_rms < 6e-5
     assert (calibration.parent_frame, arm.estimated_kinds) == ('flange', KINDS)
+    assert calibration.quality.weakest_std == pytest.approx(
+        se3.weakest_direction(calibration.covariance)[0])
     run = succeeds('solve', ROOT / 'bags/arm', '--set', 'target.type=sphere', '--kinematics',
                    'out/kinematics.yaml', '--budget', '--out', 'again', cwd=tmp_path)
     match = re.search(r'corrected arm .* ([\d.]+) %', run.stdout)
