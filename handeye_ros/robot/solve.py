@@ -33,7 +33,7 @@ from handeye_ros.data import (
     SEED,
 )
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.estimation.least_squares import robust_least_squares
+from handeye_ros.estimation.outliers import robust_least_squares
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solution import cover
