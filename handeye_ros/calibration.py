@@ -300,9 +300,8 @@ def notes_of(solution: Solution, config: Config) -> Iterator[str]:
     if unused_edges := unused_edges_in_words(solution):
         yield unused_edges
     problem, target = solution.problem, solution.problem.target
-    # the far edge of a plate, as p_far, shows its direction as the near one does
-    seen = {target.kinds[k].partition('_')[0] for k in set(problem.observations.kind)}
-    for edge in sorted({target.kinds[k].partition('_')[0] for k in target.edge_kinds} - seen):
+    seen = {target.edge_kinds.get(k) for k in problem.observations.kind.tolist()}
+    for edge in sorted({*target.edge_kinds.values()} - seen):
         yield (f'no sample shows edge {edge} of the target: cross it too, or set target.type to '
                'line if the target has one edge only')
     n = len(solution.used_stations)
