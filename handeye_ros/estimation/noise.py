@@ -121,11 +121,10 @@ def total_covariance(linear: Linearisation, group: StationGroup, noise: NoiseMod
     parts = covariance_parts(linear, group)
     total = np.asarray(np.tensordot(noise.variance_factors[:len(parts)], parts, 1))
     if noise.blocks_as_noise:  # distortion, the robot's smooth error, and the target's own
-        smooth_variances = (configured.robot_smooth * SMOOTH_UNITS) ** 2
-        total += group.correlation * _outer(
-            linear.wrt_point[group.rows], configured.distortion ** 2)
-        total += _outer(linear.wrt_pose[group.rows], smooth_variances)
-        total += _outer(target.feature_errors(linear)[group.rows]) * group.same_point
+        rows = group.rows
+        total += group.correlation * _outer(linear.wrt_point[rows], configured.distortion ** 2)
+        total += _outer(linear.wrt_pose[rows], (configured.robot_smooth * SMOOTH_UNITS) ** 2)
+        total += _outer(target.feature_errors(linear)[rows]) * group.same_point
     return total
 
 

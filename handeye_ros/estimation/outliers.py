@@ -63,12 +63,12 @@ def typical_square(squares: Array) -> float:
     return float(np.quantile(squares, TYPICAL_SHARE))
 
 
-def are_near(squares: Array, fewest: int, limit: float = GROSS_SQUARE) -> NDArray[np.bool_]:
+def are_near(squares: Array, limit: float = GROSS_SQUARE, fewest: int = 0) -> NDArray[np.bool_]:
     """
-    Return which items (n,) are not far from a fit; the others are dropped at once.
+    Return which items (n,) are not far from a fit.
 
-    squares: (n,) mean squared whitened residuals; fewest: number of the nearest that always are;
-    limit: of the others, over the typical square.
+    squares: (n,) mean squared whitened residuals; limit: over the typical square; fewest: number
+    of the nearest that always are.
     """
     near = squares <= limit * max(1.0, typical_square(squares))
     near[np.argsort(squares, kind='stable')[:fewest]] = True
@@ -197,5 +197,5 @@ def robust_least_squares(system: LeastSquares[S], start: S, fewest: int) -> Robu
         return over_shared_factor(squares, fit.residuals.shape[1])
 
     robust = graduated_fit(start, mean_squares, system.few_weighted_steps)
-    near = are_near(mean_squares(robust), fewest)
+    near = are_near(mean_squares(robust), fewest=fewest)
     return drop_outliers(np.flatnonzero(near), n, fewest, fitted, left_out_squares)

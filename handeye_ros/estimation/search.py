@@ -107,7 +107,7 @@ def without_outliers(problem: Problem, robust: Linearisation) -> Solution:
     # least squares could move to a fit between the target and another surface
     limit = MISFIT_SQUARE if problem.shows_several else GROSS_SQUARE
     squares, fewest = station_squares(problem, robust), problem.target.min_samples
-    near = are_near(squares, fewest, limit)
+    near = are_near(squares, limit, fewest)
     far = {int(station): float(squares[station]) for station in np.flatnonzero(~near)}
     full_problem = problem.with_pose_parameters(robust.problem.pose_parameters)
 
@@ -189,11 +189,9 @@ def is_convincing(problem: Problem, robust: Linearisation) -> bool:
     on another near surface also fits within such errors.
     """
     squares = station_squares(problem, robust)
-    typical = typical_square(squares)
-    misfits = squares > MISFIT_SQUARE * max(1.0, typical)
-    misfits |= has_unused_edges(problem, robust.problem)
+    misfits = ~are_near(squares, MISFIT_SQUARE) | has_unused_edges(problem, robust.problem)
     largest = UNRIVALLED_SQUARE if problem.shows_several else CONVINCING_SQUARE
-    return typical <= largest and bool(misfits.mean() <= 0.1)
+    return typical_square(squares) <= largest and bool(misfits.mean() <= 0.1)
 
 
 def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Iterator[Estimate]:
