@@ -305,9 +305,8 @@ def notes_of(solution: Solution, config: Config) -> Iterator[str]:
     if unused_edges := unused_edges_in_words(solution):
         yield unused_edges
     problem, target = solution.problem, solution.problem.target
-    # the far edge of a plate, as p_far, shows its direction as the near one does
-    seen = {target.kinds[k].partition('_')[0] for k in set(problem.observations.kind)}
-    for edge in sorted({target.kinds[k].partition('_')[0] for k in target.edge_kinds} - seen):
+    seen = {target.edge_kinds.get(k) for k in problem.observations.kind.tolist()}
+    for edge in sorted({*target.edge_kinds.values()} - seen):
         yield (f'no sample shows edge {edge} of the target: cross it too, or set target.type to '
                'line if the target has one edge only')
     n = len(solution.used_stations)
@@ -346,17 +345,17 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     estimates, reported = map(block_estimates, (solution.posterior, solution.report_posterior))
     values = target.measures(solution.estimate.state)
     stds = dict(zip(target.parameter_names, solution.target_std.tolist(), strict=True))
-    freed = sorted((name for name, (_, tolerance) in measures.items()
-                    if name in stated_to_solver and stated_to_solver[name][1] > tolerance),
-                   key=values.__getitem__)
-    # each freed length may be any of those that are stated: the nearest are in the same order
-    stated_of_freed = dict(zip(freed, sorted(measures[name][0] for name in freed), strict=True))
+    loosened = sorted((name for name, (_, tolerance) in measures.items()
+                       if name in stated_to_solver and stated_to_solver[name][1] > tolerance),
+                      key=values.__getitem__)
+    # each loosened length may be any of those that are stated: the nearest are in the same order
+    nearest = dict(zip(loosened, sorted(measures[name][0] for name in loosened), strict=True))
     for name, (stated, tolerance) in measures.items():
         value, std = values.get(name, stated), stds[name]
-        if name not in reported:  # it was freed, to make the stations agree
+        if name not in reported:  # it was left unstated, to make the stations agree
             contradicts = abs(value - stated) > NOTED_SIGMAS * math.hypot(std, tolerance)
-        elif name in freed:  # with the other lengths, so that it may be right
-            stated, std = stated_of_freed[name], reported[name].std
+        elif name in loosened:  # with the other lengths, so that it may be right
+            stated, std = nearest[name], reported[name].std
             contradicts = abs(value - stated) > std
         else:
             stated, std = value - estimates[name].value, reported[name].std

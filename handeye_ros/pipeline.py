@@ -36,8 +36,8 @@ from handeye_ros.checks.refusals import (
 )
 from handeye_ros.checks.stated_lengths import (
     require_one_scale,
-    with_free_lengths_if_needed,
-    with_free_measure_if_needed,
+    with_loosened_lengths_if_needed,
+    with_unstated_measure_if_needed,
 )
 from handeye_ros.checks.surfaces import OtherSurfaceError
 from handeye_ros.config import Config
@@ -214,7 +214,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         problem = synced.problem or targets.problem_of_known_poses(samples, config)
         solution = robust_solution(problem, rng, subsets=True, start=synced.estimate)
         # 5. Measure of the target: estimate it where only this makes the samples agree.
-        solution = with_free_measure_if_needed(solution, problem, rng, synced.estimate)
+        solution = with_unstated_measure_if_needed(solution, problem, rng, synced.estimate)
         # 6. Consistency: refuse samples that contradict each other, or fit decisively better under
         # another assumption (a hypothesis), which the refusal names.
         baseline = Explanation.of_solutions([sample.stamp for sample in samples], solution)
@@ -222,7 +222,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         # 7. Refinement: least squares with all systematic errors as nuisance parameters, their
         # taus and the noise estimated; outlier rejection again; lengths of the target where they
         # are stated wrongly. Refuse clocks that jumped, and lengths that differ in scale.
-        solution = with_free_lengths_if_needed(refined_solution(solution))
+        solution = with_loosened_lengths_if_needed(refined_solution(solution))
         require_steady_clocks(solution)
         require_one_scale(solution)
         samples_agree = True

@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-What is doubted before an answer is given: refused, freed, or allowed for in the covariance.
+What is doubted before an answer is given: refused, estimated, or allowed for in the covariance.
 
 Refusals without a cause are in refusals.py. All other files are causes: assumptions that are
 changed, one by one, by one engine (hypotheses.py), in the order of causes.py. These refuse without

@@ -45,8 +45,9 @@ FALSE_CAUSE_PROBABILITY = 1e-5  # probability of naming a wrong cause
 # twice the log of a Bayes factor of these odds
 DECISIVE_EVIDENCE = -2 * math.log(FALSE_CAUSE_PROBABILITY)
 MANY_TRIED = 40  # assumptions that may be tried in all where nothing fits
-# reduced chi-squared: of a stop that is not explained, the least
-UNEXPLAINED_CHI2, MIN_CHI2 = 64.0, 0.01
+# left-out squares: of a stop that is not explained (8 sigma), and the least mean of those that
+# are: a closer fit is no more evidence
+UNEXPLAINED_SQUARE, LEAST_SQUARE = 64.0, 0.01
 MIN_REDUNDANCY = 6  # smallest redundancy of a fit that is believed,
 MAX_POSITION_STD = 1.0  # m: and largest 1 sigma of its sensor
 # smallest number of explained stops, as a share of those explained as configured: fewer may fit by
@@ -78,7 +79,7 @@ class Explanation:
 
     @property
     def reduced_chi_squared(self) -> float:
-        """Return the squared whitened residual of all solutions per degree of freedom."""
+        """Return the reduced chi-squared of all solutions together."""
         freedom = sum(solution.posterior.degrees_of_freedom for solution in self.solutions)
         return sum(each.posterior.sum_of_squares for each in self.solutions) / max(freedom, 1)
 
@@ -114,7 +115,12 @@ class Explanation:
             for solution in self.solutions)
 
     def evidence_over(self, baseline: Explanation) -> float:
-        """Return twice the log of the odds, for this explanation of its stops against another."""
+        """
+        Return twice the log of the odds, for this explanation of its stops against another.
+
+        It is the smaller of those by left-out squares in sigmas and in metres, and -inf where
+        fewer than MIN_EXPLAINED_SHARE of the stops explained by the other are explained.
+        """
         explained_before = len(baseline.left_out_squares.keys() & self.stamps)
         if not self.solutions or (len(self.left_out_squares)
                                   < MIN_EXPLAINED_SHARE * explained_before):
@@ -203,10 +209,10 @@ def explain_samples(samples: Sequence[Sample], config: Config, stamps: Sequence[
 def stops_deviance(left_out: Array, conditions: int) -> float:
     """Return the deviance of a fit, (13), by left-out squares (n,), inf: not explained."""
     explained = left_out[np.isfinite(left_out)]
-    mean = float(np.clip(explained.mean() if len(explained) else UNEXPLAINED_CHI2,
-                         MIN_CHI2, UNEXPLAINED_CHI2))
+    mean = float(np.clip(explained.mean() if len(explained) else UNEXPLAINED_SQUARE,
+                         LEAST_SQUARE, UNEXPLAINED_SQUARE))
     return float(conditions * np.minimum(
-        math.log(mean) + left_out / mean, math.log(UNEXPLAINED_CHI2) + 1).sum())
+        math.log(mean) + left_out / mean, math.log(UNEXPLAINED_SQUARE) + 1).sum())
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ from handeye_ros.checks.hypotheses import (
     FALSE_CAUSE_PROBABILITY,
     Hypothesis,
 )
-from handeye_ros.data import Array, SEED
+from handeye_ros.data import Array, SEED, TIME_OFFSET
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import ParameterBlock, ROBOT_SMOOTH
 from handeye_ros.estimation.least_squares import chi2_isf
@@ -319,7 +319,9 @@ def _wrong_times(posterior: Posterior, stations: NDArray[np.intp]) -> ParameterB
     profiles whose points are taken one after the other.
     """
     problem, observations = posterior.problem, posterior.problem.observations
-    wrt_time = posterior.linear.wrt_twists(problem.pose_twists[:, :, :1])
+    assert problem.pose_model  # of a sweep
+    time = problem.pose_model.names.index(TIME_OFFSET)
+    wrt_time = posterior.linear.wrt_twists(problem.pose_twists[:, :, [time]])
     after, along = observations.station[:, None] >= stations, observations.points[:, :1]
     columns = np.hstack([wrt_time * after, wrt_time * along / rms(along)])
     return ParameterBlock('times', columns * TIME_STD, TIME_STD, largest_variance=1.0)

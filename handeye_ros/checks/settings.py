@@ -73,23 +73,24 @@ def setting_hypotheses(session: Session, config: Config, baseline: Explanation
         yield Hypothesis(explanation, refusal, len(values))
 
 
-def settings_refusal(values: Mapping[str, str], baseline: Explanation, changed: Explanation,
+def settings_refusal(values: Mapping[str, str], baseline: Explanation, with_values: Explanation,
                      other_types: Sequence[Explanation] = ()) -> DataError:
     """
     Return the refusal that names the values of settings with which the stops fit.
 
-    changed: with these values; other_types: with other types of target, which are named too.
+    with_values: as they fit with these; other_types: with other types of target, named too.
     """
     named = ' and '.join(f'{key} {value}' for key, value in values.items())
     to = ' and '.join(f'{key} to {value}' for key, value in values.items())
     if 'target.radius' in values:
-        to = (f'target.radius to {changed.solutions[0].estimate.state[-1]:.4f}, which these stops '
-              'show, or to 0 (unknown)')
+        shown = with_values.solutions[0]
+        radius = shown.problem.target.measures(shown.estimate.state)['radius']
+        to = f'target.radius to {radius:.4f}, which these stops show, or to 0 (unknown)'
     to += ''.join(f', or to {other.solutions[0].full_problem.config.target.type}, if it is one'
                   for other in other_types)
     if values == {TARGET_TYPE: 'plane'}:
         to += '; or, if the target has edges, cross them inside the field of view'
-    comparison = changed.comparison_in_words(baseline, named)
+    comparison = with_values.comparison_in_words(baseline, named)
     return DataError(f'{comparison}: set {to}', code='settings')
 
 

@@ -27,12 +27,13 @@ from handeye_ros.frames import mount_poses
 import numpy as np
 
 VERY_STRONG_EVIDENCE = 10.0  # twice the log of a Bayes factor (Kass and Raftery)
-FREED_FROM_SIGMAS = 2.5  # an estimated length is used; it costs little where the stated is right
+LOOSE_FROM_SIGMAS = 2.5  # an estimated length is used: it costs little where the stated is right
 MIN_SCALE_ERROR, MAX_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
 
 
-def with_free_measure_if_needed(solution: Solution, problem: Problem, rng: np.random.Generator,
-                                start: Estimate | None = None) -> Solution:
+def with_unstated_measure_if_needed(solution: Solution, problem: Problem,
+                                    rng: np.random.Generator,
+                                    start: Estimate | None = None) -> Solution:
     """
     Return the solution with a stated measure free, if only that makes the stations agree.
 
@@ -40,7 +41,7 @@ def with_free_measure_if_needed(solution: Solution, problem: Problem, rng: np.ra
     start: the only one to use, if given.
     """
     target, config = problem.target, problem.config
-    free_config = replace(config, target=replace(config.target, **target.freed_measure))
+    free_config = replace(config, target=replace(config.target, **target.unstated_measure))
     fits = not (solution.dropped_squares or len(solution.stations_with_unused_edges)
                 or solution.posterior.reduced_chi_squared > CONVINCING_SQUARE)
     if fits or free_config == config:
@@ -59,7 +60,7 @@ def with_free_measure_if_needed(solution: Solution, problem: Problem, rng: np.ra
     return free if better else solution
 
 
-def with_free_lengths_if_needed(solution: Solution) -> Solution:
+def with_loosened_lengths_if_needed(solution: Solution) -> Solution:
     """
     Return the refined solution with the target's lengths estimated, if the stated are wrong.
 
@@ -67,24 +68,24 @@ def with_free_lengths_if_needed(solution: Solution) -> Solution:
     are estimated too where such a scale is seen with the stated lengths alone.
     """
     target, config = solution.problem.target, solution.full_problem.config
-    free_config = replace(config, target=replace(config.target, **target.freed_lengths))
-    stated, loose = map(target.stated_values, (config, free_config))
+    loose_config = replace(config, target=replace(config.target, **target.loosened_lengths))
+    stated, loose = map(target.stated_values, (config, loose_config))
     lengths = [name for name, (_, std) in loose.items() if std > stated[name][1]]
     if not lengths:
         return solution
-    free = refined_solution(solution, free_config)
-    with_stated, with_free = (block_estimates(each.report_posterior) for each in (solution, free))
-    wrong = any(abs(with_free[name].value)
-                > max(FREED_FROM_SIGMAS * with_free[name].std, 2 * stated[name][1])
-                for name in lengths if name in with_free)
-    scale_vanishes = _shows_scale(with_stated) and not _shows_scale(with_free)
-    return free if wrong or scale_vanishes else solution
+    loosened = refined_solution(solution, loose_config)
+    of_stated, of_loose = (block_estimates(each.report_posterior) for each in (solution, loosened))
+    wrong = any(abs(of_loose[name].value)
+                > max(LOOSE_FROM_SIGMAS * of_loose[name].std, 2 * stated[name][1])
+                for name in lengths if name in of_loose)
+    scale_vanishes = _shows_scale(of_stated) and not _shows_scale(of_loose)
+    return loosened if wrong or scale_vanishes else solution
 
 
 def _shows_scale(estimates: Mapping[str, BlockEstimate]) -> bool:
     """Return whether a scale error of the robot is seen; estimates: by the names of blocks."""
     scale = estimates.get(ROBOT_SCALE)
-    return scale is not None and abs(scale.value) > FREED_FROM_SIGMAS * scale.std
+    return scale is not None and abs(scale.value) > LOOSE_FROM_SIGMAS * scale.std
 
 
 def scale_hypotheses(solution: Solution, stamps: Sequence[int]) -> Iterator[Hypothesis]:

@@ -29,7 +29,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from handeye_ros.data import Array, ROBOT_POSITION_ERROR, TURN_LENGTH
+from handeye_ros.data import Array, ROBOT_POSITION_ERROR
 from handeye_ros.estimation.basis import (
     BEND_OF_S,
     bent_line,
@@ -38,6 +38,7 @@ from handeye_ros.estimation.basis import (
     line_span,
 )
 from handeye_ros.estimation.best_fit import field_motions, motions_by_poses, plane_motions
+from handeye_ros.estimation.noise import SMOOTH_UNITS
 from handeye_ros.estimation.problem import Linearisation, Problem
 import numpy as np
 
@@ -46,8 +47,7 @@ ROBOT_SCALE, ROBOT_SMOOTH, SENSOR_SCALE = 'robot_scale', 'robot_smooth', 'sensor
 LINE_BEND, DISTORTION_ERROR = 'line_bend', 'distortion_error'
 DISTORTION_SHARES = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}  # RMS by degree, over noise.distortion
 DEGREES = list(DISTORTION_SHARES)
-# twists by smooth errors of the robot of 1 m: 3 shifts, and 3 turns of which a joint makes 1 m
-ROBOT_AXES = np.diag(np.repeat([1.0, 1 / TURN_LENGTH], 3))
+SMOOTH_AXES = np.diag(SMOOTH_UNITS)  # of smooth errors of the robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,7 @@ def robot_scale(linear: Linearisation) -> Blocks:
                          reported_as='scale', origin=1.0)
 
 
-def wrt_smooth(wrt_pose: Array, basis: Array, axes: Array = ROBOT_AXES) -> Array:
+def wrt_smooth(wrt_pose: Array, basis: Array, axes: Array = SMOOTH_AXES) -> Array:
     """
     Return derivatives (m, a k) by a smooth error of the robot, of unit size.
 
@@ -140,7 +140,7 @@ def wrt_smooth(wrt_pose: Array, basis: Array, axes: Array = ROBOT_AXES) -> Array
 
 
 def smooth_errors(name: str, linear: Linearisation, basis: Array, std: float,
-                  axes: Array = ROBOT_AXES,
+                  axes: Array = SMOOTH_AXES,
                   best_fit: Callable[[Linearisation], Array] | None = None, reported_as: str = ''
                   ) -> ParameterBlock:
     """
@@ -163,9 +163,8 @@ def robot_smooth(linear: Linearisation) -> Blocks:
 def _motions_of_smooth(linear: Linearisation) -> Array:
     """Return best-fit motions (6, k) by the robot's smooth errors, of unit size; see best_fit."""
     problem, field = linear.problem, grid_over(linear.problem.observations.points, (-1, 0, 1))
-    motions = motions_by_poses(problem.poses, linear.estimate.X, field,
-                               problem.config.in_hand)
-    motions[..., 3:] /= TURN_LENGTH
+    motions = SMOOTH_UNITS * motions_by_poses(
+        problem.poses, linear.estimate.X, field, problem.config.in_hand)
     return np.asarray(np.einsum('xna,nk->xak', motions, problem.smooth_error_basis).reshape(6, -1))
 
 

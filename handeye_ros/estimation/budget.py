@@ -20,8 +20,8 @@ def budget(solution: Solution, levers: Array | None = None) -> list[BudgetTerm]:
     White noise of sensor and poses, and each block by its name, are the exact parts of C in (5) at
     the taus for the report: whitened noise of covariance V gives (C A')V(C A')', and the
     parameters of a block, with the prior information 1/tau^2, give C_xn C_nx / tau^2. Then what
-    (8), (10) and a corrected arm add to it. `best-fit transform` is the remainder, what (9)
-    changes. A part without a positive variance of mapped points is left out.
+    (8), (10), a corrected arm and a possible move add to it. `best-fit transform` is the
+    remainder, what (9) changes. A part without a positive variance of mapped points is left out.
 
     levers: (k, 3) from the sensor's origin to the mapped points, in the mount (m); None: those of
     nine over the points that were seen.

@@ -63,26 +63,26 @@ def _each_station_wrong(configured: Posterior) -> tuple[Array, Array, Array]:
     the transform, Sigma_i + h_i h_i' in (10).
 
     With r the whitened residuals of the fit to all, those of a fit with one wrong pose are
-    r + J x + K e: e is the error of the pose, of unit covariance a priori, and x the change of the
-    fit (with the covariance C). For a given e, x = -G e with G = C J'K. Without x, e has the
-    information A = 1 + K'K - K'J G and the estimate e = -A^-1 K'r. So the squares fall by
-    r'K A^-1 K'r, the log ratio is half of (this less log det A), h = -G e and
-    Sigma_i = G A^-1 G'.
+    r + A x + K e: e is the error of the pose, of unit covariance a priori, and x the change of the
+    fit (with the covariance C). For a given e, x = -G e with G = C A'K. Without x, e has the
+    information M = 1 + K'K - K'A G and the estimate e = -M^-1 K'r. So the squares fall by
+    r'K M^-1 K'r, the log ratio is half of (this less log det M), h = -G e and
+    Sigma_i = G M^-1 G'.
     """
     n, C = len(configured.problem.poses), configured.covariance
     wrt_pose_error = configured.whitening(configured.linear.wrt_pose * POSE_ERROR)
     explained, log_ratio, added = np.empty(n), np.empty(n), np.empty((n, 6, 6))
     for group in configured.problem.observations.station_groups:
-        K, J = wrt_pose_error[group.rows], configured.jacobian[group.rows]
-        JK = np.swapaxes(J, 1, 2) @ K
-        G = C @ JK
-        A = np.eye(6) + np.swapaxes(K, 1, 2) @ K - np.swapaxes(JK, 1, 2) @ G
+        K, A = wrt_pose_error[group.rows], configured.jacobian[group.rows]
+        AK = np.swapaxes(A, 1, 2) @ K
+        G = C @ AK
+        M = np.eye(6) + np.swapaxes(K, 1, 2) @ K - np.swapaxes(AK, 1, 2) @ G
         Kr = np.einsum('sci,sc->si', K, configured.postfit_residuals[group.rows])
-        minus_e = np.linalg.solve(A, Kr[..., None])
+        minus_e = np.linalg.solve(M, Kr[..., None])
         explained[group.stations] = (Kr * minus_e[..., 0]).sum(axis=1)
-        log_ratio[group.stations] = (explained[group.stations] - np.linalg.slogdet(A)[1]) / 2
+        log_ratio[group.stations] = (explained[group.stations] - np.linalg.slogdet(M)[1]) / 2
         G_X = G[:, :6]  # of the transform
         h = G_X @ minus_e
         added[group.stations] = h @ np.swapaxes(h, 1, 2) + G_X @ np.linalg.solve(
-            A, np.swapaxes(G_X, 1, 2))
+            M, np.swapaxes(G_X, 1, 2))
     return explained, log_ratio, added

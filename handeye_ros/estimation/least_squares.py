@@ -1,20 +1,18 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The least squares of the estimators, over items of data, and which items are outliers.
+The least squares of the estimators, over items of data.
 
 An item is what is right or wrong as a whole: a station, a row of a table, a pair of poses. It has
-one or several residuals (rows of the system) with one weight.
+one or several residuals (rows of the system) with one weight. Which items are outliers is decided
+in outliers.py.
 
-`LeastSquares.minimised` is Levenberg-Marquardt. `graduated_fit` reaches a fit from a rough start
-in spite of outliers, (11) (graduated non-convexity, Yang et al. 2020, RA-L 5:1127).
-`drop_outliers` then drops the items that the others do not predict, by leave-one-out residuals,
-(12). `robust_least_squares` does all three for a table. In an inverse, a direction that the data
-do not show keeps a large, finite variance.
+`LeastSquares.minimised` is Levenberg-Marquardt. In an inverse, a direction that the data do not
+show keeps a large, finite variance.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeAlias, TypeVar
 
@@ -24,15 +22,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh, lapack
 from scipy.special import chdtrc, chdtri
 
-F = TypeVar('F')
 S = TypeVar('S')
 
 ROUNDING_SHARE = 1e-9  # of the sum of squares; residuals are differences of large numbers
-TYPICAL_SHARE = 0.65  # of the items that a good answer must explain
 # factor of the damping after a refused step; its square divides it after a good one
 DAMPING_FACTOR = 30.0
-GROSS_SQUARE = 64.0  # squared residual over the typical one (8 sigma): dropped at once
-FALSE_ALARM = 1e-3  # probability that good data lose one item
 
 MAX_STD = 1e3  # of a direction without information (m or rad)
 FREE_DIRECTION = 1e-13  # relative information, or variance, that is rounding
@@ -154,35 +148,6 @@ def _damped_steps(J: Array, r: Array, damping: Array) -> Array:
     return np.asarray(-step / norms)
 
 
-def graduated_fit(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array], S]) -> S:
-    """
-    Return the state that graduated non-convexity reaches from a start, (11).
-
-    In each round item i has the weight (mu / (mu + q_i))^2, and mu is halved.
-
-    squares(state): (n,) q, the mean squared whitened residuals of the items; refit(state, weights
-    (n,)): the state after some steps of the weighted least squares.
-    """
-    state, q = start, squares(start)
-    typical, typical_before = typical_square(q), np.inf
-    # where a start explains most items, the few others have little weight from the first round on
-    unbounded_mu = min(float(q.max()), 10.0 * typical)
-    for _ in range(50):
-        least = max(9.0, 3.0 * typical)  # of mu, a squared whitened residual: 3 sigma
-        if unbounded_mu <= least and typical > 0.99 * typical_before:
-            break
-        mu = max(unbounded_mu, least)
-        state = refit(state, (mu / (mu + q)) ** 2)
-        q, unbounded_mu = squares(state), unbounded_mu / 2
-        typical, typical_before = typical_square(q), typical
-    return state
-
-
-def typical_square(squares: Array) -> float:
-    """Return the TYPICAL_SHARE quantile of squared residuals."""
-    return float(np.quantile(squares, TYPICAL_SHARE))
-
-
 def rows_by_count(item: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
     """
     Return arrays (items, count) of rows, one for each count of rows per item.
@@ -203,129 +168,6 @@ def rms_by(item: NDArray[np.intp], values: Array, n: int) -> Array:
     """Return the RMS (n,) of the values (m,) of each item, NaN of one without any."""
     has_any = np.bincount(item, minlength=n) > 0
     return np.sqrt(np.where(has_any, means_by(item, values ** 2, n), np.nan))
-
-
-def leave_one_out_residuals(whitened: Array, jacobian: Array, cross_covariance: Array,
-                            item: NDArray[np.intp]) -> Array:
-    """
-    Return leave-one-out residuals (m,), to first order: each from the fit without its item, (12).
-
-    whitened: (m,) residuals e of the fit to all items; jacobian: A (m, u) of this fit;
-    cross_covariance: A C (m, u); item: (m,) the number of each row's item, ascending.
-    """
-    left_out = np.empty_like(whitened)
-    for rows in rows_by_count(item):
-        predicted = cross_covariance[rows] @ np.swapaxes(jacobian[rows], 1, 2)
-        # avoids division by zero for what an item determines alone
-        regular = (1 + ROUNDING_SHARE) * np.eye(rows.shape[1]) - predicted
-        left_out[rows] = np.linalg.solve(regular, whitened[rows][..., None])[..., 0]
-    return left_out
-
-
-def worst_outliers(squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int
-                   ) -> NDArray[np.intp]:
-    """
-    Return the items to drop in this round, worst first: at most one, or one in 50 of 100 or more.
-
-    squares: (n,) left-out squares: mean products of residuals and leave-one-out residuals, (12);
-    freedom: their degrees of freedom;
-    total: initial number of items; spare: number of items beyond those needed.
-    """
-    probability = chi2_sf(squares * freedom, freedom)
-    most = max(1, min(len(squares) // 50, spare)) if spare > 0 else 0
-    # by the squares where probabilities are too small to differ
-    worst = np.lexsort((-squares, probability))[:most]
-    return np.asarray(worst[probability[worst] < FALSE_ALARM / total])
-
-
-def shared_variance_factor(squares: Array, freedom: NDArray[np.intp] | int) -> float:
-    """Return the variance factor common to most items, at least 1; see worst_outliers."""
-    expected = chi2_isf(0.5, freedom) / freedom  # their median if the factor is 1
-    return max(1.0, float(np.median(squares / expected)))
-
-
-def drop_outliers(used: NDArray[np.intp], total: int, fewest: int,
-                  fitted: Callable[[F | None, NDArray[np.intp], dict[int, float]], F],
-                  left_out_squares: Callable[[F], tuple[Array, NDArray[np.intp] | int]],
-                  surely_wrong_indices: Callable[[F], Sequence[int]] = lambda fit: ()) -> F:
-    """
-    Return the fit of the items that agree.
-
-    Each round fits the items used, and drops those that the others do not predict, (12).
-
-    used: numbers of the items to begin with, of `total`; fewest: number that at least remain
-    fitted(the fit of the previous round or None, used, dropped): the fit of the items used;
-        dropped: the squares of those dropped so far, by item
-    left_out_squares(fit): (len(used),) left-out squares of the items used, and their degrees of
-        freedom
-    surely_wrong_indices(fit): in `used`, of items that are wrong though no square is too large
-    """
-    fit, dropped = fitted(None, used, {}), dict[int, float]()
-    while True:
-        squares, freedom = left_out_squares(fit)
-        spare = max(len(used) - fewest, 0)
-        wrong = [*worst_outliers(squares, freedom, total, spare)] or [
-            *surely_wrong_indices(fit)][:spare]
-        if not wrong:
-            return fit
-        dropped = {**dropped, **{int(used[index]): float(squares[index]) for index in wrong}}
-        used = np.delete(used, wrong)
-        fit = fitted(fit, used, dropped)
-
-
-@dataclass(frozen=True, eq=False)
-class RobustFit(Generic[S]):
-    """
-    Result of robust least squares over n items of k residuals.
-
-    used: ascending indices of the used items
-    residuals (n, k): whitened, of all items
-    left_out (used, k): leave-one-out residuals of the used items, to first order
-    covariance: (u, u), multiplied by the variance factor if that exceeds 1
-    """
-
-    state: S
-    used: NDArray[np.intp]
-    residuals: Array
-    left_out: Array
-    covariance: Array
-    variance_factor: float
-
-
-def robust_least_squares(system: LeastSquares[S], start: S, fewest: int) -> RobustFit[S]:
-    """
-    Return the least-squares state without outliers, from a start near it.
-
-    fewest: smallest number of items that remain; all have equally many rows.
-    """
-    n = int(system.item[-1]) + 1
-
-    def mean_squares(state: S) -> Array:
-        rows = system.rows(state)
-        return np.asarray((rows.whitener()(rows.residuals) ** 2).reshape(n, -1).mean(axis=1))
-
-    def fitted(previous: RobustFit[S] | None, used: NDArray[np.intp], _: object) -> RobustFit[S]:
-        is_used = np.isin(np.arange(n), used)
-        state = system.minimised(previous.state if previous else robust, is_used.astype(float))
-        rows, is_used_row = system.rows(state), is_used[system.item]
-        whiten = rows.whitener()
-        whitened = whiten(rows.residuals)
-        r, J = whitened[is_used_row], whiten(rows.jacobian())[is_used_row]
-        covariance = covariance_from_jacobian(J)
-        left_out = leave_one_out_residuals(r, J, J @ covariance, system.item[is_used_row])
-        variance_factor = float(r @ r / max(len(r) - J.shape[1], 1))
-        return RobustFit(state, used, whitened.reshape(n, -1), left_out.reshape(len(used), -1),
-                         covariance * max(1.0, variance_factor), variance_factor)
-
-    def left_out_squares(fit: RobustFit[S]) -> tuple[Array, int]:
-        squares = (fit.residuals[fit.used] * fit.left_out).mean(axis=1)
-        freedom = fit.residuals.shape[1]
-        return squares / shared_variance_factor(squares, freedom), freedom
-
-    robust = graduated_fit(start, mean_squares, system.few_weighted_steps)
-    q = mean_squares(robust)
-    limit = max(GROSS_SQUARE * max(1.0, typical_square(q)), np.sort(q)[:fewest][-1])
-    return drop_outliers(np.flatnonzero(q <= limit), n, fewest, fitted, left_out_squares)
 
 
 def covariance_from_jacobian(J: Array) -> Array:

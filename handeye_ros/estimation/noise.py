@@ -22,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 FACTOR_FREEDOM = 4.0  # degrees of freedom of the prior of variance factors, about 1
+# twist by smooth errors of the robot of 1 m: 3 shifts, and 3 turns of which a joint makes 1 m
+SMOOTH_UNITS = np.repeat([1.0, 1 / TURN_LENGTH], 3)
 LOCAL_SHARE = 0.6  # of the sensor's distortion that differs between stations, as speckle does
 
 TRIED_TAUS = np.geomspace(0.001, 1e4, 43)  # of blocks; quantities are summed over these
@@ -45,6 +47,11 @@ LOG_MAP_PRIOR = _log_half_t(1.0, 0.01)
 # Indices of the variance factors: of the own errors of faces and arcs, and of edges; of distortion
 # that differs between stations; of the poses; of the white errors of pose parameters, as time.
 FACE_INDEX, EDGE_INDEX, LOCAL_DISTORTION_INDEX, POSE_INDEX, POSE_PARAMETER_INDEX = range(5)
+
+
+def factors_but_local_distortion(factor: float) -> Array:
+    """Return variance factors (5,) of 1, but one for distortion that differs between stations."""
+    return np.where(np.arange(5) == LOCAL_DISTORTION_INDEX, factor, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,15 +100,15 @@ def covariance_parts(linear: Linearisation, group: StationGroup) -> Array:
     The p parts are in the order of the variance factors; the last is there if the pose
     parameters have white errors.
     """
-    noise = linear.problem.config.noise
-    local_distortion = (LOCAL_SHARE * noise.distortion) ** 2
-    pose_variances = np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
+    configured = linear.problem.config.noise
+    local_distortion = (LOCAL_SHARE * configured.distortion) ** 2
+    pose_stds = np.repeat([configured.robot_translation, configured.robot_rotation], 3)
     # no covariance between the components, so that any factors keep the sum positive
     features = _outer(linear.wrt_feature[group.rows]) * group.same_point
     features += 1e-9 ** 2 * np.eye(group.rows.shape[1])  # (1 nm)^2: exact points weigh, too
     parts = [*features * group.factor_masks,
              group.correlation * _outer(linear.wrt_point[group.rows], local_distortion),
-             _outer(linear.wrt_pose[group.rows], pose_variances)]
+             _outer(linear.wrt_pose[group.rows], pose_stds ** 2)]
     if linear.wrt_jitter is not None:
         parts.append(_outer(linear.wrt_jitter[group.rows]))
     return np.array(parts)
@@ -109,15 +116,14 @@ def covariance_parts(linear: Linearisation, group: StationGroup) -> Array:
 
 def total_covariance(linear: Linearisation, group: StationGroup, noise: NoiseModel) -> Array:
     """Return the covariance (stations, c, c), (3), with the blocks if they count as noise."""
-    problem, config = linear.problem, linear.problem.config.noise
+    configured, target = linear.problem.config.noise, linear.problem.target
     parts = covariance_parts(linear, group)
     total = np.asarray(np.tensordot(noise.variance_factors[:len(parts)], parts, 1))
     if noise.blocks_as_noise:  # distortion, the robot's smooth error, and the target's own
-        axes = np.repeat([1.0, TURN_LENGTH ** -2], 3)
-        total += group.correlation * _outer(linear.wrt_point[group.rows], config.distortion ** 2)
-        total += _outer(linear.wrt_pose[group.rows], config.robot_smooth ** 2 * axes)
-        feature_errors = problem.target.feature_errors(linear)
-        total += _outer(feature_errors[group.rows]) * group.same_point
+        rows = group.rows
+        total += group.correlation * _outer(linear.wrt_point[rows], configured.distortion ** 2)
+        total += _outer(linear.wrt_pose[rows], (configured.robot_smooth * SMOOTH_UNITS) ** 2)
+        total += _outer(target.feature_errors(linear)[rows]) * group.same_point
     return total
 
 

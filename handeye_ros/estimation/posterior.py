@@ -23,7 +23,6 @@ from handeye_ros.estimation.blocks import blocks_at, blocks_with_columns, Parame
 from handeye_ros.estimation.least_squares import (
     covariance_from_information,
     covariance_from_jacobian,
-    leave_one_out_residuals,
     means_by,
 )
 from handeye_ros.estimation.noise import (
@@ -36,6 +35,7 @@ from handeye_ros.estimation.noise import (
     Whitening,
     whitening,
 )
+from handeye_ros.estimation.outliers import leave_one_out_residuals
 from handeye_ros.estimation.problem import Estimate, Linearisation, linearise, Problem
 from handeye_ros.frames import mount_poses
 import numpy as np
@@ -235,7 +235,7 @@ class Posterior:
 
     @property
     def reduced_chi_squared(self) -> float:
-        """Return the squared whitened residual per degree of freedom."""
+        """Return the sum of squared whitened residuals per degree of freedom."""
         return self.sum_of_squares / max(self.degrees_of_freedom, 1)
 
     @property

@@ -256,7 +256,7 @@ class Problem:
     def shows_edge(self) -> NDArray[np.bool_]:
         """Return which stations (n,) have an observation at an edge."""
         obs, shows = self.observations, np.zeros(len(self.poses), dtype=bool)
-        shows[obs.station[np.isin(obs.kind, self.target.edge_kinds)]] = True
+        shows[obs.station[np.isin(obs.kind, list(self.target.edge_kinds))]] = True
         return shows
 
     def points_in_base(self, X: Array) -> Array:

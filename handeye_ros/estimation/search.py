@@ -26,18 +26,21 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, SEED
 from handeye_ros.estimation.contamination import with_possibly_wrong_station
 from handeye_ros.estimation.least_squares import (
-    drop_outliers,
-    graduated_fit,
-    GROSS_SQUARE,
     LeastSquares,
     many_least_squares,
     means_by,
     Rows,
-    shared_variance_factor,
     States,
-    typical_square,
 )
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, NoiseModel, whitening
+from handeye_ros.estimation.outliers import (
+    are_near,
+    drop_outliers,
+    graduated_fit,
+    GROSS_SQUARE,
+    over_shared_factor,
+    typical_square,
+)
 from handeye_ros.estimation.posterior import Posterior
 from handeye_ros.estimation.problem import (
     Estimate,
@@ -52,11 +55,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 SUBSET_COUNT = 40  # of six stations: if a third are wrong, one subset has no wrong one with p 0.97
-# Limits of squared whitened residuals: of a good estimate, with blocks as noise (4: 2 sigma); of
-# one that no other can beat; of a station far from it, over the typical one (16: 4 sigma).
-# SMALL_SQUARE is added in mean_log_square: as the robot is seldom as inaccurate as configured,
-# fits to a fifth of a sigma are distinguished from fits to a half.
-CONVINCING_SQUARE, UNRIVALLED_SQUARE, MAX_SQUARE, SMALL_SQUARE = 4.0, 0.1, 16.0, 0.03
+# squared whitened residuals, blocks as noise
+CONVINCING_SQUARE = 4.0  # most of a good estimate (2 sigma)
+UNRIVALLED_SQUARE = 0.1  # most of one that no other can beat
+# least (4 sigma) of a station that does not fit: over the typical one, where several surfaces are
+# in view also to be dropped, and of one without edges; a start of which it is typical is none
+MISFIT_SQUARE = 16.0
+# added in mean_log_square: as the robot is seldom as inaccurate as configured, fits to a fifth of
+# a sigma are distinguished from fits to a half
+SMALL_SQUARE = 0.03
 
 
 def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = False,
@@ -66,7 +73,8 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
 
     subsets: also start from random subsets of the stations if all together do not fit: slow, and
     left out where a poor fit answers the question too. start: the only start to use, if given.
-    Stations that are all alike have a solution too, with free directions.
+    Stations that are all alike have a solution too, with free directions; raises LinAlgError
+    where a start cannot be computed.
     """
     starts = iter([start]) if start is not None else chain(
         problem.target.starts(problem, rng),
@@ -84,7 +92,7 @@ def quick_solution(problem: Problem) -> Solution | None:
         for start in islice(problem.target.starts(problem, np.random.default_rng(SEED)), 2):
             with suppress(np.linalg.LinAlgError):  # from this start
                 robust = robust_fit(problem, start)
-                if typical_square(station_squares(problem, robust)) < MAX_SQUARE:
+                if typical_square(station_squares(problem, robust)) < MISFIT_SQUARE:
                     return without_outliers(problem, robust)
     return None
 
@@ -97,11 +105,10 @@ def without_outliers(problem: Problem, robust: Linearisation) -> Solution:
     (worst_outliers), those that the others do not predict.
     """
     # least squares could move to a fit between the target and another surface
-    limit = MAX_SQUARE if problem.shows_several else GROSS_SQUARE
+    limit = MISFIT_SQUARE if problem.shows_several else GROSS_SQUARE
     squares, fewest = station_squares(problem, robust), problem.target.min_samples
-    is_near = squares <= limit * max(1.0, typical_square(squares))
-    is_near[np.argsort(squares, kind='stable')[:fewest]] = True
-    far = {int(station): float(squares[station]) for station in np.flatnonzero(~is_near)}
+    near = are_near(squares, limit, fewest)
+    far = {int(station): float(squares[station]) for station in np.flatnonzero(~near)}
     full_problem = problem.with_pose_parameters(robust.problem.pose_parameters)
 
     def fitted(previous: Solution | None, used: NDArray[np.intp], dropped: dict[int, float]
@@ -110,12 +117,9 @@ def without_outliers(problem: Problem, robust: Linearisation) -> Solution:
         posterior = Posterior.of_linear(linear, BLOCKS_AS_NOISE, ())
         return Solution(posterior, posterior, full_problem, used, far | dropped)
 
-    def left_out_squares(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
-        squares, freedom = solution.posterior.left_out_squares()
-        return squares / shared_variance_factor(squares, freedom), freedom
-
-    return drop_outliers(np.flatnonzero(is_near), len(problem.poses), fewest, fitted,
-                         left_out_squares)
+    return drop_outliers(
+        np.flatnonzero(near), len(problem.poses), fewest, fitted,
+        lambda solution: over_shared_factor(*solution.posterior.left_out_squares()))
 
 
 def refined_solution(agreed: Solution, config: Config | None = None) -> Solution:
@@ -163,8 +167,8 @@ def robust_fit(problem: Problem, start: Estimate) -> Linearisation:
 
 
 def station_squares(problem: Problem, robust: Linearisation) -> Array:
-    """Return the mean squares (n,) of stations; of those without edges, MAX_SQUARE or more."""
-    least = np.where(has_unused_edges(problem, robust.problem), MAX_SQUARE, 0.0)
+    """Return the mean squares (n,) of stations; of those without edges, MISFIT_SQUARE or more."""
+    least = np.where(has_unused_edges(problem, robust.problem), MISFIT_SQUARE, 0.0)
     return np.maximum(mean_squares(robust), least)
 
 
@@ -185,11 +189,9 @@ def is_convincing(problem: Problem, robust: Linearisation) -> bool:
     on another near surface also fits within such errors.
     """
     squares = station_squares(problem, robust)
-    typical = typical_square(squares)
-    misfits = squares > MAX_SQUARE * max(1.0, typical)
-    misfits |= has_unused_edges(problem, robust.problem)
+    misfits = ~are_near(squares, MISFIT_SQUARE) | has_unused_edges(problem, robust.problem)
     largest = UNRIVALLED_SQUARE if problem.shows_several else CONVINCING_SQUARE
-    return typical <= largest and bool(misfits.mean() <= 0.1)
+    return typical_square(squares) <= largest and bool(misfits.mean() <= 0.1)
 
 
 def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Iterator[Estimate]:

@@ -17,7 +17,7 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.best_fit import best_fit_motions
 from handeye_ros.estimation.blocks import blocks_at, blocks_with_columns, ParameterBlock
 from handeye_ros.estimation.least_squares import FREE_DIRECTION
-from handeye_ros.estimation.noise import LOCAL_DISTORTION_INDEX, NoiseModel
+from handeye_ros.estimation.noise import factors_but_local_distortion, NoiseModel
 from handeye_ros.estimation.posterior import Posterior, posterior_at
 from handeye_ros.estimation.problem import (
     Estimate,
@@ -36,7 +36,7 @@ FULL_STEPS = 5  # in which the taus change in full, later by half
 LAST_STEPS = 3  # of variance factors and taus, after the last of the unknowns
 LEFT_BY_OTHERS = 1e-6  # share of a variance; a station that leaves less to the others is needed
 # prior variance factors for the estimate: no distortion that differs, unless the data show some
-MAP_PRIOR_FACTORS = np.where(np.arange(5) == LOCAL_DISTORTION_INDEX, 1e-4, 1.0)
+MAP_PRIOR_FACTORS = factors_but_local_distortion(1e-4)
 
 
 @dataclass(frozen=True, eq=False)

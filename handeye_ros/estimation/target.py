@@ -51,18 +51,16 @@ class Target(ABC):
     There are m observations of points p (..., m, 3) in the base, and k parameters of the target.
     Its state (..., 16 + j) is its pose (4, 4) in the base, followed by j measures.
 
-    kinds: names of the conditions, first those on faces, which begin with face (face_kinds); that
-        of the edge parallel to edge p is p_far (notes_of)
+    kinds: names of the conditions, first those on faces, which begin with face (face_kinds)
     parameter_names: names of the parameters: of the pose, then of the measures
     pose_axes: which of x y z rx ry rz, along and about its own axes, are parameters; the others
         leave it the same
     normals: (kinds, 3) by kind, of the surface through the origin on which its points lie
-    edge_kinds: the conditions at edges, by their index in kinds; a station that shows edges
-        must use one
+    edge_kinds: the conditions at edges, by their index in kinds, each with its edge, of which
+        parallel ones show the same and share a name; a station that shows edges must use one
     min_samples: fewest samples
-    freed_measure: settings of the target with which its last measure is unknown, where it has one
-    freed_lengths: settings of the target with which its stated lengths may be wrong, where it has
-        some
+    unstated_measure: its settings with which its last measure is unknown, where it has one
+    loosened_lengths: its settings with which its stated lengths may be wrong, where it has some
     face_count: how many of its faces one view has
     several_in_view: whether a profile may show several candidates, surfaces or pairs of them, of
         which one is the target: a wrong estimate may fit well
@@ -73,10 +71,10 @@ class Target(ABC):
     parameter_names: tuple[str, ...]
     pose_axes: ClassVar[Sequence[int]]
     normals: ClassVar[Array]
-    edge_kinds: tuple[int, ...] = ()
+    edge_kinds: ClassVar[Mapping[int, str]] = {}
     min_samples = 6
-    freed_measure: ClassVar[Mapping[str, Any]] = {}
-    freed_lengths: ClassVar[Mapping[str, Any]] = {}
+    unstated_measure: ClassVar[Mapping[str, Any]] = {}
+    loosened_lengths: ClassVar[Mapping[str, Any]] = {}
     face_count = 1
     several_in_view = False
 
@@ -95,7 +93,11 @@ class Target(ABC):
 
     @abstractmethod
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-        """Yield estimates to start from, best first, computed on demand."""
+        """
+        Yield estimates to start from, best first, computed on demand.
+
+        Raises LinAlgError where the samples do not determine one.
+        """
 
     @abstractmethod
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
@@ -175,12 +177,12 @@ class Target(ABC):
 
     def half_turn_misfit(self, linear: Linearisation) -> tuple[str, float]:
         """
-        Return about which place of the view half a turn changes least, and by how much (m RMS).
+        Return in words the place of the view through which all lines go best, and their misfit.
 
-        Half a turn of the sensor plane about a point c makes of a condition r at s, of gradient n,
-        2 n (c - s) + r, as small as before where all lines go through c. The place is the c for
-        which n (c - s) + r is least, in words; that is returned, half of the change.
+        The misfit (m RMS) is half of what half a turn of the sensor plane about the place changes.
         """
+        # half a turn about a point c makes of a condition r at s, of gradient n, r + 2 n (c - s):
+        # -r, as small as before, where all lines go through c, and twice r + n (c - s) beside it
         n, s, r = linear.wrt_point, linear.problem.observations.points, linear.residuals
         c = np.linalg.lstsq(n, (n * s).sum(axis=1) - r, rcond=None)[0]
         return 'at one point', rms(r + ((c - s) * n).sum(axis=1))

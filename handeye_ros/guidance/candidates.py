@@ -106,7 +106,7 @@ def anchor_of(problem: Problem, station: int) -> Array:
 
 def _anchored(problem: Problem, obs: Observations) -> NDArray[np.bool_]:
     """Return which observations (m,) of a station the anchor is the mean of."""
-    at_edge = np.isin(obs.kind, problem.target.edge_kinds)
+    at_edge = np.isin(obs.kind, list(problem.target.edge_kinds))
     return at_edge if at_edge.any() else ~at_edge
 
 
@@ -194,7 +194,7 @@ def _shows_the_same(linear: Linearisation, template: Linearisation, same_point: 
     on_target = np.abs(linear.residuals).reshape(shape).max(axis=1) < ON_TARGET
     # the crossing is steep: moves along the laser line show at edges, in the plane at faces
     A = linear.wrt_point.reshape(*shape, 2)
-    at_edge = np.isin(problem.observations.kind, problem.target.edge_kinds) @ same_point > 0
+    at_edge = np.isin(problem.observations.kind, list(problem.target.edge_kinds)) @ same_point > 0
     sine_squared = np.where(at_edge, A[..., 0] ** 2, (A ** 2).sum(axis=2)) @ same_point
     crossing = problem.config.sampling.min_crossing_angle + STOP_POSE_ERROR[1]
     # surfaces are seen from the same side, where the template tells one

@@ -4,10 +4,10 @@
 Where a face of a profile ends in an edge, and where it only ends.
 
 `edge_at` decides from one end of a face: all that makes it real, or speaks against it, stands
-there, in the order of the file. `face_features` (faces.py) chooses the face; `features_of_stop`
-(sampling/features.py) needs an edge on that side in most profiles of a stop, and takes those of
-the most frequent ending; in the solve a target leaves an edge unused that lies on none of its own
-(`reassign`).
+there, in the order of the file. `face_features` (faces.py) chooses the face, one beside a nearer
+surface last; `features_of_stop` (sampling/features.py) needs an edge on that side in most profiles
+of a stop, and takes those of the most frequent ending; in the solve a target leaves an edge unused
+that lies on none of its own (`reassign`).
 
 The sensor looks down on a face (===) that ends at its right:
 
@@ -186,7 +186,8 @@ def edge_at(end: FaceEnd) -> EdgePoint:
         return _edge_at_roof(end, next_surface)
     ending = _ending(end, next_surface, tail)
     _require_room(end)
-    return _edge_at_wall(end, tail) or _edge_before_drop(end, tail, ending, next_surface)
+    ground = next_surface if ending in ('step', 'shadow') else None
+    return _edge_at_wall(end, tail) or _edge_before_drop(end, tail, ending, ground)
 
 
 def _require_room(end: FaceEnd) -> None:
@@ -360,12 +361,12 @@ RIM_SHARE, MAX_RIM = 4, 3  # last points of a bent end that are not used: 1 in s
 LOST_STD = 0.17  # 1 sigma of an edge due to lost points, in columns
 
 
-def _edge_before_drop(end: FaceEnd, tail: Indices, ending: str,
-                      next_surface: Segment | None) -> EdgePoint:
+def _edge_before_drop(end: FaceEnd, tail: Indices, ending: str, ground: Segment | None
+                      ) -> EdgePoint:
     """
     Return the edge at the end of a plate, its tail included, before a drop.
 
-    next_surface: the one seen below, if the face ends in a step or shadow.
+    ground: the surface seen below, of a step or shadow; None of other endings.
     """
     plate = np.concatenate([end.segment.columns[-LAST_POINTS:], tail])
     u, v = end.coordinates(plate)
@@ -374,7 +375,6 @@ def _edge_before_drop(end: FaceEnd, tail: Indices, ending: str,
     plate_end = max(float(u[-1]), flat_end)
     # the points of a bent end are nearer to each other
     spacing = float(u[-1] - u[-LAST_POINTS]) / (LAST_POINTS - 1) if len(tail) else pitch
-    ground = next_surface if ending in ('step', 'shadow') else None
     way, std = _distance_to_edge(end, int(plate[-1]), min(max(spacing, 0.0), pitch), ground)
     edge_u = plate_end + way
     edge = end.edge(edge_u, math.hypot(std, pitch * LOST_STD), ending)

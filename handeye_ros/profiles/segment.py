@@ -19,9 +19,8 @@ from handeye_ros.profiles.ransac import dominant_line_inliers, MIN_LINE_WIDTH
 import numpy as np
 
 MAX_LINES = 5
-# largest step from one point of a line to its next, counted in points: a longer one splits it; and
-# most points off a line between its ends, of which more may be the middle of a bent face
-FOREIGN_POINTS = 5
+LONGEST_STEP = 5  # from one point of a line to its next, counted in points: a longer one splits it
+MAX_OFF_LINE = 5  # points between the ends of a line: more may be the middle of a bent face
 STRAY_GAP = 2  # an end point further than this from its neighbour is on the line by chance
 INLIER_SIGMAS = 4.0
 MAX_NOISE = 30.0  # times the configured noise: more is no surface
@@ -83,8 +82,9 @@ def noise_level(z: Array, configured: float) -> float:
     """
     Return the range noise (m, 1 sigma) of ranges z (n,) of consecutive valid points.
 
-    It is a third to MAX_NOISE times the configured one, and that of fewer than 8 points. With a
-    third of gross outliers a third of the second differences is still free of them.
+    It is a third to MAX_NOISE times the configured one; of fewer than 8 points it is the
+    configured one. With a third of gross outliers a third of the second differences is still free
+    of them.
     """
     if len(z) < 8:
         return configured
@@ -146,7 +146,7 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
         if len(new) == 1:
             # a bent laser line shows a plane as a parabola, of which parts are off every line
             within = (columns[unassigned] >= new[0].first) & (columns[unassigned] <= new[0].last)
-            if np.count_nonzero(within & ~is_near) > FOREIGN_POINTS:
+            if np.count_nonzero(within & ~is_near) > MAX_OFF_LINE:
                 on_line = is_near & within
                 parabola = np.polyfit(left_x[on_line], left_z[on_line], 2)
                 is_near |= within & (np.abs(left_z - np.polyval(parabola, left_x)) < tolerance)
@@ -161,7 +161,7 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
 
 def _pieces(members: Indices) -> Iterator[Indices]:
     """Split the points of a line where points of another surface are between them."""
-    cuts = np.flatnonzero(np.diff(members) > FOREIGN_POINTS) + 1
+    cuts = np.flatnonzero(np.diff(members) > LONGEST_STEP) + 1
     for piece in np.split(members, cuts):
         while len(piece) > 2 and piece[1] - piece[0] > STRAY_GAP:
             piece = piece[1:]

@@ -81,7 +81,8 @@ def budget_table(terms: Sequence[BudgetTerm], samples: int) -> RenderableType:
     causes = figures_table('1 sigma by cause', 'share', 'mapped points', 'position', 'rotation',
                            rows=rows, right=range(1, 5))
     return Group(causes, Text(f'squares add up; {samples} samples; mapped points: RMS over '
-                              'the field of view;\nposition, rotation: RMS of the axes'))
+                              'nine points of the\npart of the view that the samples show; '
+                              'position, rotation: RMS of the axes'))
 
 
 def transform_rows(calibration: Calibration) -> Iterator[tuple[str, str, str, str]]:

@@ -26,13 +26,12 @@ from handeye_ros.data import Array, Indices
 from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.least_squares import (
     covariance_from_jacobian,
-    drop_outliers,
     LeastSquares,
-    leave_one_out_residuals,
     rms_by,
     Rows,
 )
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, prior_variances, whitening
+from handeye_ros.estimation.outliers import drop_outliers, leave_one_out_residuals
 from handeye_ros.estimation.problem import Estimate, linearise, Problem
 from handeye_ros.frames import mount_poses
 import numpy as np

@@ -20,7 +20,7 @@ from handeye_ros.checks.refusals import require_certain
 from handeye_ros.config import Config
 from handeye_ros.csv_tables import ANGLE, CsvTable, LENGTH, require_different
 from handeye_ros.data import Indices, ROBOT_POSITION_ERROR
-from handeye_ros.estimation.least_squares import robust_least_squares
+from handeye_ros.estimation.outliers import robust_least_squares
 from handeye_ros.published import jing2020
 from handeye_ros.robot.arm_answer import ArmAnswer
 from handeye_ros.robot.estimate import ArmFit, ArmPoints, MIN_STOPS, with_estimated_weights

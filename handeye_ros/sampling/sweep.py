@@ -64,7 +64,7 @@ from handeye_ros.data import (
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.basis import smooth_basis_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock, smooth_errors
-from handeye_ros.estimation.least_squares import typical_square
+from handeye_ros.estimation.outliers import typical_square
 from handeye_ros.estimation.problem import Estimate, Linearisation, PoseModel, Problem
 from handeye_ros.estimation.search import (
     CONVINCING_SQUARE,

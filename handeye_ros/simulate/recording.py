@@ -38,7 +38,7 @@ class TrueStop:
     A stop of the robot with its true values.
 
     start, end: stamps of the stop (0, 0 of a sweep)
-    label: the edge that the line crosses ('p', 'q', 'p2', 'q2'), or 'sphere', 'plane' or 'wedge'
+    label: the edge that the line crosses (p, q, p_far, q_far), or sphere, plane or wedge
     point: (2,) true point of the edge or plane, or centre of the arc, along the line and range in
         the standard sensor frame
     T_base_flange, T_base_flange_reported: (4, 4)

@@ -61,7 +61,7 @@ class Placements:
     Poses of the sensor at n stops.
 
     T_target_sensor: (n, 4, 4), standard sensor frame
-    labels: of each the edge of the plate that is seen (p, q, p2, q2), else the name of the scene
+    labels: of each the edge of the plate that is seen (p, q, p_far, q_far), else the scene's name
     points: (n, 2) true point of edge or plane, or centre of the arc, in the sensor plane (m)
     """
 
@@ -187,7 +187,7 @@ def edge_frames(target: PlateTarget) -> dict[str, Array]:
     (length, width), angle = target.size, target.edge_angle
     end_of_q = (width * math.cos(angle), width * math.sin(angle))
     starts = {'p': (0.0, (0.0, 0.0)), 'q': (angle + math.pi, end_of_q),
-              'p2': (math.pi, (length, width)), 'q2': (math.pi / 2, (length, 0.0))}
+              'p_far': (math.pi, (length, width)), 'q_far': (math.pi / 2, (length, 0.0))}
     return {label: se3.transform(Rotation.from_rotvec([0, 0, turn]).as_matrix(),
                                  np.array([*start, 0.0]))
             for label, (turn, start) in starts.items()}
@@ -199,7 +199,7 @@ def plate_placements(scenario: Scenario, rng: Generator) -> Placements:
     counts = scenario.stops
     labels = ['p'] * counts[0] + ['q'] * counts[1]
     for k in rng.permutation(len(labels))[:scenario.wrong_edges]:
-        labels[k] += '2'
+        labels[k] += '_far'
     fraction, points = np.split(np.concatenate([
         _in_view(scenario, rng, n, 0.5, 0.22, (0.0, 1.0)) for n in counts]), [1], axis=1)
     if MOTIONS[scenario.motion].shared:

@@ -135,7 +135,7 @@ def table_top(depth: float | None) -> tuple[Solid, ...]:
 
 
 def slab(target: PlateTarget) -> tuple[Solid, ...]:
-    """Return the solids of a flat plate, with the given shape of its edges."""
+    """Return the solids of a flat plate; its edges are rounded, or else bevelled, as given."""
     (length, width), r, bottom = target.size, target.rounding, -target.thickness
     if r:
         return (box((r, r, bottom), (length - r, width - r, 0)),

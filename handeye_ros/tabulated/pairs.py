@@ -26,14 +26,8 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.csv_tables import CsvTable, require_different
 from handeye_ros.data import Array, Indices, SEED
 from handeye_ros.errors import DataError, require_count
-from handeye_ros.estimation.least_squares import (
-    chi2_isf,
-    inverse_roots,
-    LeastSquares,
-    robust_least_squares,
-    RobustFit,
-    Rows,
-)
+from handeye_ros.estimation.least_squares import chi2_isf, inverse_roots, LeastSquares, Rows
+from handeye_ros.estimation.outliers import robust_least_squares, RobustFit
 from handeye_ros.frames import mount_frame, mount_poses
 from handeye_ros.notations import NOTATIONS
 from handeye_ros.published.park1994 import solve_motions

@@ -39,7 +39,7 @@ import numpy as np
 EDGE_Y, EDGE_Z = 1, 2
 LINE_SOLUTIONS = 24  # that are tried, of those over a grid of directions
 SAME_FACE = 0.25  # rad: largest angle between the faces of two stations about the edge
-# of ends, by Observations.ending: 0 no end, 1 corner, 2 step, 3 nothing beyond
+# of ends, by Observations.ending: 0 no end, 1 roof, 2 step or shadow, 3 gap or open
 END_GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in ENDINGS)])
 
 
@@ -78,7 +78,7 @@ def problems_with_one_end(problem: Problem) -> Iterator[list[Problem]]:
     Yield problems with one end of a face per station, chosen in several ways.
 
     If a face has several visible ends, it is unknown which one is the edge. Nearly all stations
-    see a corner as a corner, whatever else ends a face (the sensor's reach, a step): the first
+    see a roof as a roof, whatever else ends a face (the sensor's reach, a step): the first
     problems have ends of one group each, that of most stations first, the last ones those of all
     groups. Where a station has several on both sides of the face, there is a problem for each.
     """
@@ -103,7 +103,7 @@ class Line(ProfileTarget):
     normals = np.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, 1.0]])
     extract = staticmethod(face_features)
     required_features = (EdgePoint,)
-    edge_kinds = (EDGE_Y,)
+    edge_kinds = {EDGE_Y: 'edge'}
     min_samples = 7
     unassigned_edge_kinds = (EDGE_Y, EDGE_Z)
 

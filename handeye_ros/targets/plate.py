@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-A plate: two straight edges with a common corner, and the face between them.
+A plate: its face, and two straight edges with a common corner; with target.size all four.
 
 Frame of the target: corner at the origin, edge p along x, edge q along y (turned by the edge
 angle when that is free), face z = 0. Unknown beside X: the target's pose and, on demand, the
@@ -131,7 +131,7 @@ def _two_lines(points: Array, outward: Array, rng: np.random.Generator) -> tuple
 
 
 class Plate(ProfileTarget):
-    """A plate: two straight edges with a common corner, and the face between them."""
+    """A plate: its face, and two straight edges with a common corner; with a size all four."""
 
     name = 'plate'
     kinds = ('face', *(edge.name for edge in EDGES.values()))
@@ -139,9 +139,9 @@ class Plate(ProfileTarget):
     pose_axes = range(6)
     extract = staticmethod(face_features)
     required_features = (FaceLine, EdgePoint)
-    edge_kinds = tuple(EDGES)
-    freed_measure = {'edge_angle_free': True}
-    freed_lengths = {'size_std': 3e-3}
+    edge_kinds = {P: 'p', Q: 'q', P_FAR: 'p', Q_FAR: 'q'}
+    unstated_measure = {'edge_angle_free': True}
+    loosened_lengths = {'size_std': 3e-3}
     unassigned_edge_kinds = (P,)  # until an edge is found for it
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
@@ -218,6 +218,8 @@ class Plate(ProfileTarget):
 
         observations, p: all of these stations; where several points agree, it is another edge.
         """
+        # points at the far sides first: how far they are from the near edges is what target.size
+        # should say. Without it those at the near sides have no far edges to be measured from
         rows, _, outward = _edge_points(observations, p, state)
         size, texts = config.target.size, []
         for edge in reversed(EDGES.values()):

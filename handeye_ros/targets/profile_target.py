@@ -13,7 +13,7 @@ is the smallest. It states
 - starts: estimates to search from (starts.py), and reassign where a profile may show other things
 - describe: what was estimated, as plain values
 - where they differ from those of ProfileTarget and Target: edge_kinds, unassigned_edge_kinds,
-  min_samples, freed_measure, freed_lengths, face_count, several_in_view, lost_with_one_axis
+  min_samples, unstated_measure, loosened_lengths, face_count, several_in_view, lost_with_one_axis
 - edge_place, where another point than the edge point is on the edge
 - axes, where its moves are not along and about its own axes
 - retract and measures, where its parameters are not the entries of its state

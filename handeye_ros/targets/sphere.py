@@ -31,7 +31,9 @@ from scipy.spatial.transform import Rotation
 ROTATION_COUNT = 1200
 SPHERE_SOLUTIONS = 16  # that are tried, of those with random rotations of the sensor
 START_RADIUS_RATIO = 1.05  # an unknown radius over that of the largest circle
-MIDDLE_WEIGHT = 1e-9  # weight of a centre at the middle of the poses (regularisation)
+# regularisation: weight of a centre at the middle of the poses, and of no shift of the sensor in
+# its plane
+MIDDLE_WEIGHT = 1e-9
 
 
 def _linear_solutions(problem: Problem, rng: np.random.Generator) -> list[Estimate]:
@@ -73,7 +75,7 @@ class Sphere(ProfileTarget):
     name = 'sphere'
     kinds = ('arc',)
     parameter_names, pose_axes = ('x', 'y', 'z', 'radius'), (0, 1, 2)
-    freed_measure = {'radius': 0.0}
+    unstated_measure = {'radius': 0.0}
     extract = staticmethod(arc_features)
     required_features = (Arc,)
 
@@ -95,7 +97,7 @@ class Sphere(ProfileTarget):
 
     def half_turn_misfit(self, linear: Linearisation) -> tuple[str, float]:
         """
-        Return the line of the view about which half a turn changes least, and m RMS off it.
+        Return in words the line of the view on which all centres lie best, and m RMS off it.
 
         An arc does not tell on which side of the sensor plane its centre lies.
         """

@@ -25,6 +25,7 @@ FITTING_SHARE = 0.7  # of the stations that a start should fit
 SIMILAR_RATIO = 2.0  # to the best start's distance: up to it the given order decides
 TRIED_DIRECTIONS = 400  # for a line or the normal of a plane
 TINY = 1e-30  # m^2
+DEFECT_LENGTH = 1e-3  # m RMS: residuals that are as bad as r1 of length 0
 
 
 def with_few_stations(problem: Problem, rng: np.random.Generator) -> Problem:
@@ -33,7 +34,7 @@ def with_few_stations(problem: Problem, rng: np.random.Generator) -> Problem:
 
 
 def random_indices(count: int, most: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Return at most `most` of count stations, ascending."""
+    """Return at most `most` of the indices below count, ascending."""
     return np.sort(rng.permutation(count)[:most])
 
 
@@ -159,7 +160,7 @@ def linear_solutions(problem: Problem, axes: list[int], across: slice, count: in
     r1, r3, t, c = np.split(solved[..., 0], [3, 6, 9], axis=1)
     defect = (np.abs((r1 ** 2).sum(1) - 1) + np.abs((r3 ** 2).sum(1) - 1)
               + np.abs((r1 * r3).sum(1)))
-    best = np.argsort(rms / 1e-3 + defect)[:count]
+    best = np.argsort(rms / DEFECT_LENGTH + defect)[:count]
 
     # the nearest rotation of each, and the frame with its origin on the target
     U, _, Vt = np.linalg.svd(np.stack([r1, r3], axis=1)[best], full_matrices=False)

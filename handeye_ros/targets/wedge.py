@@ -4,9 +4,10 @@
 The edge of a block, or a groove: two faces, both visible in every profile.
 
 Frame of the target: x along the edge, the origin on it. Each face contains the edge and is turned
-about it by an angle, which the state holds. Unknown beside X: the edge as a line (4), a common
-turn of both faces about it, and the angle between them. A profile gives two face lines, each in
-its face, so they cross on the edge. The sides tell which face is which, so it need not be stated.
+about it by an angle, which the state holds. Unknown beside X: the edge as a line (four
+parameters), a common turn of both faces about it, and the angle between them. A profile gives two
+face lines, each in its face, so they cross on the edge. The sides tell which face is which, so it
+need not be stated.
 """
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ from handeye_ros.estimation.least_squares import (
     Whitener,
 )
 from handeye_ros.estimation.noise import (
-    LOCAL_DISTORTION_INDEX,
+    factors_but_local_distortion,
     NoiseModel,
     total_covariance,
     Whitening,
@@ -64,7 +64,7 @@ UNSEEN_CHANGE = 1e-6  # change of a value that no distance shows, per unit of an
 # 1 sigma of an unknown without a prior, in units of the sigma by which the residuals show it
 FREE_STD = 1e6
 # noise.distortion is here, and of faces alone, what makes steep ones uncertain (`_covariance`)
-WITHOUT_LOCAL_DISTORTION = NoiseModel(np.where(np.arange(5) == LOCAL_DISTORTION_INDEX, 0.0, 1.0))
+WITHOUT_LOCAL_DISTORTION = NoiseModel(factors_but_local_distortion(0.0))
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from handeye_ros import output
 from handeye_ros.config import Config, VerifyConfig
 from handeye_ros.data import Calibration, Reject, ROBOT_POSITION_ERROR, Sample
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.estimation.least_squares import FALSE_ALARM
+from handeye_ros.estimation.outliers import FALSE_ALARM
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.verification.fit import (
     COVERAGE_FACTOR,

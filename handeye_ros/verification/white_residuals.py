@@ -14,7 +14,8 @@ from typing import Generic, NamedTuple, TypeVar
 from handeye_ros import se3
 from handeye_ros.data import Array, Indices
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.estimation.least_squares import chi2_sf, drop_outliers
+from handeye_ros.estimation.least_squares import chi2_sf
+from handeye_ros.estimation.outliers import drop_outliers
 import numpy as np
 
 ONE_SIDED_95 = 1.64  # sigmas that a normal value exceeds with 5 %

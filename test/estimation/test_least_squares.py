@@ -1,25 +1,22 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The one least squares: what it finds, what blocks say of it, quantiles, priors and threads."""
+"""The one least squares: what it finds, which items it leaves out, and quantiles."""
 from __future__ import annotations
 
-import json
-import os
-
-from command import run_python
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import (
     chi2_isf,
     chi2_sf,
     covariance_from_jacobian,
     LeastSquares,
-    leave_one_out_residuals,
     many_least_squares,
-    robust_least_squares,
     Rows,
+)
+from handeye_ros.estimation.outliers import (
+    leave_one_out_residuals,
+    robust_least_squares,
     worst_outliers,
 )
-from handeye_ros.estimation.noise import prior_variances
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -105,49 +102,3 @@ def test_chi_squared_takes_arrays_and_is_nan_without_a_degree_of_freedom() -> No
     probabilities = chi2_sf(np.array([0.0, 1.0, 2.0, 2.0]), np.array([0, 0, 1, 3]))
     assert np.isnan(probabilities).tolist() == [True, True, False, False]
     np.testing.assert_allclose(probabilities[2:], stats.chi2.sf(2.0, [1, 3]))
-
-
-@pytest.mark.parametrize(('count', 'scale'), [(2, 1.3), (10, 1.3), (1, 1.7)])
-def test_without_evidence_a_scale_is_for_the_report_as_documented(count: int, scale: float
-                                                                  ) -> None:
-    _, for_report = prior_variances(np.eye(count), np.zeros(count), 1.0, 400.0)
-    assert np.sqrt(for_report) == pytest.approx(scale, abs=0.05)
-
-
-@pytest.mark.parametrize(('value', 'std', 'least', 'most'), [
-    (9.0, 6.0, 0.0, 2.0),  # of 1.5 sigma: not believed at several times its prior
-    (0.0, 2.0, 0.7, 2.0),  # it may be there as configured
-    (50.0, 0.5, 20.0, 100.0), (0.0, 0.01, 0.0, 0.3)])  # what the data show is believed
-def test_a_scale_is_what_data_show(value: float, std: float, least: float, most: float) -> None:
-    """Of a single parameter that the data alone put at value +- std."""
-    information = 1 / std ** 2
-    covariance = np.array([[1 / (1 + information)]])
-    _, for_report = prior_variances(covariance, covariance[0] * value * information, 1.0, 1e8)
-    assert least < np.sqrt(for_report) < most
-
-
-# In a process of its own: other tests load libraries with pools of their own, at any time.
-PROGRAM = r"""
-from threading import Event, Thread
-from handeye_ros.threads import single_threaded
-import handeye_ros.pipeline  # loads every library that a solve needs
-from threadpoolctl import threadpool_info
-
-def threads():
-    return [pool['num_threads'] for pool in threadpool_info() if pool['user_api'] == 'blas']
-
-began, both_run, before = Event(), Event(), threads()
-first = Thread(target=single_threaded(lambda: [began.set(), both_run.wait()]))
-first.start()
-began.wait()
-inside = threads()
-single_threaded(lambda: [both_run.set(), first.join()])()
-print(before, inside, threads(), sep='\n')
-"""
-
-
-def test_solves_use_one_blas_thread_and_after_the_last_as_many_as_before() -> None:
-    pytest.importorskip('threadpoolctl', reason='needs threadpoolctl')
-    run = run_python('-c', PROGRAM, env={**os.environ, 'OPENBLAS_NUM_THREADS': '2'})
-    before, inside, after = map(json.loads, run.stdout.splitlines())
-    assert set(inside) == {1} and after == before

@@ -104,25 +104,12 @@ def test_edges_of_the_plate_that_are_not_ours_do_no_harm(seed: int) -> None:
     sides = set()
     for stop, sample in zip(plate_cell.truth.stops, plate_cell.samples, strict=True):
         report = reports[sample.stamp]
-        if stop.label.endswith('2'):
+        if stop.label.endswith('_far'):
             assert report.edge == '' and report.reason, 'told, though its face may be used'
         else:
             assert report.used and report.edge in ('p', 'q')
             sides.add((stop.label, report.edge))
     assert len(sides) == 2, 'one name for each edge'
-
-
-@pytest.mark.thorough
-def test_all_four_edges_are_used_when_the_size_is_known() -> None:
-    with_size = cell('wrong_edges', 1, target__size=[0.2, 0.15])
-    without_size = cell('wrong_edges', 1)
-    calibration = with_size.solve()
-    stops = with_size.truth.stops
-    labels = {s.stamp: t.label for s, t in zip(with_size.samples, stops, strict=True)}
-    used = {(labels[r.stamp], r.edge) for r in calibration.samples}
-    assert all(edge for _, edge in used) and len(used) == len(set(labels.values()))
-    # the noise is estimated in both
-    assert np.trace(calibration.covariance) < np.trace(without_size.solve().covariance) * 1.05
 
 
 def test_fewer_conditions_than_unknowns_leave_a_direction_free() -> None:

@@ -6,12 +6,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from handeye_ros.config import Config
-from handeye_ros.data import Array, EdgePoint, Feature
+from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
 from handeye_ros.profiles.faces import face_features
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 import numpy as np
+import pytest
 
+CONFIG = Config()
 NOISE = 3e-5
 COLUMNS = 641
 X = np.linspace(-0.02, 0.02, COLUMNS)
@@ -41,6 +43,24 @@ def edge_of(points: Array) -> EdgePoint:
     _, edge = face_features(with_lost(points), Config())
     assert isinstance(edge, EdgePoint)
     return edge
+
+
+def features_of(points: Array, config: Config = CONFIG) -> tuple[FaceLine, list[EdgePoint]]:
+    """Return the face line and the edges of a profile, left to right."""
+    line, *edges = face_features(points, config)
+    assert isinstance(line, FaceLine)
+    assert all(isinstance(edge, EdgePoint) for edge in edges)
+    return line, sorted(edges, key=lambda edge: edge.point[0])
+
+
+def assert_edge(edge: EdgePoint, x: float, z: float, side: int, kind: str) -> None:
+    """Check an edge at x, z whose face lies on the other side of it than side says."""
+    along = edge.direction
+    assert edge.ending == kind and np.sign(along[0]) == side
+    assert np.linalg.norm(along) == pytest.approx(1)
+    away = np.array([x, z]) - edge.point
+    assert abs(away @ along) < 4 * edge.std and abs(away @ along) < 2 * PITCH
+    assert abs(away @ [-along[1], along[0]]) < 5 * edge.std_across
 
 
 def many(height: Callable[[Array], Array], count: int = 15, seed: int = 0

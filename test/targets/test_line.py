@@ -41,7 +41,7 @@ def test_a_bar_of_which_both_edges_are_in_sight(width: float, use_face: bool) ->
 def test_stations_at_another_edge_are_left_out() -> None:
     line_cell = cell(replace(LINE, wrong_edges=2), 4)
     calibration = line_cell.solve()
-    wrong_stamps = {s.start for s in line_cell.truth.stops if s.label == 'p2'}
+    wrong_stamps = {s.start for s in line_cell.truth.stops if s.label == 'p_far'}
     assert {report.stamp for report in calibration.samples if not report.used} == wrong_stamps
     assert line_cell.error(calibration.T_flange_sensor) < 3e-4
 
