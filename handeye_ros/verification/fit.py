@@ -47,13 +47,16 @@ from handeye_ros.verification.white_residuals import (
     covariance_root,
     GroupFit,
     largest_displacement,
-    ONE_SIDED_95,
     regularised_least_squares,
 )
 import numpy as np
 import scipy.linalg
+from scipy.special import chdtri, chndtrinc
 
-DETECTION_SIGMAS = 1.96 + ONE_SIDED_95  # an error is seen with 95 % if false alarms are 5 %
+SIGNIFICANCE = 0.01  # level of the tests of a calibration error
+# an error of so many sigma is found with 95 %: p_chance, the test of its 6 unknowns together, then
+# is at most SIGNIFICANCE (noncentral chi2)
+DETECTION_SIGMAS = math.sqrt(chndtrinc(chdtri(6, SIGNIFICANCE), 6, 0.05))
 COVERAGE_FACTOR = 2.0  # coverage factor of expanded uncertainties (GUM: about 95 %)
 DIFFERENCE_STEP = 1e-7  # of numeric derivatives (m, rad)
 REFIT_COUNT = 5  # iterations for the calibration's error
@@ -169,9 +172,10 @@ class CalibrationError(NamedTuple):
     p_explained: probability of larger distances from the shape with this error
     p_chance: probability that chance looks at least as much like an error
     largest, largest_std: the largest displacement of a point by the error, and its 1 sigma (m)
-    smallest_detectable: the smallest error that would show, in the direction in which it shows
-        least, as RMS displacement of the points (m)
-    weakest_direction: this direction in words
+    weakest: (6,) the smallest error that would be found with 95 %, in the direction in which it
+        shows least (m, rad)
+    smallest_detectable: its size, the RMS displacement of the points (m)
+    weakest_direction: its direction in words
     """
 
     twist: Array
@@ -179,6 +183,7 @@ class CalibrationError(NamedTuple):
     p_chance: float
     largest: float
     largest_std: float
+    weakest: Array
     smallest_detectable: float
     weakest_direction: str
 
@@ -279,10 +284,11 @@ def _calibration_error(A: Array, b: Array, conditions: int, linear: Linearisatio
     _, _, square_without = regularised_least_squares(A[:, 6:], b, information[6:])
     degrees_of_freedom = max(conditions - 6, 1)
     factor = max(square / degrees_of_freedom, 1.0)
+    covariance *= factor
     return CalibrationError(
         twist, float(chi2_sf(square, degrees_of_freedom)),
         float(chi2_sf((square_without - square) / factor, 6)),
-        *largest_displacement(linear.lever, twist, factor * covariance),
+        *largest_displacement(linear.lever, twist, covariance),
         *_weakest(covariance, linear.lever, mount_frame(linear.problem.config)))
 
 
@@ -331,9 +337,9 @@ def _measured(shape: Shape, q: Array, J: Array, gain: Array, E: Array, calibrati
     return quantities, whiten @ deviation, whiten @ wrt_errors[known], chi2
 
 
-def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
+def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[Array, float, str]:
     """
-    Return smallest_detectable and weakest_direction of a CalibrationError.
+    Return weakest, smallest_detectable and weakest_direction of a CalibrationError.
 
     covariance (6, 6): of the calibration's error, in its mount; lever (m, 3): from the sensor.
     """
@@ -344,8 +350,8 @@ def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
     by_rotation = np.sqrt(worst[3:] @ mean_square[3:, 3:] @ worst[3:])
     motion, axis = (('position along', worst[:3]) if np.linalg.norm(worst[:3]) >= by_rotation else
                     ('rotation about', worst[3:]))
-    return (DETECTION_SIGMAS / math.sqrt(max(power[0], 1e-12)),
-            f'{motion} {direction_in_words(axis, mount)}')
+    size = DETECTION_SIGMAS / math.sqrt(max(power[0], 1e-12))
+    return size * worst, size, f'{motion} {direction_in_words(axis, mount)}'
 
 
 def refit_shape(shape: Shape, X: Array, C: Array, robot_smooth: float) -> ShapeFit:

@@ -9,8 +9,9 @@ uncertainty u of the measurement here (sensor, robot, nominal value). The margin
 - for values with a nominal, and points: the expanded uncertainty U = 2 u
 - for the calibration's error, if chance does not explain it (p_chance): 1.64 u, one-sided 95 %
 
-It is insensitive where an error of 3.6 u exceeds the tolerance. The covariance that the
-calibration states is what is verified, and takes no part in u.
+It is insensitive where an error of the calibration has to be larger than the tolerance to be found
+with 95 % (DETECTION_SIGMAS). The covariance that the calibration states is what is verified, and
+takes no part in u.
 """
 from __future__ import annotations
 
@@ -32,6 +33,7 @@ from handeye_ros.verification.fit import (
     Quantity,
     refit_shape,
     ShapeFit,
+    SIGNIFICANCE,
 )
 from handeye_ros.verification.routines import Routine
 from handeye_ros.verification.station_set import StationSet
@@ -40,7 +42,6 @@ from handeye_ros.verification.white_residuals import fit_without_outliers, ONE_S
 from handeye_ros.words import count_of, mm
 import numpy as np
 
-SIGNIFICANCE = 0.01  # level of the tests of a calibration error
 INCONSISTENT_P = 1e-3  # level of the test that the points agree
 UNEXPLAINED_P = 1e-6  # below this p no error of the calibration explains the points
 OTHER_SIZE = ('the points fit the shape, and no error of the calibration explains these '
@@ -231,7 +232,7 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Gro
     if not failed and (detectable := fit.error.smallest_detectable) > settings.tolerance:
         verdict = 'insensitive'
         undecided.insert(0, (
-            'this decides nothing: an error of the calibration would show only from '
+            'this decides nothing: an error of the calibration would show with 95 % only from '
             f'{mm(detectable)} on ({fit.error.weakest_direction}), and the tolerance is '
             f'{mm(settings.tolerance)}{remedy(detectable, settings.tolerance)}'))
     return verdict, tuple(dict.fromkeys(
