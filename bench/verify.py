@@ -64,10 +64,10 @@ from handeye_ros.simulate.scenario import (
 from handeye_ros.simulate.scenes import Placements, tilts
 from handeye_ros.simulate.scenes import SCENES as TARGET_SCENES
 from handeye_ros.simulate.sensor import lift
+from handeye_ros.verification.check import CalibratedCell, Check, check
 from handeye_ros.verification.routines import Routine, ROUTINES
 from handeye_ros.verification.station_set import StationSet
 from handeye_ros.verification.stations import stations_of, stations_of_passes
-from handeye_ros.verification.still_holds import CalibratedCell, Check, check
 from handeye_ros.verification.verify import Verification, verify_stations
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -336,7 +336,7 @@ def shown(name: str, seed: int, scenes: dict = SCENES) -> bool:
     rng = np.random.default_rng(seed)
     made, C, aim = scenes[name](rng), covariance(rng), aim_of(name, scenes)
     true, = runs(ROUTINES[name], made, (calibration(made.T_flange_sensor, C),), aim)
-    error = true.fit.error
+    error = true.fit.misalignment
     try:
         off, = runs(ROUTINES[name], made, (calibration(
             se3.perturb(made.T_flange_sensor, error.weakest), C),), aim, error.smallest_detectable)
@@ -472,7 +472,8 @@ def main() -> None:
         found = np.mean([shown(name, seed, scenes) for seed in seeds])
         inside = np.mean([within(right) for right, _ in trials])
         failed = np.mean([wrong.verdict == 'fail' for _, wrong in trials])
-        smallest_error = np.median([right.fit.error.smallest_detectable for right, _ in trials])
+        smallest_error = np.median([
+            right.fit.misalignment.smallest_detectable for right, _ in trials])
         verdicts = Counter(right.verdict for right, _ in trials)
         result = ', '.join(f'{count} {verdict}' for verdict, count in verdicts.most_common())
         print(f'{name:9} {inside:6.1%} {failed:11.1%} {1e3 * smallest_error:13.3f} {found:13.1%}  '

@@ -164,7 +164,7 @@ class Scatter:
     p: float
 
 
-class CalibrationError(NamedTuple):
+class Misalignment(NamedTuple):
     """
     The error of the calibration that the distances of a shape suggest, whatever its covariance.
 
@@ -201,7 +201,7 @@ class ShapeFit:
         covariances by measurement and calibration
     degrees_of_freedom: of chi2, the number of values with a nominal
     p_calibration: probability of a larger chi2 if the calibration's covariance is true
-    error: the error of the calibration that the distances suggest
+    misalignment: of the sensor, that the distances suggest
     """
 
     quantities: tuple[Quantity, ...]
@@ -211,7 +211,7 @@ class ShapeFit:
     chi2: float
     degrees_of_freedom: int
     p_calibration: float
-    error: CalibrationError
+    misalignment: Misalignment
 
 
 def fit_shape(shape: Shape, X: Array, C: Array, robot_smooth: float
@@ -257,10 +257,11 @@ def fit_shape(shape: Shape, X: Array, C: Array, robot_smooth: float
     variances = np.square(by_robot).sum(axis=1)  # of the distances, due to robot and sensor
     for batch in batches:
         variances[batch.rows] += np.einsum('nii->ni', _covariance(linear, batch))
-    error = _calibration_error(np.vstack([E_left, -deviation_wrt_errors]),
-                               np.append(r_left, deviation), degrees_of_freedom + known, linear)
+    misalignment = _misalignment(
+        np.vstack([E_left, deviation_wrt_errors]), np.append(r_left, deviation),
+        degrees_of_freedom + known, linear)
     fit = ShapeFit(quantities, scatter, linear.residuals, np.sqrt(variances), chi2, known,
-                   p_calibration, error)
+                   p_calibration, misalignment)
 
     # the test for outliers leaves shape and calibration free
     unknowns = np.hstack([J, E[:, :6]])
@@ -268,8 +269,7 @@ def fit_shape(shape: Shape, X: Array, C: Array, robot_smooth: float
     return GroupFit((shape, fit), r, np.hstack([unknowns, E[:, 6:]]), stations.group_of_point)
 
 
-def _calibration_error(A: Array, b: Array, conditions: int, linear: Linearisation
-                       ) -> CalibrationError:
+def _misalignment(A: Array, b: Array, conditions: int, linear: Linearisation) -> Misalignment:
     """
     Return the error of the calibration that distances and nominal values show.
 
@@ -285,11 +285,12 @@ def _calibration_error(A: Array, b: Array, conditions: int, linear: Linearisatio
     degrees_of_freedom = max(conditions - 6, 1)
     factor = max(square / degrees_of_freedom, 1.0)
     covariance *= factor
-    return CalibrationError(
+    weakest, size, direction = _weakest(
+        covariance, linear.lever, mount_frame(linear.problem.config))
+    return Misalignment(
         twist, float(chi2_sf(square, degrees_of_freedom)),
         float(chi2_sf((square_without - square) / factor, 6)),
-        *largest_displacement(linear.lever, twist, covariance),
-        *_weakest(covariance, linear.lever, mount_frame(linear.problem.config)))
+        *largest_displacement(linear.lever, twist, covariance), weakest, size, direction)
 
 
 def _covariance(linear: Linearisation, batch: StationGroup) -> Array:
@@ -334,12 +335,12 @@ def _measured(shape: Shape, q: Array, J: Array, gain: Array, E: Array, calibrati
         replace(quantity, value=value, std=std, std_by_calibration=std_by_calibration)
         for quantity, value, std, std_by_calibration in zip(
             shape.quantities, values.tolist(), *stds, strict=True))
-    return quantities, whiten @ deviation, whiten @ wrt_errors[known], chi2
+    return quantities, whiten @ deviation, -(whiten @ wrt_errors[known]), chi2
 
 
 def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[Array, float, str]:
     """
-    Return weakest, smallest_detectable and weakest_direction of a CalibrationError.
+    Return weakest, smallest_detectable and weakest_direction of a Misalignment.
 
     covariance (6, 6): of the calibration's error, in its mount; lever (m, 3): from the sensor.
     """
@@ -358,7 +359,7 @@ def refit_shape(shape: Shape, X: Array, C: Array, robot_smooth: float) -> ShapeF
     """Return the fit with the calibration error estimated as well, of up to MAX_SHIFT."""
     for _ in range(REFIT_COUNT):
         _, fit = fit_shape(shape, X, C, robot_smooth).result
-        if not fit.error.largest < MAX_SHIFT:
+        if not fit.misalignment.largest < MAX_SHIFT:
             break
-        X = se3.perturb(X, -fit.error.twist)
+        X = se3.perturb(X, -fit.misalignment.twist)
     return fit

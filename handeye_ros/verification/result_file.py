@@ -54,8 +54,8 @@ def plain_values(verification: Verification, inputs: Iterable[object] = (),
         KEYS.get(name, name): value for name, value in items if name != 'label'})
     fit = values.pop('fit')
     return {'format': FORMAT, 'version': __version__, 'k': COVERAGE_FACTOR, **values,
-            'scatter': fit['scatter'], 'smallest_error': fit['error'].smallest_detectable,
-            'weakest_direction': fit['error'].weakest_direction,
+            'scatter': fit['scatter'], 'smallest_error': fit['misalignment'].smallest_detectable,
+            'weakest_direction': fit['misalignment'].weakest_direction,
             **{key: fit[key] for key in ('region', 'freedom', 'claim_p')},
             'inputs': list(map(str, inputs)),
             'calibration_file': input_provenance(calibration_file) if calibration_file else {},

@@ -6,7 +6,8 @@ From the stations of several recordings and a calibration to the verdict of a ro
 The decisions are those of ISO 14253-1: a tolerance with a margin on both sides, a factor times the
 uncertainty u of the measurement here (sensor, robot, nominal value). The margin is
 
-- for values with a nominal, and points: the expanded uncertainty U = 2 u
+- for values with a nominal, and points: the expanded uncertainty U = 2 u; a point decides only
+  where it does not conform
 - for the calibration's error, if chance does not explain it (p_chance): 1.64 u, one-sided 95 %
 
 It is insensitive where an error of the calibration has to be larger than the tolerance to be found
@@ -138,9 +139,11 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
         np.unique(stations.group_of_point), lambda groups: fit_shape(
             routine.shape(stations.of_groups(groups), X, settings), X,
             calibration.covariance, robot_smooth))
-    if max(fit.scatter.p, fit.error.p_explained) < UNEXPLAINED_P and not routine.in_passes:
+    # tooth_gauge.py refuses what is no gauge; a wrong calibration, which blurs its faces, is to fail
+    if max(fit.scatter.p, fit.misalignment.p_explained) < UNEXPLAINED_P and not routine.in_passes:
         freed = refit_shape(shape, X, calibration.covariance, robot_smooth)
-        if freed.error.p_explained < UNEXPLAINED_P and freed.scatter.maximum > settings.tolerance:
+        if (freed.misalignment.p_explained < UNEXPLAINED_P
+                and freed.scatter.maximum > settings.tolerance):
             raise DataError(
                 f'this is not what "{routine.name}" measures: no small error of the calibration '
                 f'brings all points closer than {mm(freed.scatter.maximum)} to its shape. Check '
@@ -148,7 +151,8 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
                 'object did not move, that nothing else was in view (verify.near), and, of a '
                 'sweep, that the clocks are as they were (handeye check)')
     quantities = (*fit.quantities, *routine.form_errors(shape.stations, fit.distances), Quantity(
-        'likeliest error of the calibration', fit.error.largest, fit.error.largest_std))
+        'likeliest error of the calibration', fit.misalignment.largest,
+        fit.misalignment.largest_std))
     kind = 'pass' if routine.in_passes else 'profile' if config.sampling.moving else 'stop'
     per_group = _group_results(
         kind, stations, shape.stations, fit, p, dropped, rejects if kind == 'stop' else ())
@@ -223,20 +227,20 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Gro
             'these, or turn the sensor more between them')
 
     # the shape fits, but not in its size
-    other_size = fit.error.p_explained < UNEXPLAINED_P < fit.scatter.p
+    other_size = fit.misalignment.p_explained < UNEXPLAINED_P < fit.scatter.p
     findings = [*_quantity_findings(quantities, settings, remedy),
                 *_point_findings(fit, results, settings, other_size)]
     failed, undecided = ([sentence for outcome, sentence in findings if outcome == wanted]
                          for wanted in (VIOLATES, UNDECIDED))
     verdict = 'fail' if failed else 'undecided' if undecided else 'pass'
-    if not failed and (detectable := fit.error.smallest_detectable) > settings.tolerance:
+    if not failed and (detectable := fit.misalignment.smallest_detectable) > settings.tolerance:
         verdict = 'insensitive'
         undecided.insert(0, (
             'this decides nothing: an error of the calibration would show with 95 % only from '
-            f'{mm(detectable)} on ({fit.error.weakest_direction}), and the tolerance is '
+            f'{mm(detectable)} on ({fit.misalignment.weakest_direction}), and the tolerance is '
             f'{mm(settings.tolerance)}{remedy(detectable, settings.tolerance)}'))
-    return verdict, tuple(dict.fromkeys(
-        [*failed, *undecided, *_notes(fit, other_size, results)]))
+    return verdict, (*failed, *undecided, *_notes(
+        fit, other_size and OTHER_SIZE not in undecided, results))
 
 
 def decision(deviation: float, margin: float, tolerance: float) -> str:
@@ -256,7 +260,7 @@ def in_mm_or_degrees(value: float | None, unit: str) -> str:
 def _quantity_findings(quantities: Sequence[Quantity], settings: VerifyConfig,
                        remedy: Callable[[float, float], str]) -> Iterator[tuple[str, str]]:
     """
-    Yield the decisions on the values with a nominal, each with a sentence.
+    Yield the decisions on values with a nominal that do not conform, each with a sentence.
 
     remedy(size, largest): of an uncertainty that is larger than what the tolerance leaves.
     """
@@ -264,7 +268,8 @@ def _quantity_findings(quantities: Sequence[Quantity], settings: VerifyConfig,
         if q.deviation is not None:
             tolerance = settings.tolerance if q.unit == 'm' else settings.angle_tolerance
             off, U = (in_mm_or_degrees(value, q.unit) for value in (q.deviation, q.expanded))
-            outcome = decision(q.deviation, q.expanded, tolerance)
+            if (outcome := decision(q.deviation, q.expanded, tolerance)) == CONFORMS:
+                continue
             yield outcome, f'{q.name} is off by {off} ± {U} (k = {COVERAGE_FACTOR:g})' if (
                 outcome == VIOLATES) else (
                 f'{q.name} is off by {off}, its uncertainty is {U} (k = {COVERAGE_FACTOR:g}), and '
@@ -285,13 +290,13 @@ def _point_findings(fit: ShapeFit, results: Sequence[GroupResult], settings: Ver
         worst = max(outside, key=lambda s: s.distance)
         yield VIOLATES, (f'points lie up to {mm(worst.distance)} from the fit (too far in '
                          f'{len(outside)} of {len(results)}, the worst: {worst.label})')
-    size, margin = fit.error.largest, ONE_SIDED_95 * fit.error.largest_std
+    size, margin = fit.misalignment.largest, ONE_SIDED_95 * fit.misalignment.largest_std
     outcome = decision(size, margin, settings.tolerance)
     error = (f'an error of the calibration of {mm(size)} ± {mm(margin)} '
              f'(k = {ONE_SIDED_95:g}, one-sided)')
-    if fit.error.p_chance <= SIGNIFICANCE and outcome == VIOLATES and not other_size:
+    if fit.misalignment.p_chance <= SIGNIFICANCE and outcome == VIOLATES and not other_size:
         yield VIOLATES, f'the pattern of the distances matches {error} at the points'
-    elif fit.error.p_chance <= SIGNIFICANCE and outcome != CONFORMS:
+    elif fit.misalignment.p_chance <= SIGNIFICANCE and outcome != CONFORMS:
         yield UNDECIDED, OTHER_SIZE if other_size else (
             f'the points suggest {error}, which may exceed the tolerance: measure more')
     contradicting = [s.label for s in results if s.used and s.p * len(results) < FALSE_ALARM]
@@ -301,7 +306,7 @@ def _point_findings(fit: ShapeFit, results: Sequence[GroupResult], settings: Ver
 
 
 def _notes(fit: ShapeFit, other_size: bool, results: Sequence[GroupResult]) -> Iterator[str]:
-    """Yield the sentences that qualify a verdict."""
+    """Yield the sentences that qualify a verdict; other_size: whether OTHER_SIZE is one."""
     yield from (f'{s.label} is not used: {s.reason}' for s in results if not s.used)
     if fit.scatter.p < INCONSISTENT_P:
         yield ('the points disagree by more than calibration, noise.sensor and noise.robot_* '

@@ -194,7 +194,7 @@ def test_what_could_not_have_shown_is_no_pass():
     few = assess('plane', *measure('plane', count=5))
     assert few.verdict == 'insensitive' and 'would show with 95 % only from' in few.reasons[0]
     artefact, calibration = measure('step', count=12)
-    detectable = assess('step', artefact, calibration).fit.error.smallest_detectable
+    detectable = assess('step', artefact, calibration).fit.misalignment.smallest_detectable
     assert assess('step', artefact, calibration, tolerance=2.0 * detectable).verdict == 'pass'
     coarse = assess('step', artefact, calibration, tolerance=0.8 * detectable)
     more = math.ceil(sum(stop.used for stop in coarse.per_group) / 0.8 ** 2)

@@ -15,7 +15,7 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.simulate import simulate
 from handeye_ros.simulate.scenario import FAULTS, RobotModel, Scenario, SCENARIOS
-from handeye_ros.verification.still_holds import CalibratedCell, check, check_recording
+from handeye_ros.verification.check import CalibratedCell, check, check_recording
 import numpy as np
 import pytest
 from verifications import bench
