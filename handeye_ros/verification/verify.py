@@ -139,7 +139,7 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
         np.unique(stations.group_of_point), lambda groups: fit_shape(
             routine.shape(stations.of_groups(groups), X, settings), X,
             calibration.covariance, robot_smooth))
-    # tooth_gauge.py refuses what is no gauge; a wrong calibration, which blurs its faces, is to fail
+    # tooth_gauge.py refuses what is no gauge; a wrong calibration, which blurs it, is to fail
     if max(fit.scatter.p, fit.misalignment.p_explained) < UNEXPLAINED_P and not routine.in_passes:
         freed = refit_shape(shape, X, calibration.covariance, robot_smooth)
         if (freed.misalignment.p_explained < UNEXPLAINED_P
