@@ -16,7 +16,6 @@ the smallest change that would have shown.
 """
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
@@ -59,7 +58,7 @@ from handeye_ros.estimation.target import Target
 from handeye_ros.frames import direction_in_words, mount_frame, target_frame
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.profile_target import FLATNESS_ERROR, GRAZING
-from handeye_ros.verification.station_set import require_stations
+from handeye_ros.verification.station_set import require_stations, stop_number
 from handeye_ros.verification.white_residuals import (
     covariance_root,
     fit_without_outliers,
@@ -218,9 +217,9 @@ def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Rej
             'on')
 
     # the numbers of the stops or passes that hold what was dropped
-    in_order = sorted(pass_stamps or [
-        *(sample.stamp for sample in samples), *(reject.stamp for reject in rejects)])
-    contradicting = sorted({bisect_right(in_order, samples[k].stamp) for k in dropped})
+    stamps = pass_stamps or [*(sample.stamp for sample in samples),
+                             *(reject.stamp for reject in rejects)]
+    contradicting = sorted({stop_number(samples[k].stamp, stamps) for k in dropped})
     if contradicting:
         what = 'profiles of the passes' if pass_stamps else 'stops'
         sentence += f'. Not used, as they contradict the others: {what} {contradicting}'

@@ -43,8 +43,9 @@ CHARACTERISTICS = {
     'E': ('length measurement error', 1.0)}
 
 # the names in FORMAT of fields that the code calls otherwise
-KEYS = {'measures': 'says', 'recording': 'bag', 'chi2': 'region', 'degrees_of_freedom': 'freedom',
-        'per_group': 'per_station', 'std_by_calibration': 'claimed', 'p_calibration': 'claim_p'}
+KEYS = {'station_count': 'stations', 'measures': 'says', 'recording': 'bag', 'chi2': 'region',
+        'degrees_of_freedom': 'freedom', 'per_group': 'per_station', 'p_calibration': 'claim_p',
+        'std_by_calibration': 'claimed'}
 
 
 def plain_values(verification: Verification, inputs: Iterable[object] = (),

@@ -37,7 +37,7 @@ from handeye_ros.verification.fit import (
     SIGNIFICANCE,
 )
 from handeye_ros.verification.routines import Routine
-from handeye_ros.verification.station_set import StationSet
+from handeye_ros.verification.station_set import StationSet, stop_number
 from handeye_ros.verification.stations import stations_of
 from handeye_ros.verification.white_residuals import fit_without_outliers, ONE_SIDED_95
 from handeye_ros.words import count_of, mm
@@ -47,6 +47,7 @@ INCONSISTENT_P = 1e-3  # level of the test that the points agree
 UNEXPLAINED_P = 1e-6  # below this p no error of the calibration explains the points
 OTHER_SIZE = ('the points fit the shape, and no error of the calibration explains these '
               'deviations: check the nominal values (verify.radius, verify.lengths)')
+CONTRADICTS = 'it contradicts the others under every possible calibration'
 # decisions of ISO 14253-1
 CONFORMS, VIOLATES, UNDECIDED = 'conforms', 'does not conform', 'not decided'
 
@@ -54,17 +55,17 @@ CONFORMS, VIOLATES, UNDECIDED = 'conforms', 'does not conform', 'not decided'
 @dataclass(frozen=True)
 class GroupResult:
     """
-    Result of one group of poses: a stop, of a sweep a profile, of a routine in passes a pass.
+    Result of one group of poses (see station_set.py).
 
     label: what it is called in a sentence; it is written to no file
     recording: its number, from 1
     number: from 1, of the stop among all of this recording, as a check counts them; of a profile
-        among those used
+        among those used; of a pass 1, the only one of its recording
     stamp: its time in nanoseconds
     distance, std: the largest distance of its points from the fit, and its 1 sigma (m), nan where
         it is not used
     p: probability that a good stop is as far off, whatever the error of the calibration
-    reason: why it is not used
+    reason: CONTRADICTS where it is not used
     """
 
     label: str
@@ -88,7 +89,7 @@ class Verification:
         (an error of the calibration as large as the tolerance would not have shown)
     reasons: sentences
     tolerance (m), angle_tolerance (rad): as configured
-    stations: number of poses used: of stops, of a sweep or of passes of profiles
+    station_count: number of poses used: of stops, of a sweep or of passes of profiles
     quantities: those of the fit, the scatter of each face or ball, and the error of the
         calibration that the points suggest, as the largest displacement of one of them
     fit: of the shape of the routine
@@ -106,7 +107,7 @@ class Verification:
     reasons: tuple[str, ...]
     tolerance: float
     angle_tolerance: float
-    stations: int
+    station_count: int
     quantities: tuple[Quantity, ...]
     fit: ShapeFit
     per_group: tuple[GroupResult, ...] = ()
@@ -153,15 +154,16 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
     quantities = (*fit.quantities, *routine.form_errors(shape.stations, fit.distances), Quantity(
         'likeliest error of the calibration', fit.misalignment.largest,
         fit.misalignment.largest_std))
-    kind = 'pass' if routine.in_passes else 'profile' if config.sampling.moving else 'stop'
-    per_group = _group_results(
-        kind, stations, shape.stations, fit, p, dropped, rejects if kind == 'stop' else ())
-    verdict, reasons = _decide(fit, quantities, per_group, kind, settings, robot_smooth)
+    group_noun = 'pass' if routine.in_passes else 'profile' if config.sampling.moving else 'stop'
+    per_group = _group_results(group_noun, stations, shape.stations, fit, p, dropped,
+                               rejects if group_noun == 'stop' else ())
+    verdict, reasons = _decide(fit, quantities, per_group, group_noun, settings, robot_smooth)
     return Verification(
         routine.name, calibration.name, verdict, reasons, settings.tolerance,
         settings.angle_tolerance, len(np.unique(shape.stations.observations.station)), quantities,
-        fit, per_group, stations.surface_note, routine.measures,
-        output.iso_time(int(stations.stamps.min())), settings.certificate, dict(config.record))
+        fit, per_group, surface=stations.surface_note, measures=routine.measures,
+        recorded=output.iso_time(int(stations.stamps.min())), certificate=settings.certificate,
+        record=dict(config.record))
 
 
 def verify_stops(routine: Routine, recordings: Sequence[Sequence[Sample | Reject]],
@@ -177,13 +179,13 @@ def verify_stops(routine: Routine, recordings: Sequence[Sequence[Sample | Reject
                            calibration, rejects)
 
 
-def _group_results(kind: str, stations: StationSet, used: StationSet, fit: ShapeFit,
+def _group_results(group_noun: str, stations: StationSet, used: StationSet, fit: ShapeFit,
                    p: Mapping[int, float], dropped: Sequence[int],
                    rejects: Sequence[Sequence[Reject]]) -> tuple[GroupResult, ...]:
     """
     Return the results of all groups of poses that have points, or contradict the others.
 
-    kind: what a group is, stop, profile or pass; used: the stations as fitted, without
+    group_noun: what a group is, stop, profile or pass; used: the stations as fitted, without
     contradicting groups (dropped); p: of each group; rejects: stops of each recording that count,
     but gave no sample.
     """
@@ -191,14 +193,15 @@ def _group_results(kind: str, stations: StationSet, used: StationSet, fit: Shape
     groups, recordings = stations.group_of_pose, stations.recording_of_pose
     for group, first in zip(*np.unique(groups, return_index=True), strict=True):
         recording, stamp = int(recordings[first]), int(stations.stamps[first])
-        first_group = groups[np.searchsorted(recordings, recording)]
-        before = sum(reject.stamp < stamp for reject in rejects[recording]) if rejects else 0
-        number = int(group - first_group) + before + 1
-        identity = f'{kind} {number} of recording {recording + 1}', recording + 1, number, stamp
+        number = stop_number(stamp, [
+            *stations.stamps[recordings == recording].tolist(),
+            *(reject.stamp for reject in (rejects[recording] if rejects else ()))])
+        identity = (f'{group_noun} {number} of recording {recording + 1}', recording + 1, number,
+                    stamp)
         rows = np.flatnonzero(used.group_of_point == group)
         if group in dropped:
-            results.append(GroupResult(*identity, math.nan, math.nan, p[group], False, (
-                'it contradicts the others under every possible calibration')))
+            results.append(
+                GroupResult(*identity, math.nan, math.nan, p[group], False, CONTRADICTS))
         elif len(rows):
             worst = rows[np.argmax(np.abs(fit.distances[rows]))]
             results.append(GroupResult(
@@ -208,12 +211,13 @@ def _group_results(kind: str, stations: StationSet, used: StationSet, fit: Shape
 
 
 def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[GroupResult],
-            kind: str, settings: VerifyConfig, robot_smooth: float) -> tuple[str, tuple[str, ...]]:
+            group_noun: str, settings: VerifyConfig, robot_smooth: float
+            ) -> tuple[str, tuple[str, ...]]:
     """
     Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences.
 
-    kind: what a group is, in words; robot_smooth: 1 sigma (m) of the robot's smooth error, which
-    more groups do not reduce.
+    group_noun: what a group is, in words; robot_smooth: 1 sigma (m) of the robot's smooth error,
+    which more groups do not reduce.
     """
     used = sum(result.used for result in results)
 
@@ -223,7 +227,7 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Gro
             return (f': the smooth error of the robot that the calibration found '
                     f'({mm(robot_smooth)}) hides less')
         return '' if size >= 10 * largest else (
-            f': record about {count_of(math.ceil(used * (size / largest) ** 2), kind)} like '
+            f': record about {count_of(math.ceil(used * (size / largest) ** 2), group_noun)} like '
             'these, or turn the sensor more between them')
 
     # the shape fits, but not in its size
