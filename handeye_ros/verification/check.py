@@ -58,8 +58,7 @@ from handeye_ros.estimation.target import Target
 from handeye_ros.frames import direction_in_words, mount_frame, target_frame
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.profile_target import FLATNESS_ERROR, GRAZING
-from handeye_ros.verification.station_set import require_stations, stop_number
-from handeye_ros.verification.white_residuals import (
+from handeye_ros.verification.group_fit import (
     covariance_root,
     fit_without_outliers,
     GroupFit,
@@ -67,6 +66,7 @@ from handeye_ros.verification.white_residuals import (
     ONE_SIDED_95,
     regularised_least_squares,
 )
+from handeye_ros.verification.station_set import require_stations, stop_number
 from handeye_ros.words import mm
 import numpy as np
 from scipy.special import softmax

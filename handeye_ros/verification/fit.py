@@ -42,13 +42,13 @@ from handeye_ros.estimation.noise import (
 from handeye_ros.estimation.problem import Estimate, Linearisation, StationGroup
 from handeye_ros.frames import direction_in_words, mount_frame
 from handeye_ros.targets.profile_target import grazing
-from handeye_ros.verification.station_set import StationSet
-from handeye_ros.verification.white_residuals import (
+from handeye_ros.verification.group_fit import (
     covariance_root,
     GroupFit,
     largest_displacement,
     regularised_least_squares,
 )
+from handeye_ros.verification.station_set import StationSet
 import numpy as np
 import scipy.linalg
 from scipy.special import chdtri, chndtrinc
@@ -122,7 +122,11 @@ class Shape:
         return derivatives(lambda shift: self.distance(p + shift, q), np.zeros(3))
 
     def linear(self, X: Array, q: Array) -> Linearisation:
-        """Return the distances and their derivatives, with the sensor plane at X (4, 4)."""
+        """
+        Return the distances and their derivatives, with the sensor plane at X (4, 4).
+
+        The state of the estimate is q; columns: 6 of X, then those of q.
+        """
         problem = self.stations.problem
         p, (R, _) = problem.points_in_base(X), problem.mounts_of_rows
         lever, wrt_base = problem.observations.points @ X[:3, [0, 2]].T, self.wrt_point(p, q)
@@ -217,7 +221,9 @@ class ShapeFit:
 def fit_shape(shape: Shape, X: Array, C: Array, robot_smooth: float
               ) -> GroupFit[tuple[Shape, ShapeFit]]:
     """
-    Return a shape with its fit; raises InputError for an impossible covariance.
+    Return a shape with its fit, and what the test for outliers needs, as a GroupFit.
+
+    Raises InputError for an impossible covariance.
 
     X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; robot_smooth: 1 sigma (m) of the
     smooth error of the robot. The settings of the stations hold the uncertainty of nominal values.
@@ -356,7 +362,12 @@ def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[Array, float,
 
 
 def refit_shape(shape: Shape, X: Array, C: Array, robot_smooth: float) -> ShapeFit:
-    """Return the fit with the calibration error estimated as well, of up to MAX_SHIFT."""
+    """
+    Return the fit with the calibration error estimated as well.
+
+    One that moves a point by MAX_SHIFT or more is not followed: the fit that suggests it is
+    returned.
+    """
     for _ in range(REFIT_COUNT):
         _, fit = fit_shape(shape, X, C, robot_smooth).result
         if not fit.misalignment.largest < MAX_SHIFT:

@@ -36,10 +36,10 @@ from handeye_ros.verification.fit import (
     ShapeFit,
     SIGNIFICANCE,
 )
+from handeye_ros.verification.group_fit import fit_without_outliers, ONE_SIDED_95
 from handeye_ros.verification.routines import Routine
 from handeye_ros.verification.station_set import StationSet, stop_number
 from handeye_ros.verification.stations import stations_of
-from handeye_ros.verification.white_residuals import fit_without_outliers, ONE_SIDED_95
 from handeye_ros.words import count_of, mm
 import numpy as np
 
