@@ -57,7 +57,7 @@ def test_the_truth_lies_in_the_stated_region_and_wrong_calibrations_fail(name):
         failed += wrong.verdict == 'fail'
         passed += right.verdict == 'pass'
         assert right.verdict != 'fail' and wrong.verdict != 'pass'
-    assert passed >= SEEDS - 1  # the tests have false alarms of 1 %, and a plane may be insensitive
+    assert passed >= SEEDS - 1  # false alarms have 1 %, and a plane may be insensitive
     assert failed >= SEEDS - 1  # 1 mm and 0.5 degrees may cancel at the points
     assert inside >= SEEDS - 3  # more than 3 of 12 outside a true 95 % region: p = 0.002
 
