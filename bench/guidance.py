@@ -48,7 +48,8 @@ from handeye_ros.estimation.search import refined_solution, robust_solution
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_poses_of
 from handeye_ros.guidance.advice import advise
-from handeye_ros.guidance.view import AdvisedMove, extremes, learn_view, View, view_levers
+from handeye_ros.guidance.first_moves import AdvisedMove
+from handeye_ros.guidance.view import extremes, learn_view, View, view_levers
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.truth import errors_against, field_points
 from handeye_ros.sampling.edge_shapes import with_common_edge_shape

@@ -12,8 +12,9 @@ For each of SEEDS (default 200) a calibration is drawn with its stated covarianc
 the main job. --rendered: from recordings of rendered profiles (640 columns, 10 Hz) and not from
 features with exactly known noise. "within": how often the values lie within their stated 95 %
 region (for lines and planes: the RMS distance below its stated 95 % bound). "wrong fails": how
-often a calibration that is 1 mm and 0.5 degrees off fails at the default tolerance; the verdicts
-of the right one follow.
+often a calibration that is 1 mm and 0.5 degrees off fails at the default tolerance. "shown": how
+often one that is off by just the stated smallest error, in the direction in which it shows least,
+is noticed with this size as tolerance. The verdicts of the right one follow.
 
 --check: for each of SEEDS (20 are enough) a simulated cell (sensor 0.03 mm, robot 0.02 mm and
 0.004 degrees) is calibrated from 18 stops; then the same target is seen from other stops, with
@@ -63,10 +64,10 @@ from handeye_ros.simulate.scenario import (
 from handeye_ros.simulate.scenes import Placements, tilts
 from handeye_ros.simulate.scenes import SCENES as TARGET_SCENES
 from handeye_ros.simulate.sensor import lift
+from handeye_ros.verification.check import CalibratedCell, Check, check
 from handeye_ros.verification.routines import Routine, ROUTINES
 from handeye_ros.verification.station_set import StationSet
 from handeye_ros.verification.stations import stations_of, stations_of_passes
-from handeye_ros.verification.still_holds import CalibratedCell, Check, check
 from handeye_ros.verification.verify import Verification, verify_stations
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -177,7 +178,7 @@ def faces(rng: np.random.Generator, poses: Array, lengths: tuple[float, ...] = (
 
 def plane(rng: np.random.Generator, **values: Any) -> Artefact:
     """Return a flat face."""
-    return faces(rng, _poses(1), **values)
+    return faces(rng, _poses(1), **{'count': 30} | values)
 
 
 LAID = np.array([[0, 0, 0], [0, np.pi / 2, 0], [0, 0, np.pi / 2]])  # zyx: along z, x, y
@@ -296,12 +297,13 @@ def stops_of(routine: Routine, made: Artefact, config: Config
     return [pipeline.gather(part.profiles, part.poses, settings).samples for part in made.passes]
 
 
-def runs(routine: Routine, made: Artefact, found: tuple[Calibration, ...], aim: float
-         ) -> list[Verification]:
+def runs(routine: Routine, made: Artefact, found: tuple[Calibration, ...], aim: float,
+         tolerance: float = VerifyConfig.tolerance) -> list[Verification]:
     """Return what a routine says of calibrations."""
     radius = RADIUS if routine.target == 'sphere' else 0.0
     config = Config(noise=NOISE, verify=VerifyConfig(
-        lengths=made.lengths, radius=radius, reference=made.reference, aim=aim))
+        lengths=made.lengths, radius=radius, reference=made.reference, aim=aim,
+        tolerance=tolerance))
     if routine.in_passes:
         stations = scanned(made, config)
         return [verify_stations(routine, stations, one) for one in found]
@@ -324,10 +326,28 @@ def trial(name: str, seed: int, scenes: dict = SCENES) -> tuple[Verification, Ve
     directions = rng.normal(size=(2, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     off = np.concatenate([1e-3 * directions[0], np.deg2rad(0.5) * directions[1]])
-    aim = 0.0 if name != 'point' else FINE_AIM if scenes is RENDERED else AIM
     right, wrong = runs(ROUTINES[name], made, (
-        calibration(X, C), calibration(se3.perturb(X, off), C)), aim)
+        calibration(X, C), calibration(se3.perturb(X, off), C)), aim_of(name, scenes))
     return right, wrong
+
+
+def shown(name: str, seed: int, scenes: dict = SCENES) -> bool:
+    """Return whether a routine finds an error of just the smallest size that it states."""
+    rng = np.random.default_rng(seed)
+    made, C, aim = scenes[name](rng), covariance(rng), aim_of(name, scenes)
+    true, = runs(ROUTINES[name], made, (calibration(made.T_flange_sensor, C),), aim)
+    error = true.fit.misalignment
+    try:
+        off, = runs(ROUTINES[name], made, (calibration(
+            se3.perturb(made.T_flange_sensor, error.weakest), C),), aim, error.smallest_detectable)
+    except DataError:  # no small error explains the points
+        return True
+    return any('calibration of' in reason for reason in off.reasons)
+
+
+def aim_of(name: str, scenes: dict) -> float:
+    """Return 1 sigma of the aim (m)."""
+    return 0.0 if name != 'point' else FINE_AIM if scenes is RENDERED else AIM
 
 
 def cell(kind: str, rng: np.random.Generator) -> tuple[Scenario, Config, Array, Array]:
@@ -444,16 +464,20 @@ def main() -> None:
         unchanged_cells(given.names or [''], seeds)
         return
     routines = given.names or list(SCENES)
-    print(f'{"":9} within  wrong fails  smallest_error [mm]  verdicts of the right calibration')
+    print(f'{"":9} within  wrong fails  smallest_error [mm]  shown  '
+          'verdicts of the right calibration')
     for name in routines:
-        trials = [trial(name, seed, RENDERED if given.rendered else SCENES) for seed in seeds]
+        scenes = RENDERED if given.rendered else SCENES
+        trials = [trial(name, seed, scenes) for seed in seeds]
+        found = np.mean([shown(name, seed, scenes) for seed in seeds])
         inside = np.mean([within(right) for right, _ in trials])
         failed = np.mean([wrong.verdict == 'fail' for _, wrong in trials])
-        smallest_error = np.median([right.fit.error.smallest_detectable for right, _ in trials])
+        smallest_error = np.median([
+            right.fit.misalignment.smallest_detectable for right, _ in trials])
         verdicts = Counter(right.verdict for right, _ in trials)
         result = ', '.join(f'{count} {verdict}' for verdict, count in verdicts.most_common())
-        print(f'{name:9} {inside:6.1%} {failed:11.1%} {1e3 * smallest_error:13.3f}  {result}',
-              flush=True)
+        print(f'{name:9} {inside:6.1%} {failed:11.1%} {1e3 * smallest_error:13.3f} {found:13.1%}  '
+              f'{result}', flush=True)
 
 
 if __name__ == '__main__':

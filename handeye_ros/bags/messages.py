@@ -5,9 +5,11 @@ Converts serialised ROS messages to profiles and poses.
 
 Drivers differ. Deviations are corrected where possible; else the message is refused with an
 UnusableMessageError, and nothing else, whose sentence names the setting to change, where one
-helps. Refused are: data that are no message (`message_of`); a field that is missing, stands twice,
-has several numbers or an unknown type, and points and rows that do not fit into the data
-(`field_view`); coordinates in another unit, off one plane, or of exchanged axes (`_require_...`).
+helps. Refused are: data that are no message (`message_of`) or lack a row (`_row`); poses that are
+not finite, too far, or no rotation (`_pose`); a field that is missing, stands twice, has several
+numbers or an unknown type, and points and rows that do not fit into the data (`field_view`);
+coordinates in another unit, off one plane, or of exchanged axes (`_require_...`); several profiles
+without profile.period, where the time of each counts (`returns_of`).
 
 Messages are read by rosbags, which needs no ROS: their attributes are those of ROS.
 """

@@ -89,11 +89,12 @@ class StoredSession:
 
         Raises InputError for a file of a stop that cannot be read.
         """
-        poses = (pose.parent_frame for stop in self.stops.values()
-                 for pose in stop.load(config).poses)
-        profiles = (profile.frame_id for stop in self.stops.values()
-                    for profile in stop.load(config).profiles)
-        session = Session(config, self.last_number, (next(poses, None), next(profiles, None)))
+        pose_frames = (pose.parent_frame for stop in self.stops.values()
+                       for pose in stop.load(config).poses)
+        profile_frames = (profile.frame_id for stop in self.stops.values()
+                          for profile in stop.load(config).profiles)
+        session = Session(config, self.last_number,
+                          (next(pose_frames, None), next(profile_frames, None)))
         for number, stored in sorted(self.stops.items()):
             stop = stored if stored.final_reason else replace(
                 stored, result=result_of(stored, config))

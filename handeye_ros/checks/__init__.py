@@ -8,5 +8,5 @@ changed, one by one, by one engine (hypotheses.py), in the order of causes.py. T
 it: surfaces.py, which compares the stops among themselves, and what a refined answer estimates
 itself (`require_steady_clocks`, `require_one_scale`, `require_no_sure_move`). All know samples,
 estimates and the stops of a session, whose profiles they may read again, and no file. `handeye
-check`, of a calibration made earlier, is verification/still_holds.py.
+check`, of a calibration made earlier, is verification/check.py.
 """

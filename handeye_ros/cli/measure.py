@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from handeye_ros.config import Config
     from handeye_ros.data import Array, Calibration, Profile, Reject, Sample
     from handeye_ros.sampling.trajectory import Trajectory
-    from handeye_ros.verification.still_holds import Check
+    from handeye_ros.verification.check import Check
 
 NOT_AS_WANTED = 1  # exit code: measured, and not passed, or changed
 SAME_STAMP_NS = 100_000  # ns: profiles are further apart, and an offset estimated anew is nearer
@@ -145,7 +145,7 @@ def check(
 
     The exit code is 0 if nothing has changed, 1 for a change, 2 and 3 if that cannot be told.
     """
-    from handeye_ros.verification.still_holds import check_recording, plain_values
+    from handeye_ros.verification.check import check_recording, plain_values
     calibration, settings = open_calibration(against, config, assignments, kinematics)
     checks: list[tuple[str, Check]] = []
     try:

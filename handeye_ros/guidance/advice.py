@@ -18,13 +18,8 @@ from handeye_ros.estimation.budget import budget
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import direction_in_words, mount_frame
 from handeye_ros.guidance.candidates import Proposal, propose
-from handeye_ros.guidance.view import (
-    AdvisedMove,
-    learn_view,
-    next_move,
-    seen_feature_noun,
-    view_levers,
-)
+from handeye_ros.guidance.first_moves import AdvisedMove, next_move, seen_feature_noun
+from handeye_ros.guidance.view import learn_view, view_levers
 from handeye_ros.pipeline import Answer
 from handeye_ros.se3 import mapped_std, weakest_direction
 from handeye_ros.threads import single_threaded

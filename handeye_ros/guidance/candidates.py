@@ -33,10 +33,13 @@ from numpy.typing import NDArray
 
 TEMPLATE_COUNT, CANDIDATES_EACH = 6, 500  # stations; candidates around each
 STEPS_TO_TARGET = 3  # towards the target
+MAX_STEP = 0.05  # m: an oblique crossing would throw a point further, out of any view
 MAX_SHIFT = 0.2  # largest shift across the laser line of what is seen, in widths of the view
 STOP_POSE_ERROR = (5e-3, 0.053)  # m and rad (3 degrees) by which a stop may be off
 FAILED_POSE_DISTANCE = (1.5e-2, 0.12)  # m and rad around a pose at which a stop gave no sample
 ON_TARGET = 1e-4  # m: largest residual of a point on the target
+# m: the view is that of the points seen, the outermost of which are on its border
+ON_BORDER = 1e-4
 MIN_SHARE = 0.5  # smallest share of a feature's length in the view
 MIN_COSINE = 0.5  # smallest cosine of the incidence on a face, if the template has it
 CORNER_MARGIN = 0.34  # rad: a corner is this much sharper than it must be to be found
@@ -190,7 +193,7 @@ def _shows_the_same(linear: Linearisation, template: Linearisation, same_point: 
     """
     problem, shape = template.problem, (len(linear.problem.poses), len(same_point))
     points = linear.problem.observations.points.reshape(*shape, 2)
-    in_view = view.room(points).min(axis=1) > -1e-4
+    in_view = view.room(points).min(axis=1) > -ON_BORDER
     on_target = np.abs(linear.residuals).reshape(shape).max(axis=1) < ON_TARGET
     # the crossing is steep: moves along the laser line show at edges, in the plane at faces
     A = linear.wrt_point.reshape(*shape, 2)
@@ -241,7 +244,7 @@ def _moved_onto_target(template: Problem, solution: Solution, poses: Array, poin
         g, A = linear.residuals.reshape(*shape, 1), linear.wrt_point.reshape(*shape, 2)
         normal = np.einsum('cd,ndi,ndj->ncij', same_point, A, A) + 1e-6 * np.eye(2)
         step = np.linalg.solve(normal, (same_point @ (A * g))[..., None])[..., 0]
-        points = points - np.clip(step, -0.05, 0.05)
+        points = points - np.clip(step, -MAX_STEP, MAX_STEP)
     return points
 
 

@@ -116,7 +116,7 @@ class ScanNode(Node):
             poses = [pose for pose in self._poses if abs(latest - pose.stamp) <= span]
         trajectory = trajectory_of(poses, self.config.sampling.max_pose_gap)
         dropped_before = self._scanner.without_pose
-        points = self._scanner.points(ready, trajectory)
+        points = self._scanner.mapped(ready, trajectory)
         dropped = self._scanner.without_pose
         if dropped > dropped_before:
             self.get_logger().warning(f'{dropped} profiles without a pose were dropped so far',

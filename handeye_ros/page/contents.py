@@ -21,7 +21,8 @@ from handeye_ros.data import Arc, Array, Calibration, Sample, StopSnapshot
 from handeye_ros.errors import InputError, looked_up
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.candidates import anchor_of
-from handeye_ros.guidance.view import AdvisedMove, extremes
+from handeye_ros.guidance.first_moves import AdvisedMove
+from handeye_ros.guidance.view import extremes
 from handeye_ros.pipeline import Answer
 from handeye_ros.results import exports, printed
 from handeye_ros.results.scene import outline_of, profile_picture, rounded

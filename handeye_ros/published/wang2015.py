@@ -5,8 +5,9 @@ CN105021139A (Wang, Li, Liu 2015): circle target with two diameters, line laser 
 
 The image shows a circle's orthogonal diameters AB and CD, its centre O, and the laser stripe
 through O. Harmonic conjugates give the vanishing points of AB and CD, these the rotation of the
-target; the light plane gives the depth of O; two motions of the robot give A X = X B. Of poses
-from anywhere only this last half is needed, `motions` and `park1994.solve_motions`.
+target; the light plane gives the depth of O; two motions of the robot give A X = X B. `handeye
+compare` has the poses of the target from elsewhere, so it uses this last half alone, `motions` and
+`park1994.solve_motions`; the first half is complete as published, for images, and tests use it.
 
 What is wrong in print, and what is done here:
 

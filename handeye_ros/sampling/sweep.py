@@ -37,7 +37,7 @@ estimation, Problem.is_sweep:
   move is compared with wrong times, tried at the reported noise alone, and with a 40th of the
   profiles on either side of it (moved.py); a pass agrees if most of its profiles do (review.py)
 - a calibration of a sweep measures at stops all the same (calibration_file.py); a gauge is
-  measured in passes (stations.py); a sweep also checks a calibration (still_holds.py); the arm's
+  measured in passes (stations.py); a sweep also checks a calibration (check.py); the arm's
   errors are found at the estimated times (robot/recordings.py); the node counts profiles
   (solver.py)
 """

@@ -94,7 +94,7 @@ class Scanner:
         """Yield the points of profiles of returns, in pieces; raises DataError without any."""
         source = iter(profiles)
         while batch := list(islice(source, BATCH_PROFILES)):
-            yield self.points(batch, trajectory)
+            yield self.mapped(batch, trajectory)
         if self.profiles == self.without_pose > 0:
             raise DataError(
                 f'none of the {self.profiles} profiles has a pose before and after it within '
@@ -105,11 +105,12 @@ class Scanner:
                             'returns: widen the limits (--range, --incidence), or, without '
                             'returns, check range and exposure of the sensor')
 
-    def points(self, profiles: Sequence[Profile], trajectory: Trajectory) -> Points:
+    def mapped(self, profiles: Sequence[Profile], trajectory: Trajectory) -> Points:
         """
-        Return the points of profiles: x, y, z in `frame` (m), intensity, std (m).
+        Return the points of one profile or more: x, y, z in `frame` (m), intensity, std (m).
 
-        intensity is there if the first profile of all has it, std if asked for.
+        They are counted, and their cubes filled. intensity is there if the first profile of all
+        has it, std if asked for.
         """
         if self._fields is None:
             optional = {'intensity': profiles[0].intensity is not None, 'std': self.options.std}
@@ -123,7 +124,7 @@ class Scanner:
         stds = trajectory.std(stamps) if self.options.std else np.zeros((len(profiles), 2))
         used = compress(zip(profiles, T, stds, strict=True), flange.inside)
         cloud = np.concatenate([np.empty(0, self._fields), *(
-            self._mapped(self._fields, *item) for item in used)])
+            self._mapped_profile(self._fields, *item) for item in used)])
         return self._one_in_each_cube(cloud) if self.options.voxel > 0 else cloud
 
     def _one_in_each_cube(self, cloud: Points) -> Points:
@@ -137,8 +138,8 @@ class Scanner:
         self.thinned += len(cloud) - int(is_new.sum())
         return np.take(cloud, np.sort(first[is_new]))
 
-    def _mapped(self, fields: np.dtype[np.void], profile: Profile, T_base_sensor: Array,
-                pose_std: Array) -> Points:
+    def _mapped_profile(self, fields: np.dtype[np.void], profile: Profile, T_base_sensor: Array,
+                        pose_std: Array) -> Points:
         """
         Return the points of a profile of returns, and count them.
 

@@ -73,8 +73,14 @@ class Seam:
         return rms(self.distances)
 
     def std(self, t: Array) -> Array:
-        """Return 1 sigma (n, 2) of the path (m) and of its approach (rad) at t (n,)."""
-        position = np.hypot(self.curves[self.line].std(t), self.sections.resolution[self.line])
+        """
+        Return 1 sigma (n, 2) of the path (m) and of its approach (rad) at t (n,).
+
+        That of the path has in it how far a cubic is from the curve through the sections.
+        """
+        line = self.curves[self.line]
+        position = np.hypot(np.hypot(line.std(t), self.sections.resolution[self.line]),
+                            np.linalg.norm(self.curve.position(t) - line.position(t), axis=1))
         return np.column_stack([position, self.normals.std(t)])
 
     def normal(self, t: Array) -> Array:

@@ -74,12 +74,12 @@ def sections_of_seam(sheets: Sheets, rough_seam: RoughSeam) -> SeamSections:
     middle = sheets.points[rough_seam.pairs].mean(axis=1)
     curve = spline(rough_seam.t, middle, STIFF_ONLY)
     distance = np.linalg.norm(curve.position(rough_seam.t) - middle, axis=1)
-    widest = float(np.quantile(distance, 0.95))
-    if widest > MAX_LINE_WIDTH * sheets.spacing:
+    line_half_width = float(np.quantile(distance, 0.95))
+    if line_half_width > MAX_LINE_WIDTH * sheets.spacing:
         place = position_text(middle[int(np.argmax(distance))])
         raise DataError(f'what looks like a seam is not a single open line: it is '
-                        f'{mm(2 * widest)} wide at {place} (closed, or branching?): cut a part '
-                        'out with --box')
+                        f'{mm(2 * line_half_width)} wide at {place} (closed, or branching?): cut '
+                        'a part out with --box')
     i, j = rough_seam.pairs.T
     up = (-sheets.outward[i] - sheets.outward[j] if is_corner
           else sheets.normals[i] + sheets.normals[j])

@@ -76,7 +76,8 @@ def sheets_of(points: Array, up: Array) -> Sheets:
             np.maximum(values[:, 0], 0.0) / np.maximum(count - 3, 1)), np.inf)
     noise = max(float(np.median(thickness)), 1e-2 * spacing)
     in_plane = thickness <= FLAT_RATIO * noise
-    _assign_planes(points, in_plane, normals, 2 * NEIGHBOUR_RADIUS * spacing, SAME_PLANE * noise)
+    in_plane, normals = _with_planes_nearby(
+        points, in_plane, normals, 2 * NEIGHBOUR_RADIUS * spacing, SAME_PLANE * noise)
     label = _sheet_labels(points, normals, near[:, 1:3 * LINKED_NEIGHBOURS:3], in_plane,
                           1.5 * SAME_PLANE * noise)
     rims, outward = _rims(points, near, label, normals, spacing)
@@ -97,13 +98,13 @@ def _neighbourhoods(points: Array, near: NDArray[np.int32]
         yield block, np.asarray(offset.any(axis=2)), offset
 
 
-def _assign_planes(points: Array, in_plane: NDArray[np.bool_], normals: Array, reach: float,
-                   tolerance: float) -> None:
+def _with_planes_nearby(points: Array, in_plane: NDArray[np.bool_], normals: Array, reach: float,
+                        tolerance: float) -> tuple[NDArray[np.bool_], Array]:
     """
-    Give each point without a plane that of the nearest point in whose plane it lies.
+    Return in_plane (n,) and normals (n, 3) with points that had no plane in that of another.
 
-    Changes in_plane (n,) and normals (n, 3); reach: largest distance of that point; tolerance:
-    from its plane (m).
+    That is the nearest one in whose plane they lie; reach: its largest distance; tolerance: from
+    its plane (m).
     """
     flat, others = np.flatnonzero(in_plane), np.flatnonzero(~in_plane)
     distance, nearest = cKDTree(points[flat]).query(points[others], 8, distance_upper_bound=reach)
@@ -112,7 +113,9 @@ def _assign_planes(points: Array, in_plane: NDArray[np.bool_], normals: Array, r
     to_plane = np.abs((offset * normals[nearest]).sum(axis=2))
     row, place = np.nonzero(np.isfinite(distance) & (to_plane < tolerance))
     row, first = np.unique(row, return_index=True)
+    in_plane, normals = in_plane.copy(), normals.copy()
     in_plane[others[row]], normals[others[row]] = True, normals[nearest[row, place[first]]]
+    return in_plane, normals
 
 
 def _sheet_labels(points: Array, normals: Array, linked: NDArray[np.int32],

@@ -1,6 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Targets that are solved from files of measured values."""
+"""
+Targets that are solved from files of measured values, here called tables.
+
+Beside that of a tracker there is a bag, of the sweep.
+"""
 from __future__ import annotations
 
 from pathlib import Path

@@ -3,5 +3,5 @@
 """
 Verification of a calibration: routines on known artefacts, and checks on its own target.
 
-`handeye check` is still_holds.py; what an answer is refused for is in checks/.
+`handeye check` is check.py; what an answer is refused for is in checks/.
 """

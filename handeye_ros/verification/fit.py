@@ -43,18 +43,21 @@ from handeye_ros.estimation.noise import (
 from handeye_ros.estimation.problem import Estimate, Linearisation, StationGroup
 from handeye_ros.frames import direction_in_words, mount_frame
 from handeye_ros.targets.profile_target import grazing
-from handeye_ros.verification.station_set import StationSet
-from handeye_ros.verification.white_residuals import (
+from handeye_ros.verification.group_fit import (
     covariance_root,
     GroupFit,
     largest_displacement,
-    ONE_SIDED_95,
     regularised_least_squares,
 )
+from handeye_ros.verification.station_set import StationSet
 import numpy as np
 import scipy.linalg
+from scipy.special import chdtri, chndtrinc
 
-DETECTION_SIGMAS = 1.96 + ONE_SIDED_95  # an error is seen with 95 % if false alarms are 5 %
+SIGNIFICANCE = 0.01  # level of the tests of a calibration error
+# an error of so many sigma is found with 95 %: p_chance, the test of its 6 unknowns together, then
+# is at most SIGNIFICANCE (noncentral chi2)
+DETECTION_SIGMAS = math.sqrt(chndtrinc(chdtri(6, SIGNIFICANCE), 6, 0.05))
 COVERAGE_FACTOR = 2.0  # coverage factor of expanded uncertainties (GUM: about 95 %)
 DIFFERENCE_STEP = 1e-7  # of numeric derivatives (m, rad)
 REFIT_COUNT = 5  # iterations for the calibration's error
@@ -120,7 +123,11 @@ class Shape:
         return derivatives(lambda shift: self.distance(p + shift, q), np.zeros(3))
 
     def linear(self, X: Array, q: Array) -> Linearisation:
-        """Return the distances and their derivatives, with the sensor plane at X (4, 4)."""
+        """
+        Return the distances and their derivatives, with the sensor plane at X (4, 4).
+
+        The state of the estimate is q; columns: 6 of X, then those of q.
+        """
         problem = self.stations.problem
         p, (R, _) = problem.points_in_base(X), problem.mounts_of_rows
         lever, wrt_base = problem.observations.points @ X[:3, [0, 2]].T, self.wrt_point(p, q)
@@ -162,7 +169,7 @@ class Scatter:
     p: float
 
 
-class CalibrationError(NamedTuple):
+class Misalignment(NamedTuple):
     """
     The error of the calibration that the distances of a shape suggest, whatever its covariance.
 
@@ -170,9 +177,10 @@ class CalibrationError(NamedTuple):
     p_explained: probability of larger distances from the shape with this error
     p_chance: probability that chance looks at least as much like an error
     largest, largest_std: the largest displacement of a point by the error, and its 1 sigma (m)
-    smallest_detectable: the smallest error that would show, in the direction in which it shows
-        least, as RMS displacement of the points (m)
-    weakest_direction: this direction in words
+    weakest: (6,) the smallest error that would be found with 95 %, in the direction in which it
+        shows least (m, rad)
+    smallest_detectable: its size, the RMS displacement of the points (m)
+    weakest_direction: its direction in words
     """
 
     twist: Array
@@ -180,6 +188,7 @@ class CalibrationError(NamedTuple):
     p_chance: float
     largest: float
     largest_std: float
+    weakest: Array
     smallest_detectable: float
     weakest_direction: str
 
@@ -197,7 +206,7 @@ class ShapeFit:
         covariances by measurement and calibration
     degrees_of_freedom: of chi2, the number of values with a nominal
     p_calibration: probability of a larger chi2 if the calibration's covariance is true
-    error: the error of the calibration that the distances suggest
+    misalignment: of the sensor, that the distances suggest
     """
 
     quantities: tuple[Quantity, ...]
@@ -207,13 +216,15 @@ class ShapeFit:
     chi2: float
     degrees_of_freedom: int
     p_calibration: float
-    error: CalibrationError
+    misalignment: Misalignment
 
 
 def fit_shape(shape: Shape, X: Array, C: Array, robot_smooth: float
               ) -> GroupFit[tuple[Shape, ShapeFit]]:
     """
-    Return a shape with its fit; raises InputError for an impossible covariance.
+    Return a shape with its fit, and what the test for outliers needs, as a GroupFit.
+
+    Raises InputError for an impossible covariance.
 
     X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; robot_smooth: 1 sigma (m) of the
     smooth error of the robot. The settings of the stations hold the uncertainty of nominal values.
@@ -253,10 +264,11 @@ def fit_shape(shape: Shape, X: Array, C: Array, robot_smooth: float
     variances = np.square(by_robot).sum(axis=1)  # of the distances, due to robot and sensor
     for batch in batches:
         variances[batch.rows] += np.einsum('nii->ni', _covariance(linear, batch))
-    error = _calibration_error(np.vstack([E_left, -deviation_wrt_errors]),
-                               np.append(r_left, deviation), degrees_of_freedom + known, linear)
+    misalignment = _misalignment(
+        np.vstack([E_left, deviation_wrt_errors]), np.append(r_left, deviation),
+        degrees_of_freedom + known, linear)
     fit = ShapeFit(quantities, scatter, linear.residuals, np.sqrt(variances), chi2, known,
-                   p_calibration, error)
+                   p_calibration, misalignment)
 
     # the test for outliers leaves shape and calibration free
     unknowns = np.hstack([J, E[:, :6]])
@@ -264,8 +276,7 @@ def fit_shape(shape: Shape, X: Array, C: Array, robot_smooth: float
     return GroupFit((shape, fit), r, np.hstack([unknowns, E[:, 6:]]), stations.group_of_point)
 
 
-def _calibration_error(A: Array, b: Array, conditions: int, linear: Linearisation
-                       ) -> CalibrationError:
+def _misalignment(A: Array, b: Array, conditions: int, linear: Linearisation) -> Misalignment:
     """
     Return the error of the calibration that distances and nominal values show.
 
@@ -280,11 +291,13 @@ def _calibration_error(A: Array, b: Array, conditions: int, linear: Linearisatio
     _, _, square_without = regularised_least_squares(A[:, 6:], b, information[6:])
     degrees_of_freedom = max(conditions - 6, 1)
     factor = max(square / degrees_of_freedom, 1.0)
-    return CalibrationError(
+    covariance *= factor
+    weakest, size, direction = _weakest(
+        covariance, linear.lever, mount_frame(linear.problem.config))
+    return Misalignment(
         twist, float(chi2_sf(square, degrees_of_freedom)),
         float(chi2_sf((square_without - square) / factor, 6)),
-        *largest_displacement(linear.lever, twist, factor * covariance),
-        *_weakest(covariance, linear.lever, mount_frame(linear.problem.config)))
+        *largest_displacement(linear.lever, twist, covariance), weakest, size, direction)
 
 
 def _covariance(linear: Linearisation, batch: StationGroup) -> Array:
@@ -329,12 +342,12 @@ def _measured(shape: Shape, q: Array, J: Array, gain: Array, E: Array, calibrati
         replace(quantity, value=value, std=std, std_by_calibration=std_by_calibration)
         for quantity, value, std, std_by_calibration in zip(
             shape.quantities, values.tolist(), *stds, strict=True))
-    return quantities, whiten @ deviation, whiten @ wrt_errors[known], chi2
+    return quantities, whiten @ deviation, -(whiten @ wrt_errors[known]), chi2
 
 
-def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
+def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[Array, float, str]:
     """
-    Return smallest_detectable and weakest_direction of a CalibrationError.
+    Return weakest, smallest_detectable and weakest_direction of a Misalignment.
 
     covariance (6, 6): of the calibration's error, in its mount; lever (m, 3): from the sensor.
     """
@@ -345,15 +358,20 @@ def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
     by_rotation = np.sqrt(worst[3:] @ mean_square[3:, 3:] @ worst[3:])
     motion, axis = (('position along', worst[:3]) if np.linalg.norm(worst[:3]) >= by_rotation else
                     ('rotation about', worst[3:]))
-    return (DETECTION_SIGMAS / math.sqrt(max(power[0], 1e-12)),
-            f'{motion} {direction_in_words(axis, mount)}')
+    size = DETECTION_SIGMAS / math.sqrt(max(power[0], 1e-12))
+    return size * worst, size, f'{motion} {direction_in_words(axis, mount)}'
 
 
 def refit_shape(shape: Shape, X: Array, C: Array, robot_smooth: float) -> ShapeFit:
-    """Return the fit with the calibration error estimated as well, of up to MAX_SHIFT."""
+    """
+    Return the fit with the calibration error estimated as well.
+
+    One that moves a point by MAX_SHIFT or more is not followed: the fit that suggests it is
+    returned.
+    """
     for _ in range(REFIT_COUNT):
         _, fit = fit_shape(shape, X, C, robot_smooth).result
-        if not fit.error.largest < MAX_SHIFT:
+        if not fit.misalignment.largest < MAX_SHIFT:
             break
-        X = se3.perturb(X, -fit.error.twist)
+        X = se3.perturb(X, -fit.misalignment.twist)
     return fit

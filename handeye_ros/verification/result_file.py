@@ -33,7 +33,7 @@ FIGURE_ROWS = (('mean distance from the fit', 'mean', 'm'), ('its standard devia
                ('its maximum', 'maximum', 'm'), ('its RMS', 'rms', 'm'),
                ('tolerance of lengths', 'tolerance', 'm'),
                ('tolerance of angles', 'angle_tolerance', 'rad'),
-               ('smallest error of the calibration that would show', 'smallest_error', 'm'))
+               ('smallest error of the calibration found with 95 %', 'smallest_error', 'm'))
 # Characteristics of VDI/VDE 2634 parts 2 and 3: meaning, and factor to the error of the quantity
 # (PS is of the diameter). E is the length measurement error of ISO 10360.
 CHARACTERISTICS = {
@@ -44,8 +44,9 @@ CHARACTERISTICS = {
     'E': ('length measurement error', 1.0)}
 
 # the names in FORMAT of fields that the code calls otherwise
-KEYS = {'measures': 'says', 'recording': 'bag', 'chi2': 'region', 'degrees_of_freedom': 'freedom',
-        'per_group': 'per_station', 'std_by_calibration': 'claimed', 'p_calibration': 'claim_p'}
+KEYS = {'station_count': 'stations', 'measures': 'says', 'recording': 'bag', 'chi2': 'region',
+        'degrees_of_freedom': 'freedom', 'per_group': 'per_station', 'p_calibration': 'claim_p',
+        'std_by_calibration': 'claimed'}
 
 
 def plain_values(verification: Verification, inputs: Iterable[object] = (),
@@ -55,8 +56,8 @@ def plain_values(verification: Verification, inputs: Iterable[object] = (),
         KEYS.get(name, name): value for name, value in items if name != 'label'})
     fit = values.pop('fit')
     return {'format': FORMAT, 'version': __version__, 'k': COVERAGE_FACTOR, **values,
-            'scatter': fit['scatter'], 'smallest_error': fit['error'].smallest_detectable,
-            'weakest_direction': fit['error'].weakest_direction,
+            'scatter': fit['scatter'], 'smallest_error': fit['misalignment'].smallest_detectable,
+            'weakest_direction': fit['misalignment'].weakest_direction,
             **{key: fit[key] for key in ('region', 'freedom', 'claim_p')},
             'inputs': list(map(str, inputs)),
             'calibration_file': input_provenance(calibration_file) if calibration_file else {},

@@ -1,9 +1,15 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The poses and points of a verification, and whether they are enough."""
+"""
+The poses and points of a verification, and whether they are enough.
+
+A station is a pose with points. Stations that share one error of the robot are a group: a stop, a
+profile of a sweep, or, of a routine in passes, all poses of a pass.
+"""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from bisect import bisect_right
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from handeye_ros.data import Indices, Reject
@@ -69,6 +75,11 @@ class StationSet:
         """Raise DataError where a recording has too few usable poses; see require_stations."""
         recording = self.recording_of_pose[np.unique(self.observations.station)]
         require_stations(np.bincount(recording, minlength=len(self.counts)).tolist(), rejects)
+
+
+def stop_number(stamp: int, stamps: Iterable[int]) -> int:
+    """Return the number, from 1, of a stop among those of its recording, by their stamps."""
+    return bisect_right(sorted(stamps), stamp)
 
 
 def require_stations(usable: Sequence[int], rejects: Sequence[Reject] = ()) -> None:

@@ -156,15 +156,15 @@ def _observations(routine: Routine, samples: Sequence[Sample], T: Array) -> Obse
     return Observations.concatenated(parts)
 
 
-def _features_with_stops(samples: Sequence[Sample], T: Array, kind: type[FeatureKind]
+def _features_with_stops(samples: Sequence[Sample], T: Array, feature_type: type[FeatureKind]
                          ) -> tuple[Indices, list[FeatureKind], Array]:
     """
-    Return the stop (k,) of each feature of a kind, these features, and their ends (k, 2, 3).
+    Return the stop (k,) of each feature of a type, these features, and their ends (k, 2, 3).
 
     The ends are in the base; T: (n, 4, 4) sensor planes of the n samples.
     """
     pairs = [(stop, feature) for stop, sample in enumerate(samples)
-             for feature in sample.features if isinstance(feature, kind)]
+             for feature in sample.features if isinstance(feature, feature_type)]
     return (np.array([stop for stop, _ in pairs], dtype=np.intp),
             [feature for _, feature in pairs],
             np.array([_ends_in_base(feature, T[stop]) for stop, feature in pairs]))

@@ -6,11 +6,13 @@ From the stations of several recordings and a calibration to the verdict of a ro
 The decisions are those of ISO 14253-1: a tolerance with a margin on both sides, a factor times the
 uncertainty u of the measurement here (sensor, robot, nominal value). The margin is
 
-- for values with a nominal, and points: the expanded uncertainty U = 2 u
+- for values with a nominal, and points: the expanded uncertainty U = 2 u; a point decides only
+  where it does not conform
 - for the calibration's error, if chance does not explain it (p_chance): 1.64 u, one-sided 95 %
 
-It is insensitive where an error of 3.6 u exceeds the tolerance. The covariance that the
-calibration states is what is verified, and takes no part in u.
+It is insensitive where an error of the calibration has to be larger than the tolerance to be found
+with 95 % (DETECTION_SIGMAS). The covariance that the calibration states is what is verified, and
+takes no part in u.
 """
 from __future__ import annotations
 
@@ -32,19 +34,20 @@ from handeye_ros.verification.fit import (
     Quantity,
     refit_shape,
     ShapeFit,
+    SIGNIFICANCE,
 )
+from handeye_ros.verification.group_fit import fit_without_outliers, ONE_SIDED_95
 from handeye_ros.verification.routines import Routine
-from handeye_ros.verification.station_set import StationSet
+from handeye_ros.verification.station_set import StationSet, stop_number
 from handeye_ros.verification.stations import stations_of
-from handeye_ros.verification.white_residuals import fit_without_outliers, ONE_SIDED_95
 from handeye_ros.words import count_of, mm
 import numpy as np
 
-SIGNIFICANCE = 0.01  # level of the tests of a calibration error
 INCONSISTENT_P = 1e-3  # level of the test that the points agree
 UNEXPLAINED_P = 1e-6  # below this p no error of the calibration explains the points
 OTHER_SIZE = ('the points fit the shape, and no error of the calibration explains these '
               'deviations: check the nominal values (verify.radius, verify.lengths)')
+CONTRADICTS = 'it contradicts the others under every possible calibration'
 # decisions of ISO 14253-1
 CONFORMS, VIOLATES, UNDECIDED = 'conforms', 'does not conform', 'not decided'
 
@@ -52,17 +55,17 @@ CONFORMS, VIOLATES, UNDECIDED = 'conforms', 'does not conform', 'not decided'
 @dataclass(frozen=True)
 class GroupResult:
     """
-    Result of one group of poses: a stop, of a sweep a profile, of a routine in passes a pass.
+    Result of one group of poses (see station_set.py).
 
     label: what it is called in a sentence; it is written to no file
     recording: its number, from 1
     number: from 1, of the stop among all of this recording, as a check counts them; of a profile
-        among those used
+        among those used; of a pass 1, the only one of its recording
     stamp: its time in nanoseconds
     distance, std: the largest distance of its points from the fit, and its 1 sigma (m), nan where
         it is not used
     p: probability that a good stop is as far off, whatever the error of the calibration
-    reason: why it is not used
+    reason: CONTRADICTS where it is not used
     """
 
     label: str
@@ -86,7 +89,7 @@ class Verification:
         (an error of the calibration as large as the tolerance would not have shown)
     reasons: sentences
     tolerance (m), angle_tolerance (rad): as configured
-    stations: number of poses used: of stops, of a sweep or of passes of profiles
+    station_count: number of poses used: of stops, of a sweep or of passes of profiles
     quantities: those of the fit, the scatter of each face or ball, and the error of the
         calibration that the points suggest, as the largest displacement of one of them
     fit: of the shape of the routine
@@ -104,7 +107,7 @@ class Verification:
     reasons: tuple[str, ...]
     tolerance: float
     angle_tolerance: float
-    stations: int
+    station_count: int
     quantities: tuple[Quantity, ...]
     fit: ShapeFit
     per_group: tuple[GroupResult, ...] = ()
@@ -137,9 +140,11 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
         np.unique(stations.group_of_point), lambda groups: fit_shape(
             routine.shape(stations.of_groups(groups), X, settings), X,
             calibration.covariance, robot_smooth))
-    if max(fit.scatter.p, fit.error.p_explained) < UNEXPLAINED_P and not routine.in_passes:
+    # tooth_gauge.py refuses what is no gauge; a wrong calibration, which blurs it, is to fail
+    if max(fit.scatter.p, fit.misalignment.p_explained) < UNEXPLAINED_P and not routine.in_passes:
         freed = refit_shape(shape, X, calibration.covariance, robot_smooth)
-        if freed.error.p_explained < UNEXPLAINED_P and freed.scatter.maximum > settings.tolerance:
+        if (freed.misalignment.p_explained < UNEXPLAINED_P
+                and freed.scatter.maximum > settings.tolerance):
             raise DataError(
                 f'this is not what "{routine.name}" measures: no small error of the calibration '
                 f'brings all points closer than {mm(freed.scatter.maximum)} to its shape. Check '
@@ -147,16 +152,18 @@ def verify_stations(routine: Routine, stations: StationSet, calibration: Calibra
                 'object did not move, that nothing else was in view (verify.near), and, of a '
                 'sweep, that the clocks are as they were (handeye check)')
     quantities = (*fit.quantities, *routine.form_errors(shape.stations, fit.distances), Quantity(
-        'likeliest error of the calibration', fit.error.largest, fit.error.largest_std))
-    kind = 'pass' if routine.in_passes else 'profile' if config.sampling.moving else 'stop'
-    per_group = _group_results(
-        kind, stations, shape.stations, fit, p, dropped, rejects if kind == 'stop' else ())
-    verdict, reasons = _decide(fit, quantities, per_group, kind, settings, robot_smooth)
+        'likeliest error of the calibration', fit.misalignment.largest,
+        fit.misalignment.largest_std))
+    group_noun = 'pass' if routine.in_passes else 'profile' if config.sampling.moving else 'stop'
+    per_group = _group_results(group_noun, stations, shape.stations, fit, p, dropped,
+                               rejects if group_noun == 'stop' else ())
+    verdict, reasons = _decide(fit, quantities, per_group, group_noun, settings, robot_smooth)
     return Verification(
         routine.name, calibration.name, verdict, reasons, settings.tolerance,
         settings.angle_tolerance, len(np.unique(shape.stations.observations.station)), quantities,
-        fit, per_group, stations.surface_note, routine.measures,
-        output.iso_time(int(stations.stamps.min())), settings.certificate, dict(config.record))
+        fit, per_group, surface=stations.surface_note, measures=routine.measures,
+        recorded=output.iso_time(int(stations.stamps.min())), certificate=settings.certificate,
+        record=dict(config.record))
 
 
 def verify_stops(routine: Routine, recordings: Sequence[Sequence[Sample | Reject]],
@@ -172,13 +179,13 @@ def verify_stops(routine: Routine, recordings: Sequence[Sequence[Sample | Reject
                            calibration, rejects)
 
 
-def _group_results(kind: str, stations: StationSet, used: StationSet, fit: ShapeFit,
+def _group_results(group_noun: str, stations: StationSet, used: StationSet, fit: ShapeFit,
                    p: Mapping[int, float], dropped: Sequence[int],
                    rejects: Sequence[Sequence[Reject]]) -> tuple[GroupResult, ...]:
     """
     Return the results of all groups of poses that have points, or contradict the others.
 
-    kind: what a group is, stop, profile or pass; used: the stations as fitted, without
+    group_noun: what a group is, stop, profile or pass; used: the stations as fitted, without
     contradicting groups (dropped); p: of each group; rejects: stops of each recording that count,
     but gave no sample.
     """
@@ -186,14 +193,15 @@ def _group_results(kind: str, stations: StationSet, used: StationSet, fit: Shape
     groups, recordings = stations.group_of_pose, stations.recording_of_pose
     for group, first in zip(*np.unique(groups, return_index=True), strict=True):
         recording, stamp = int(recordings[first]), int(stations.stamps[first])
-        first_group = groups[np.searchsorted(recordings, recording)]
-        before = sum(reject.stamp < stamp for reject in rejects[recording]) if rejects else 0
-        number = int(group - first_group) + before + 1
-        identity = f'{kind} {number} of recording {recording + 1}', recording + 1, number, stamp
+        number = stop_number(stamp, [
+            *stations.stamps[recordings == recording].tolist(),
+            *(reject.stamp for reject in (rejects[recording] if rejects else ()))])
+        identity = (f'{group_noun} {number} of recording {recording + 1}', recording + 1, number,
+                    stamp)
         rows = np.flatnonzero(used.group_of_point == group)
         if group in dropped:
-            results.append(GroupResult(*identity, math.nan, math.nan, p[group], False, (
-                'it contradicts the others under every possible calibration')))
+            results.append(
+                GroupResult(*identity, math.nan, math.nan, p[group], False, CONTRADICTS))
         elif len(rows):
             worst = rows[np.argmax(np.abs(fit.distances[rows]))]
             results.append(GroupResult(
@@ -203,12 +211,13 @@ def _group_results(kind: str, stations: StationSet, used: StationSet, fit: Shape
 
 
 def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[GroupResult],
-            kind: str, settings: VerifyConfig, robot_smooth: float) -> tuple[str, tuple[str, ...]]:
+            group_noun: str, settings: VerifyConfig, robot_smooth: float
+            ) -> tuple[str, tuple[str, ...]]:
     """
     Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences.
 
-    kind: what a group is, in words; robot_smooth: 1 sigma (m) of the robot's smooth error, which
-    more groups do not reduce.
+    group_noun: what a group is, in words; robot_smooth: 1 sigma (m) of the robot's smooth error,
+    which more groups do not reduce.
     """
     used = sum(result.used for result in results)
 
@@ -218,24 +227,24 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Gro
             return (f': the smooth error of the robot that the calibration found '
                     f'({mm(robot_smooth)}) hides less')
         return '' if size >= 10 * largest else (
-            f': record about {count_of(math.ceil(used * (size / largest) ** 2), kind)} like '
+            f': record about {count_of(math.ceil(used * (size / largest) ** 2), group_noun)} like '
             'these, or turn the sensor more between them')
 
     # the shape fits, but not in its size
-    other_size = fit.error.p_explained < UNEXPLAINED_P < fit.scatter.p
+    other_size = fit.misalignment.p_explained < UNEXPLAINED_P < fit.scatter.p
     findings = [*_quantity_findings(quantities, settings, remedy),
                 *_point_findings(fit, results, settings, other_size)]
     failed, undecided = ([sentence for outcome, sentence in findings if outcome == wanted]
                          for wanted in (VIOLATES, UNDECIDED))
     verdict = 'fail' if failed else 'undecided' if undecided else 'pass'
-    if not failed and (detectable := fit.error.smallest_detectable) > settings.tolerance:
+    if not failed and (detectable := fit.misalignment.smallest_detectable) > settings.tolerance:
         verdict = 'insensitive'
         undecided.insert(0, (
-            'this decides nothing: an error of the calibration would show only from '
-            f'{mm(detectable)} on ({fit.error.weakest_direction}), and the tolerance is '
+            'this decides nothing: an error of the calibration would show with 95 % only from '
+            f'{mm(detectable)} on ({fit.misalignment.weakest_direction}), and the tolerance is '
             f'{mm(settings.tolerance)}{remedy(detectable, settings.tolerance)}'))
-    return verdict, tuple(dict.fromkeys(
-        [*failed, *undecided, *_notes(fit, other_size, results)]))
+    return verdict, (*failed, *undecided, *_notes(
+        fit, other_size and OTHER_SIZE not in undecided, results))
 
 
 def decision(deviation: float, margin: float, tolerance: float) -> str:
@@ -255,7 +264,7 @@ def in_mm_or_degrees(value: float | None, unit: str) -> str:
 def _quantity_findings(quantities: Sequence[Quantity], settings: VerifyConfig,
                        remedy: Callable[[float, float], str]) -> Iterator[tuple[str, str]]:
     """
-    Yield the decisions on the values with a nominal, each with a sentence.
+    Yield the decisions on values with a nominal that do not conform, each with a sentence.
 
     remedy(size, largest): of an uncertainty that is larger than what the tolerance leaves.
     """
@@ -263,7 +272,8 @@ def _quantity_findings(quantities: Sequence[Quantity], settings: VerifyConfig,
         if q.deviation is not None:
             tolerance = settings.tolerance if q.unit == 'm' else settings.angle_tolerance
             off, U = (in_mm_or_degrees(value, q.unit) for value in (q.deviation, q.expanded))
-            outcome = decision(q.deviation, q.expanded, tolerance)
+            if (outcome := decision(q.deviation, q.expanded, tolerance)) == CONFORMS:
+                continue
             yield outcome, f'{q.name} is off by {off} ± {U} (k = {COVERAGE_FACTOR:g})' if (
                 outcome == VIOLATES) else (
                 f'{q.name} is off by {off}, its uncertainty is {U} (k = {COVERAGE_FACTOR:g}), and '
@@ -284,13 +294,13 @@ def _point_findings(fit: ShapeFit, results: Sequence[GroupResult], settings: Ver
         worst = max(outside, key=lambda s: s.distance)
         yield VIOLATES, (f'points lie up to {mm(worst.distance)} from the fit (too far in '
                          f'{len(outside)} of {len(results)}, the worst: {worst.label})')
-    size, margin = fit.error.largest, ONE_SIDED_95 * fit.error.largest_std
+    size, margin = fit.misalignment.largest, ONE_SIDED_95 * fit.misalignment.largest_std
     outcome = decision(size, margin, settings.tolerance)
     error = (f'an error of the calibration of {mm(size)} ± {mm(margin)} '
              f'(k = {ONE_SIDED_95:g}, one-sided)')
-    if fit.error.p_chance <= SIGNIFICANCE and outcome == VIOLATES and not other_size:
+    if fit.misalignment.p_chance <= SIGNIFICANCE and outcome == VIOLATES and not other_size:
         yield VIOLATES, f'the pattern of the distances matches {error} at the points'
-    elif fit.error.p_chance <= SIGNIFICANCE and outcome != CONFORMS:
+    elif fit.misalignment.p_chance <= SIGNIFICANCE and outcome != CONFORMS:
         yield UNDECIDED, OTHER_SIZE if other_size else (
             f'the points suggest {error}, which may exceed the tolerance: measure more')
     contradicting = [s.label for s in results if s.used and s.p * len(results) < FALSE_ALARM]
@@ -300,7 +310,7 @@ def _point_findings(fit: ShapeFit, results: Sequence[GroupResult], settings: Ver
 
 
 def _notes(fit: ShapeFit, other_size: bool, results: Sequence[GroupResult]) -> Iterator[str]:
-    """Yield the sentences that qualify a verdict."""
+    """Yield the sentences that qualify a verdict; other_size: whether OTHER_SIZE is one."""
     yield from (f'{s.label} is not used: {s.reason}' for s in results if not s.used)
     if fit.scatter.p < INCONSISTENT_P:
         yield ('the points disagree by more than calibration, noise.sensor and noise.robot_* '

@@ -27,7 +27,8 @@ from handeye_ros.guidance.candidates import (
     covariances_with_one_more,
     FAILED_POSE_DISTANCE,
 )
-from handeye_ros.guidance.view import learn_view, next_move
+from handeye_ros.guidance.first_moves import next_move
+from handeye_ros.guidance.view import learn_view
 from handeye_ros.pipeline import Answer
 from handeye_ros.simulate import SCENARIOS
 import numpy as np

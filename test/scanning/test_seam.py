@@ -249,6 +249,17 @@ def test_the_path_follows_what_is_asked_for_from_where_it_is_asked():
                                turned.std(turned.curve.arc[1][::-1]), rtol=0.01)
 
 
+def test_the_sigma_of_a_cubic_path_knows_how_far_it_is_from_the_sections():
+    joint = replace(JOINTS['lap 5, lean -20'], length=100.0)
+    seam = find_seam(scanned(joint, np.random.default_rng(0)).points)
+    t, line = seam.curve.arc[1], seam.curves[seam.line]
+    assert (seam.curve.kind, line.kind) == ('cubic', 'spline')
+    off = np.linalg.norm(seam.curve.position(t) - line.position(t), axis=1)
+    assert off.max() > 1e-6
+    np.testing.assert_allclose(seam.std(t)[:, 0] ** 2, off ** 2 + line.std(t) ** 2
+                               + seam.sections.resolution[seam.line] ** 2)
+
+
 def test_frames_are_rotations_at_the_pitch_and_lean_as_asked():
     truth = preform()
     seam, towards = find_seam(truth.points), -truth.normals.mean(axis=0)

@@ -50,12 +50,14 @@ def with_poses(artefact, moves):
 @pytest.mark.thorough
 @pytest.mark.parametrize('name', bench.SCENES)
 def test_the_truth_lies_in_the_stated_region_and_wrong_calibrations_fail(name):
-    inside = failed = 0
+    inside = failed = passed = 0
     for seed in range(SEEDS):
         right, wrong = bench.trial(name, seed)
         inside += bench.within(right)
         failed += wrong.verdict == 'fail'
-        assert right.verdict == 'pass' and wrong.verdict != 'pass'
+        passed += right.verdict == 'pass'
+        assert right.verdict != 'fail' and wrong.verdict != 'pass'
+    assert passed >= SEEDS - 1  # false alarms have 1 %, and a plane may be insensitive
     assert failed >= SEEDS - 1  # 1 mm and 0.5 degrees may cancel at the points
     assert inside >= SEEDS - 3  # more than 3 of 12 outside a true 95 % region: p = 0.002
 
@@ -192,9 +194,9 @@ def test_what_could_not_have_shown_is_no_pass():
     spread = with_poses(alike, {k: [*2.5e-3 * k * along, 0, 0, 0] for k in range(8)})
     assert assess('plane', spread, calibration, tolerance=1e-2).verdict in ('insensitive', 'fail')
     few = assess('plane', *measure('plane', count=5))
-    assert few.verdict == 'insensitive' and 'would show only from' in few.reasons[0]
+    assert few.verdict == 'insensitive' and 'would show with 95 % only from' in few.reasons[0]
     artefact, calibration = measure('step', count=12)
-    detectable = assess('step', artefact, calibration).fit.error.smallest_detectable
+    detectable = assess('step', artefact, calibration).fit.misalignment.smallest_detectable
     assert assess('step', artefact, calibration, tolerance=2.0 * detectable).verdict == 'pass'
     coarse = assess('step', artefact, calibration, tolerance=0.8 * detectable)
     more = math.ceil(sum(stop.used for stop in coarse.per_group) / 0.8 ** 2)
@@ -202,6 +204,11 @@ def test_what_could_not_have_shown_is_no_pass():
     assert f'record about {more} stops like these' in coarse.reasons[0]
     artefact, calibration = measure('ball_bar')  # a tolerance below the uncertainty is no pass
     assert assess('ball_bar', artefact, calibration, tolerance=1e-5).verdict != 'pass'
+
+
+@pytest.mark.parametrize('name', ['point', 'sphere'])
+def test_the_smallest_error_that_is_stated_is_found_with_95_percent(name):
+    assert sum(bench.shown(name, seed) for seed in range(40)) >= 35  # of a true 95 %: p = 0.014
 
 
 def test_the_calibration_s_claim_takes_no_part_in_the_decision():
@@ -224,7 +231,8 @@ def test_a_few_contradicting_stops_are_left_out_and_named():
     artefact, calibration = measure('line')
     moved = with_poses(artefact, {4: [2e-3, 2e-3, 2e-3, 0, 0, 0]})
     verification = assess('line', moved, calibration)
-    assert verification.verdict == 'pass' and verification.stations == len(artefact.bags[0]) - 1
+    assert verification.verdict == 'pass'
+    assert verification.station_count == len(artefact.bags[0]) - 1
     assert [s.label for s in verification.per_group if not s.used] == ['stop 5 of recording 1']
     assert verification.reasons[0].startswith('stop 5 of recording 1 is not used')
     written = yaml.safe_load(yaml_text(plain_values(verification)))['per_station'][4]

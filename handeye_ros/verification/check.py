@@ -11,17 +11,16 @@ sensor adds D m; a changed robot adds an error of each pose, smooth over the pos
 has a normal prior, averaged over MOVE_SCALES, so each cause has a marginal likelihood. A change is
 reported if the causes together are MIN_EVIDENCE times as likely as none: by Markov's inequality
 the probability of a false alarm is at most 1 / MIN_EVIDENCE (Wald 1945). If the stops do not
-distinguish several causes, the sentence names these and their odds; if nothing changed, the
-smallest change that would have shown.
+distinguish several causes, the sentence names these and their probabilities; if nothing changed,
+the smallest change that would have shown.
 """
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 import math
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from handeye_ros import frames, pipeline, se3
 from handeye_ros.arithmetic import evenly_spaced, rms
@@ -58,8 +57,7 @@ from handeye_ros.estimation.target import Target
 from handeye_ros.frames import direction_in_words, mount_frame, target_frame
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.profile_target import FLATNESS_ERROR, GRAZING
-from handeye_ros.verification.station_set import require_stations
-from handeye_ros.verification.white_residuals import (
+from handeye_ros.verification.group_fit import (
     covariance_root,
     fit_without_outliers,
     GroupFit,
@@ -67,6 +65,7 @@ from handeye_ros.verification.white_residuals import (
     ONE_SIDED_95,
     regularised_least_squares,
 )
+from handeye_ros.verification.station_set import require_stations, stop_number
 from handeye_ros.words import mm
 import numpy as np
 from scipy.special import softmax
@@ -84,10 +83,9 @@ NAMED_FROM = 0.95  # probability with which one cause, or some together, are nam
 MAX_OF_SWEEP = 30  # samples of a sweep: neighbours share the errors of the robot
 UNSEEN_SHIFT = 0.01  # m: a shift that would show only from here on is called unseen
 NO_MOVE = np.zeros(6)
-MOVABLE = 'target', 'sensor'
+Part = Literal['target', 'sensor']
+MOVABLE: tuple[Part, Part] = 'target', 'sensor'
 CAUSES = *MOVABLE, 'robot'
-# names in FORMAT of the fields of a Move; that of `contradicting` is left_out
-MOVE_KEYS = {'shift': 'moved', 'turn': 'turned', 'smallest_shifts': 'shows', 'axes': 'axes'}
 ROBOT_CHANGED = ('the poses of the robot err otherwise than before (mastering, a joint, wear), '
                  'or repeat worse than noise.robot_* says: check the robot before the sensor')
 MORE_STOPS = ('Repeat some of them with the sensor turned by 90 degrees about its z, and by 25 '
@@ -99,16 +97,16 @@ class Move:
     """
     The likeliest move of target or sensor, and the smallest shifts that would have shown.
 
-    shift, turn: of the likeliest move (m, rad)
-    smallest_shifts: along each of three axes the smallest shift (m) that would have shown, nan
+    moved, turned: shift and turn of the likeliest move (m, rad)
+    shows: along each of three axes the smallest shift (m) that would have shown, nan
         where none below UNSEEN_SHIFT would
     axes: (3, 3) the directions of these axes as rows, of the target in the base, of the sensor in
         the flange; with eye_on_base it is the other way round
     """
 
-    shift: float
-    turn: float
-    smallest_shifts: list[float]
+    moved: float
+    turned: float
+    shows: list[float]
     axes: list[list[float]]
 
 
@@ -124,7 +122,7 @@ class Check:
     stations: number of the compared stations
     rms: RMS of the residuals (m)
     evidence: how many times as likely the recording is with a change as without
-    odds: probability of each cause if something changed
+    probabilities: of each cause if something changed
     target, sensor: their likeliest moves
     points_off: the largest error of points if the sensor is the cause, and its std (m)
     contradicting: numbers of the stops, of a sweep of the passes, with what contradicts the others
@@ -138,7 +136,7 @@ class Check:
     stations: int
     rms: float
     evidence: float
-    odds: dict[str, float]
+    probabilities: dict[str, float]
     target: Move
     sensor: Move
     points_off: float
@@ -193,52 +191,57 @@ def check(samples: Sequence[Sample], cell: CalibratedCell, rejects: Sequence[Rej
         station = prediction.linear.problem.observations.station
         require_stations([len(np.unique(station))])
         # whatever moved, and however the calibration errs
-        moves = [prediction.undoing(name)[1] * _move_sigmas(MOVE_SCALES[-1]) for name in MOVABLE]
-        return GroupFit(prediction, prediction.residuals, np.hstack([prediction.errors, *moves]),
-                        stops[station])
+        wrt_moves = [prediction.residuals_without_move(part)[1] * _move_sigmas(MOVE_SCALES[-1])
+                     for part in MOVABLE]
+        return GroupFit(prediction, prediction.residuals,
+                        np.hstack([prediction.wrt_errors, *wrt_moves]), stops[station])
 
     prediction, _, dropped = fit_without_outliers(
         np.unique(problem.observations.station), compared_at)
 
-    target, sensor = (_cause_of(prediction, name) for name in MOVABLE)
-    log_likelihoods = [target.log_likelihood, sensor.log_likelihood,
+    target_cause, sensor_cause = (_cause_of(prediction, part) for part in MOVABLE)
+    log_likelihoods = [target_cause.log_likelihood, sensor_cause.log_likelihood,
                        _robot_log_likelihood(prediction)]
     log_evidence = _log_mean(log_likelihoods) - _log_likelihood(
-        prediction.residuals, prediction.errors)
-    odds = dict(zip(CAUSES, softmax(log_likelihoods).tolist(), strict=True))
+        prediction.residuals, prediction.wrt_errors)
+    probabilities = dict(zip(CAUSES, softmax(log_likelihoods).tolist(), strict=True))
     off = rms(prediction.linear.residuals)
     if log_evidence >= math.log(MIN_EVIDENCE):
-        verdict, sentence = _verdict_of_change(target, sensor, odds, off)
+        verdict, sentence = _verdict_of_change(target_cause, sensor_cause, probabilities, off)
     else:
         verdict, sentence = 'unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
-            f'have shown from {_shifts_in_words(target.move, target_frame(config))} on, one of '
-            f'the sensor from {_shifts_in_words(sensor.move, mount_frame(config))} on')
+            f'have shown from {_shifts_in_words(target_cause.move, target_frame(config))} on, '
+            f'one of the sensor from {_shifts_in_words(sensor_cause.move, mount_frame(config))} '
+            'on')
 
     # the numbers of the stops or passes that hold what was dropped
-    in_order = sorted(pass_stamps or [
-        *(sample.stamp for sample in samples), *(reject.stamp for reject in rejects)])
-    contradicting = sorted({bisect_right(in_order, samples[k].stamp) for k in dropped})
+    stamps = pass_stamps or [*(sample.stamp for sample in samples),
+                             *(reject.stamp for reject in rejects)]
+    contradicting = sorted({stop_number(samples[k].stamp, stamps) for k in dropped})
     if contradicting:
         what = 'profiles of the passes' if pass_stamps else 'stops'
         sentence += f'. Not used, as they contradict the others: {what} {contradicting}'
     return Check(
         [sample.stamp for sample in samples], verdict, sentence,
-        len(prediction.linear.problem.poses), off, math.exp(min(log_evidence, 700.0)), odds,
-        target.move, sensor.move, sensor.displacement, sensor.std, contradicting)
+        len(prediction.linear.problem.poses), off, math.exp(min(log_evidence, 700.0)),
+        probabilities, target_cause.move, sensor_cause.move, sensor_cause.displacement,
+        sensor_cause.std, contradicting)
 
 
-def _verdict_of_change(target: _Cause, sensor: _Cause, odds: Mapping[str, float], off: float
-                       ) -> tuple[str, str]:
+def _verdict_of_change(target_cause: _Cause, sensor_cause: _Cause,
+                       probabilities: Mapping[str, float], off: float) -> tuple[str, str]:
     """
     Return the fewest causes that are together as probable as NAMED_FROM, and what follows.
 
-    off: RMS of the residuals (m); raises DataError where they are of another cell.
+    probabilities: of CAUSES; off: RMS of the residuals (m). Raises DataError where they are of
+    another cell.
     """
-    sentences = dict(zip(CAUSES, (target.sentence, sensor.sentence, ROBOT_CHANGED), strict=True))
-    ranked = sorted(odds, key=odds.__getitem__, reverse=True)
-    probability = np.cumsum([odds[name] for name in ranked])
-    named = ranked[:int(np.searchsorted(probability, NAMED_FROM)) + 1]
+    sentences = dict(zip(CAUSES, (
+        target_cause.sentence, sensor_cause.sentence, ROBOT_CHANGED), strict=True))
+    ranked = sorted(probabilities, key=probabilities.__getitem__, reverse=True)
+    together = np.cumsum([probabilities[name] for name in ranked])
+    named = ranked[:int(np.searchsorted(together, NAMED_FROM)) + 1]
     if 'robot' in named and off > MOVE_SCALES[-1]:
         raise DataError(
             f'this recording is off by {mm(off)} RMS from what the calibration has, which '
@@ -247,7 +250,7 @@ def _verdict_of_change(target: _Cause, sensor: _Cause, odds: Mapping[str, float]
             'stands there; if it does not, calibrate again', code='other_cell')
     sentence = '; or '.join(sentences[name] for name in named)
     if len(named) > 1:
-        text = ', '.join(f'{name} {odds[name]:.0%}' for name in named)
+        text = ', '.join(f'{name} {probabilities[name]:.0%}' for name in named)
         sentence = f'these stops cannot decide ({text}): {sentence}. {MORE_STOPS}'
     return ' or '.join(named), sentence
 
@@ -343,24 +346,25 @@ class _Prediction:
     linear: residuals and derivatives at the calibrated estimate
     whiten: multiplies by the inverse root of the covariance of the noise
     residuals: (m,) whitened residuals
-    errors: (m, k) whitened derivatives of the residuals by the errors e, in their sigmas
+    wrt_errors: (m, k) their whitened derivatives by the errors e, in sigmas of these
     """
 
     linear: Linearisation
     whiten: Whitening
     residuals: Array
-    errors: Array
+    wrt_errors: Array
 
-    def undoing(self, name: str, move: Array = NO_MOVE) -> tuple[Array, Array, Array]:
+    def residuals_without_move(self, part: Part, move: Array = NO_MOVE
+                               ) -> tuple[Array, Array, Array]:
         """
-        Return the white residuals (m,) with a move of the target or the sensor (name) undone.
+        Return the white residuals (m,) with a move (6,) of the target or the sensor undone.
 
         With their derivatives (m, 6) by the move, and the points (m, 3) relative to the centre of
         its turn: the middle of the points for the target, the sensor's origin for the sensor.
         """
         problem, calibrated = self.linear.problem, self.linear.estimate
         X = calibrated.X
-        if name == 'sensor':
+        if part == 'sensor':
             linear = linearise(problem, replace(calibrated, X=se3.perturb(X, move)))
             wrt_move, lever = -linear.jacobian[:, :6], linear.lever
         else:
@@ -373,7 +377,7 @@ class _Prediction:
 
 
 def _predicted(problem: Problem, cell: CalibratedCell) -> _Prediction:
-    """Return the residuals of a recording at the calibrated estimate, and their errors."""
+    """Return the residuals of a recording at the calibrated estimate, with their derivatives."""
     found_sizes = replace(problem, config=replace(cell.config, noise=cell.noise))
     at_found_sizes = linearise(found_sizes, cell.estimate)
     # the range of a face in grazing light may be off by as much as a calibration allows
@@ -387,19 +391,19 @@ def _predicted(problem: Problem, cell: CalibratedCell) -> _Prediction:
     # what all stops share was part of the calibration too
     basis = problem.smooth_error_basis
     differences = (basis - basis.mean(axis=0))[problem.observations.station]
-    errors = np.column_stack([
+    wrt_errors = np.column_stack([
         linear.jacobian @ cell.root,
         wrt_smooth(linear.wrt_pose, differences * cell.noise.robot_smooth), *of_blocks])
-    return _Prediction(linear, whiten, whiten(linear.residuals), whiten(errors))
+    return _Prediction(linear, whiten, whiten(linear.residuals), whiten(wrt_errors))
 
 
-def _log_likelihood(residuals: Array, *errors: Array) -> float:
+def _log_likelihood(residuals: Array, *wrt_errors: Array) -> float:
     """
     Return the log likelihood of white residuals (m,) whose errors have a normal prior.
 
-    errors: (m, k) each, derivatives by values of unit variance.
+    wrt_errors: (m, k) each, derivatives by values of unit variance.
     """
-    _, covariance, square = regularised_least_squares(np.hstack(errors), residuals)
+    _, covariance, square = regularised_least_squares(np.hstack(wrt_errors), residuals)
     return float(np.linalg.slogdet(covariance)[1] - square) / 2
 
 
@@ -428,33 +432,33 @@ class _Cause(NamedTuple):
     std: float
 
 
-def _cause_of(prediction: _Prediction, name: str) -> _Cause:
+def _cause_of(prediction: _Prediction, part: Part) -> _Cause:
     """
-    Return the hypothesis that the target or the sensor (name) moved.
+    Return the hypothesis that the target or the sensor moved.
 
     Gauss-Newton steps find the move; the scale of its prior is the likeliest of MOVE_SCALES.
     """
     move, sigmas = NO_MOVE, _move_sigmas(MOVE_SCALES[-1])
     for _ in range(STEP_COUNT):
-        r, D, lever = prediction.undoing(name, move)
+        r, D, lever = prediction.residuals_without_move(part, move)
         r = r + D @ move  # of no move, in this linearisation
-        x, C, _ = regularised_least_squares(np.hstack([prediction.errors, D * sigmas]), r)
+        x, C, _ = regularised_least_squares(np.hstack([prediction.wrt_errors, D * sigmas]), r)
         move, C = sigmas * x[-6:], C[-6:, -6:] * np.outer(sigmas, sigmas)
-        log_likelihoods = [_log_likelihood(r, prediction.errors, D * _move_sigmas(scale))
+        log_likelihoods = [_log_likelihood(r, prediction.wrt_errors, D * _move_sigmas(scale))
                            for scale in MOVE_SCALES]
         sigmas = _move_sigmas(MOVE_SCALES[int(np.argmax(log_likelihoods))])
     shift, turn = np.linalg.norm(move.reshape(2, 3), axis=1).tolist()
     displacement, std = largest_displacement(lever, move, C)
     off, turned = f'{mm(displacement)} ± {mm(2 * std)}', f'{math.degrees(turn):.3f} degrees'
-    on_flange = (name == 'sensor') == prediction.linear.problem.config.in_hand
-    what = f'the {name} moved on the flange' if on_flange else (
-        f'the {name}, or the base of the robot, moved')
+    on_flange = (part == 'sensor') == prediction.linear.problem.config.in_hand
+    what = f'the {part} moved on the flange' if on_flange else (
+        f'the {part}, or the base of the robot, moved')
     sentence = (
         f'{what} by {mm(shift)} and {turned}: points are off by up to {off}; calibrate again'
-        if name == 'sensor' else
+        if part == 'sensor' else
         f'{what} by up to {off} where it was seen, and turned by {turned}; the calibration holds')
     return _Cause(_log_mean(log_likelihoods), sentence,
-                  Move(shift, turn, *_smallest_shifts(prediction, name)), displacement, std)
+                  Move(shift, turn, *_smallest_shifts(prediction, part)), displacement, std)
 
 
 def _robot_log_likelihood(prediction: _Prediction) -> float:
@@ -465,20 +469,20 @@ def _robot_log_likelihood(prediction: _Prediction) -> float:
     values, axes = np.linalg.eigh(np.abs(smooth @ smooth.T) ** 0.25)
     roots = smooth, axes * np.sqrt(np.maximum(values, 0.0)), np.eye(len(problem.poses))
     return _log_mean([
-        _log_likelihood(prediction.residuals, prediction.errors,
+        _log_likelihood(prediction.residuals, prediction.wrt_errors,
                         wrt_smooth(wrt_pose, root[station], np.diag(_move_sigmas(scale))))
         for root, scale in product(roots, MOVE_SCALES)])
 
 
-def _smallest_shifts(prediction: _Prediction, name: str) -> tuple[list[float], list[list[float]]]:
+def _smallest_shifts(prediction: _Prediction, part: Part) -> tuple[list[float], list[list[float]]]:
     """
-    Return the smallest detectable shifts (3) of target or sensor (name), and their directions.
+    Return the smallest detectable shifts (3) of target or sensor, and their directions.
 
     The shifts are in metres, ascending, nan where none below UNSEEN_SHIFT shows; the directions
     (3, 3) are rows.
     """
-    _, D, _ = prediction.undoing(name)
-    A = prediction.errors  # a move that they explain as well does not show
+    _, D, _ = prediction.residuals_without_move(part)
+    A = prediction.wrt_errors  # a move that they explain as well does not show
     information = D.T @ (D - A @ np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T @ D))
     occam = np.linalg.slogdet(np.eye(6) + information * _move_sigmas(TYPICAL_SCALE) ** 2)[1]
     # sigmas of a shift whose evidence reaches MIN_EVIDENCE after averaging over all causes and
@@ -493,7 +497,7 @@ def _smallest_shifts(prediction: _Prediction, name: str) -> tuple[list[float], l
 def _shifts_in_words(move: Move, frame: str) -> str:
     """Return in words from which size on shifts along the axes show, and which do not."""
     along = [(size, direction_in_words(np.array(axis), frame))
-             for size, axis in zip(move.smallest_shifts, move.axes, strict=True)]
+             for size, axis in zip(move.shows, move.axes, strict=True)]
     unseen = ' or '.join(name for size, name in along if np.isnan(size))
     return ', '.join(f'{mm(size)} along {name}' for size, name in along if size < UNSEEN_SHIFT) + (
         f' (a slide along {unseen} cannot be seen)' if unseen else '')
@@ -520,6 +524,7 @@ def plain_values(checks: Sequence[tuple[str, Check]], against: str) -> dict[str,
     for content in contents:
         del content['stamps']
         content['left_out'] = content.pop('contradicting')
-    for content, name in product(contents, MOVABLE):
-        content |= {f'{name}_{MOVE_KEYS[key]}': value for key, value in content.pop(name).items()}
+        content['odds'] = content.pop('probabilities')
+    for content, part in product(contents, MOVABLE):
+        content |= {f'{part}_{key}': value for key, value in content.pop(part).items()}
     return {'format': FORMAT, 'against': against, 'checks': contents}

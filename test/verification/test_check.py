@@ -15,7 +15,7 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.simulate import simulate
 from handeye_ros.simulate.scenario import FAULTS, RobotModel, Scenario, SCENARIOS
-from handeye_ros.verification.still_holds import CalibratedCell, check, check_recording
+from handeye_ros.verification.check import CalibratedCell, check, check_recording
 import numpy as np
 import pytest
 from verifications import bench
@@ -85,10 +85,10 @@ def test_a_stop_that_is_left_out_has_its_number_among_all_stops(calibrated):
 
 def test_a_change_is_measured(calibrated):
     check_result = check_after(calibrated, 'sphere', 'target', 0)
-    assert check_result.target.shift == pytest.approx(3e-4, rel=0.2)
+    assert check_result.target.moved == pytest.approx(3e-4, rel=0.2)
     assert 'the target, or the base of the robot, moved by up to 0.3' in check_result.sentence
     check_result = check_after(calibrated, 'plate', 'sensor', 0)
-    assert check_result.sensor.shift == pytest.approx(3e-4, rel=0.3)
+    assert check_result.sensor.moved == pytest.approx(3e-4, rel=0.3)
     assert check_result.points_off > 2 * check_result.points_off_std
     # 0.7 mm at the flange, and no extrapolation
     assert check_after(calibrated, 'plate', 'joint 0.2', 0).points_off < 2e-3
@@ -115,20 +115,20 @@ def test_where_the_target_may_have_moved_unseen_is_said(calibrated):
     assert check_result.verdict == 'unchanged'
     assert 'would have shown from' in check_result.sentence
     assert 'cannot be seen' in check_result.sentence
-    shifts = check_result.target.smallest_shifts
+    shifts = check_result.target.shows
     assert shifts[0] < 1e-4 and np.isnan(shifts[1:]).all()
     assert np.abs(check_result.target.axes[0] @ calibrated['plane'].T_base_target[:3, 2]) > 0.99
 
 
 def test_the_edges_of_a_plate_show_a_move_in_each_direction(calibrated):
-    assert max(check_after(calibrated, 'plate', 'unchanged', 1).target.smallest_shifts) < 5e-4
+    assert max(check_after(calibrated, 'plate', 'unchanged', 1).target.shows) < 5e-4
 
 
 @pytest.mark.parametrize('moved', [(3e-3, 0, 0), (0.03, 0.01, 0)])
 def test_a_plate_that_slid_along_its_face_has_moved(calibrated, moved):
     check_result = check_cell(calibrated, 'plate', moved=moved)
     assert check_result.verdict == 'target'
-    assert check_result.target.shift == pytest.approx(np.linalg.norm(moved), abs=2e-4)
+    assert check_result.target.moved == pytest.approx(np.linalg.norm(moved), abs=2e-4)
 
 
 def test_stops_of_one_orientation_name_both_target_and_sensor(
@@ -137,7 +137,7 @@ def test_stops_of_one_orientation_name_both_target_and_sensor(
     assert set(check_result.verdict.split(' or ')) >= {'target', 'sensor'}
     assert 'these stops cannot decide' in check_result.sentence
     assert 'Repeat some of them with the sensor turned' in check_result.sentence
-    assert sum(check_result.odds.values()) == pytest.approx(1.0)
+    assert sum(check_result.probabilities.values()) == pytest.approx(1.0)
 
 
 def test_a_robot_that_repeats_worse_than_it_is_set_is_named(calibrated):
