@@ -178,7 +178,7 @@ def faces(rng: np.random.Generator, poses: Array, lengths: tuple[float, ...] = (
 
 def plane(rng: np.random.Generator, **values: Any) -> Artefact:
     """Return a flat face."""
-    return faces(rng, _poses(1), **{'count': 30} | values)
+    return faces(rng, _poses(1), **values)
 
 
 LAID = np.array([[0, 0, 0], [0, np.pi / 2, 0], [0, 0, np.pi / 2]])  # zyx: along z, x, y

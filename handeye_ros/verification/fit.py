@@ -58,6 +58,8 @@ SIGNIFICANCE = 0.01  # level of the tests of a calibration error
 # an error of so many sigma is found with 95 %: p_chance, the test of its 6 unknowns together, then
 # is at most SIGNIFICANCE (noncentral chi2)
 DETECTION_SIGMAS = math.sqrt(chndtrinc(chdtri(6, SIGNIFICANCE), 6, 0.05))
+# and one of so many in half of the cases
+EVEN_CHANCE_SIGMAS = math.sqrt(chndtrinc(chdtri(6, SIGNIFICANCE), 6, 0.5))
 COVERAGE_FACTOR = 2.0  # coverage factor of expanded uncertainties (GUM: about 95 %)
 DIFFERENCE_STEP = 1e-7  # of numeric derivatives (m, rad)
 REFIT_COUNT = 5  # iterations for the calibration's error
