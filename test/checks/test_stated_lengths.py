@@ -16,6 +16,7 @@ from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
 from handeye_ros.simulate.scenario import PlateTarget
 import numpy as np
 import pytest
+from quick import long_run
 
 
 def scaled(samples: Iterable[Sample], scale: float) -> list[Sample]:
@@ -66,7 +67,8 @@ def test_a_plate_of_another_size_is_reported(off: float, seed: int) -> None:
 
 
 @pytest.mark.parametrize(('off', 'seed'), [
-    *((0.3e-3, seed) for seed in (0, 1, 4, 25, 42, 52)), (1e-3, 0), (1e-3, 1), (1e-3, 4)])
+    (0.3e-3, 0), (1e-3, 0), *long_run(
+        *((0.3e-3, seed) for seed in (1, 4, 25, 42, 52)), (1e-3, 1), (1e-3, 4))])
 def test_lengths_that_are_both_wrong_are_not_taken_for_a_scale(off: float, seed: int) -> None:
     length, width = SCENARIOS['plate'].target.size
     calibration, error = solved(replace(SCENARIOS['plate'], wrong_edges=6), seed,

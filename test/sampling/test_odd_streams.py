@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 import numpy as np
 from profiles import drawn, step_up_to, with_lost
 import pytest
+from quick import long_run
 from streams import (
     add,
     BAD,
@@ -244,7 +245,7 @@ def test_one_stream_may_be_far_behind_the_other(first: str) -> None:
     assert key(session) == key(played(poses, late))
 
 
-@pytest.mark.parametrize('jump', [-1e9, -30.0, 1.5, 1e9])
+@pytest.mark.parametrize('jump', [-30.0, 1e9, *long_run(-1e9, 1.5)])
 @pytest.mark.parametrize('kind', ['pose', 'profile'])
 @pytest.mark.parametrize('place', [0, 7])
 def test_one_wild_stamp_changes_only_its_message(jump: float, kind: str, place: int) -> None:

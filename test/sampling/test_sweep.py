@@ -134,6 +134,7 @@ def test_a_sweep_gives_transform_and_time_offset(target: str, offset: float, kin
     assert abs(offset_error) < 2e-4 and abs(offset_error) < 4 * calibration.time_offset.std < 1e-3
 
 
+@pytest.mark.thorough
 def test_clocks_that_drift_apart_are_no_move_of_the_sensor() -> None:
     scenario, drift = sweep('plate', 0.02), 5e-3 / 30  # 10 ms a minute
     recording = simulate(scenario, np.random.default_rng(0))
@@ -242,6 +243,7 @@ def test_an_error_of_the_robot_that_is_smooth_in_time_is_no_move(seed: int) -> N
     assert 'moved' not in ' '.join(calibration.provenance.get('warnings', ()))
 
 
+@pytest.mark.thorough
 def test_a_start_at_another_plate_is_not_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
     """A start is found with few edges, among which ends of other objects may agree."""
     starts, aside = Plate.starts, iter([0.04])  # m, of the first one

@@ -321,6 +321,7 @@ def test_the_root_of_a_steep_fillet_is_found_up_to_the_end_of_the_cloud(angle):
         find_seam(points * 1e3)
 
 
+@pytest.mark.thorough
 def test_the_path_is_as_near_to_a_wavy_seam_as_it_says():
     rng = np.random.default_rng(0)
     x, u = rng.uniform(0, 0.15, 60000), rng.uniform(-0.02, 0.02, 60000)

@@ -18,6 +18,7 @@ def pose_errors(name: str, seed: int) -> Array:
                      for s in truth.stops])
 
 
+@pytest.mark.thorough
 def test_the_robot_errs_as_stated() -> None:
     errors = np.concatenate([pose_errors('plate', seed) for seed in range(60)])
     sigma = np.repeat(SCENARIOS['plate'].robot.repeatability, 3)
