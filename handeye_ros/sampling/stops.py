@@ -51,6 +51,7 @@ class Stop:
     poses, profiles: in the order of their stamps
     load_messages: of a stop on the disk, of which at most the last pose is in memory: returns it
         with its poses and profiles, decoded as a configuration says
+    untimed: whether no profile is surely of this time, and of some it is not known (time_margins)
     number: in its session, from 1, never reused; 0 before
     result: a sample, or the reason why there is none
     """
@@ -59,6 +60,7 @@ class Stop:
     poses: tuple[TimedPose, ...] = ()
     profiles: tuple[AnyProfile, ...] = ()
     load_messages: Callable[[Config], Stop] | None = None
+    untimed: bool = False
     number: int = 0
     result: Sample | Reject = NOT_EVALUATED
 
@@ -99,20 +101,25 @@ class Stop:
         """
         Return the stop with the profiles surely taken during it, among candidates in order.
 
-        Of many, about KEPT_PER_SECOND are kept, and MAX_KEPT at most before, in and after the time
-        without vibration.
+        In a pass each has the pose of its stamp, which must be certain. Of many, about
+        KEPT_PER_SECOND are kept, and MAX_KEPT at most before, in and after the time without
+        vibration.
         """
         begin = bisect_left(candidates, self.start, key=by_stamp)
         end = bisect_right(candidates, self.end, key=by_stamp)
         taken = [profile for profile in candidates[begin:end]
                  if self.start <= profile.stamp - profile.time_margins[0]
-                 and profile.stamp + profile.time_margins[1] <= self.end]
+                 and profile.stamp + profile.time_margins[1] <= self.end
+                 and not (config.sampling.moving and any(profile.time_margins))]
+        untimed = not taken and any(
+            any(profile.time_margins) and profile.stamp - profile.time_margins[0] <= self.end
+            and self.start <= profile.stamp + profile.time_margins[1] for profile in candidates)
         first_settled, last_settled = self._settled_span(config)
         begin = bisect_left(taken, first_settled, key=by_stamp)
         end = max(begin, bisect_right(taken, last_settled, key=by_stamp))
-        return replace(self, profiles=(*_thinned(taken[:begin], MIN_SETTLING),
-                                       *_thinned(taken[begin:end], MIN_SETTLED),
-                                       *_thinned(taken[end:], MIN_SETTLING)))
+        return replace(self, untimed=untimed, profiles=(
+            *_thinned(taken[:begin], MIN_SETTLING), *_thinned(taken[begin:end], MIN_SETTLED),
+            *_thinned(taken[end:], MIN_SETTLING)))
 
     def settled_profiles(self, config: Config) -> list[AnyProfile]:
         """Return PROFILES_OF_SAMPLE of the time without vibration at most, not yet decoded."""

@@ -24,9 +24,10 @@ A sweep differs from stops in these places, found by Sample.moving, sampling.mov
 estimation, Problem.is_sweep:
 
 - profiles: fewer points of a line or arc are kept (lines.py, arcs.py)
-- stops.py cuts it by time, into passes, all of which is evaluated; features.py combines no
-  profiles, and reads every eighth with the other sign of the range too (FLIPPED_EVERY);
-  passes_expanded (here) takes a pass apart, with one trajectory for all
+- stops.py cuts it by time, into passes, all of which is evaluated, but for profiles of unknown
+  times (time_margins); features.py combines no profiles, and reads every eighth with the other
+  sign of the range too (FLIPPED_EVERY); passes_expanded (here) takes a pass apart, with one
+  trajectory for all
 - estimation: problem_with_clocks (here) adds the three unknowns; fewer profiles than stops are
   enough (Problem.enough_stations)
 - session.py: a pass is never a duplicate, nor taken early; guidance advises to sweep on
