@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 import re
+import shutil
 
 from calibrations import calibration_at
 from cells import ONE_IN_1000, squared_error
@@ -186,6 +187,26 @@ def test_joint_values_that_contradict_the_points_are_refused(from_table, joints,
 def test_bad_urdfs_are_refused_in_a_sentence(urdf, flange, words):
     with pytest.raises(HandeyeError, match=words):
         arm_of(urdf, flange=flange)
+
+
+def test_a_former_arm_is_kept_with_its_calibration(from_table, tmp_path):
+    names = ('kinematics.yaml', 'corrected.urdf', 'calibration.yaml')
+    shutil.copytree(from_table[2] / 'out', tmp_path / 'out')
+    former = {name: (tmp_path / 'out' / name).read_text() for name in names}
+    lines = (from_table[2] / 'points.csv').read_text().splitlines()
+    (tmp_path / 'points.csv').write_text('\n'.join(lines[:36]))
+    words = succeeds('kinematics', 'points.csv', '--urdf', from_table[2] / 'arm.urdf', '--out',
+                     'out', cwd=tmp_path).stdout
+    kept, = (tmp_path / 'out/history').iterdir()
+    assert {name: (kept / name).read_text() for name in names} == former
+    assert {path.name for path in (tmp_path / 'out').iterdir()} == {*names, 'history'}
+    for folder in (kept, tmp_path / 'out'):
+        arm, calibration = read_arm(folder), read_calibration(folder)
+        stored = yaml.safe_load((folder / 'kinematics.yaml').read_text())['transform']
+        np.testing.assert_allclose(se3.transform_from_values(stored), calibration.T_flange_sensor)
+        assert len(arm.configurations) == calibration.quality.samples_used
+    at = [words.index(f'out/{name}') for name in names]
+    assert at == sorted(at), 'the calibration names the arm, so it is written after it'
 
 
 def test_a_damaged_kinematics_file_is_refused(from_table, tmp_path):
