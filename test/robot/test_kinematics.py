@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import math
 import re
 import shutil
 
@@ -209,13 +210,23 @@ def test_a_former_arm_is_kept_with_its_calibration(from_table, tmp_path):
     assert at == sorted(at), 'the calibration names the arm, so it is written after it'
 
 
-def test_a_damaged_kinematics_file_is_refused(from_table, tmp_path):
-    text = (from_table[2] / 'out/kinematics.yaml').read_text()
-    for damaged in (text.replace('\n  direction:', '\n  directions:', 1),
-                    yaml.dump(yaml.safe_load(text) | {'configurations': []})):
-        (tmp_path / 'kinematics.yaml').write_text(damaged)
-        with pytest.raises(HandeyeError, match='no kinematics.yaml'):
-            read_arm(tmp_path)
+@pytest.mark.parametrize(('change', 'words'), [
+    (lambda arm: arm.pop('end'), 'it is no kinematics.yaml as'),
+    (lambda arm: arm['joints'][1].pop('direction'), 'errors of joints or all configurations are'),
+    (lambda arm: arm.update(configurations=[]), 'errors of joints or all configurations are'),
+    (lambda arm: arm['joints'][0].update(follows='a'), 'or joints follow others, as in files of'),
+    (lambda arm: arm['covariance'].pop(), 'it is no kinematics.yaml as'),
+    (lambda arm: arm['joints'][1]['offset'].update(value=[math.nan]),
+     r'joint_2\.offset\[0\] is nan, expected a finite number'),
+    (lambda arm: arm['joints'][2].update(axis=[0, math.nan, 1]), r'joint_3\.axis\[1\] is nan'),
+    (lambda arm: arm['covariance'][3].__setitem__(2, math.nan), r'covariance\[\d+\] is nan'),
+    (lambda arm: arm['configurations'][4].__setitem__(1, math.inf), r'ions\[25\] is inf')])
+def test_a_damaged_kinematics_file_is_refused(from_table, tmp_path, change, words):
+    content = yaml.safe_load((from_table[2] / 'out/kinematics.yaml').read_text())
+    change(content)
+    (tmp_path / 'kinematics.yaml').write_text(yaml.dump(content))
+    with pytest.raises(HandeyeError, match=words):
+        read_arm(tmp_path)
 
 
 def test_the_file_of_an_arm_without_errors_is_read(from_table, tmp_path):
