@@ -7,8 +7,8 @@ Only the arm is read again; the other values are for the user.
 """
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
 from itertools import chain
 import math
 from pathlib import Path
@@ -36,12 +36,28 @@ not known.
 """
 
 
-def text(arm: Arm, undetermined: Array, found: Mapping[str, Any], calibration: Calibration) -> str:
+@dataclass(frozen=True)
+class TriedModel:
+    """
+    A model of the errors of an arm, as the file lists it.
+
+    parameters: the kinds of errors that it has; chosen: whether it is that of the file
+    residual_rms, left_out_rms: of the stops in its fit, and of those left out of it (m)
+    """
+
+    parameters: tuple[str, ...]
+    residual_rms: float
+    left_out_rms: float
+    chosen: bool
+
+
+def text(arm: Arm, undetermined: Array, models: Iterable[TriedModel], robot_smooth_error: float,
+         calibration: Calibration) -> str:
     """
     Return the content of kinematics.yaml.
 
-    undetermined: as in joint_entries; found: the entries on how the arm was found, by key;
-    calibration: the one that belongs to the arm, with its provenance.
+    undetermined: as in joint_entries; robot_smooth_error: what is left of the robot's error, RMS
+    of each axis (m); calibration: the one that belongs to the arm, with its provenance.
     """
     return HEADER + yaml_text({
         'format': FORMAT, 'name': calibration.name, 'base': arm.base, 'flange': arm.flange,
@@ -50,7 +66,8 @@ def text(arm: Arm, undetermined: Array, found: Mapping[str, Any], calibration: C
             joint.name: round(math.degrees(offset), 5)
             for joint, offset in zip(arm.joints, arm.errors[:, 0].tolist(), strict=True)
             if joint.type == REVOLUTE},
-        'transform': se3.transform_values(calibration.T_flange_sensor), **found,
+        'transform': se3.transform_values(calibration.T_flange_sensor),
+        'models': [asdict(model) for model in models], 'robot_smooth_error': robot_smooth_error,
         'covariance': arm.covariance, 'configurations': arm.configurations.round(6),
         'provenance': with_origin(calibration).provenance})
 

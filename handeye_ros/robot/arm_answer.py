@@ -11,7 +11,7 @@ from pathlib import Path
 from handeye_ros.arm import corrected_urdf, KINDS, OFFSET, POSITION, REVOLUTE
 from handeye_ros.data import Calibration
 from handeye_ros.results import exports, kinematics_file
-from handeye_ros.results.kinematics_file import joint_entries, UNDETERMINED_SHARE
+from handeye_ros.results.kinematics_file import joint_entries, TriedModel, UNDETERMINED_SHARE
 from handeye_ros.results.printed import figures_table
 from handeye_ros.robot.selection import ArmSelection, UNCHANGED_ARM
 from rich.console import Group, RenderableType
@@ -38,14 +38,12 @@ class ArmAnswer:
         file = folder.expanduser().absolute() / kinematics_file.NAME
         read_with = {**provenance['config'], 'kinematics': str(file)}
         calibration = replace(self.calibration, provenance={**provenance, 'config': read_with})
-        found = {
-            'models': [{'parameters': list(m.fit.arm.estimated_kinds),
-                        'residual_rms': m.fit.residual_rms, 'left_out_rms': m.left_out_rms,
-                        'chosen': m is selection.chosen} for m in selection.models],
-            'robot_smooth_error': selection.robot_smooth}
+        models = [TriedModel(model.fit.arm.estimated_kinds, model.fit.residual_rms,
+                             model.left_out_rms, model is selection.chosen)
+                  for model in selection.models]
         return exports.save_all(calibration, folder, formats, {
             file.name: kinematics_file.text(
-                selection.arm, selection.undetermined, found, replace(
+                selection.arm, selection.undetermined, models, selection.robot_smooth, replace(
                     self.calibration, provenance={**provenance, 'warnings': list(self.warnings)})),
             URDF_FILE: corrected_urdf(urdf, selection.arm)})
 
