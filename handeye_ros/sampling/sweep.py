@@ -39,7 +39,7 @@ estimation, Problem.is_sweep:
   profiles on either side of it (moved.py); a pass agrees if most of its profiles do (review.py)
 - a calibration of a sweep measures at stops all the same (calibration_file.py); a gauge is
   measured in passes (stations.py); a sweep also checks a calibration (check.py); the arm's
-  errors are found at the estimated times (robot/recordings.py); the node counts profiles
+  errors are found at the estimated times (robot/from_recordings.py); the node counts profiles
   (solver.py)
 """
 from __future__ import annotations

@@ -19,8 +19,8 @@ from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.results.kinematics_file import read_arm
-from handeye_ros.robot.recordings import arm_samples_of, ArmSamples, solve_samples
-from handeye_ros.robot.table import select_from_points, solve_table
+from handeye_ros.robot.from_recordings import arm_samples_of, ArmSamples, solve_samples
+from handeye_ros.robot.from_table import select_from_points, solve_table
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import robot as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples

@@ -22,8 +22,8 @@ from handeye_ros.csv_tables import ANGLE, CsvTable, LENGTH, require_different
 from handeye_ros.data import Indices, ROBOT_POSITION_ERROR
 from handeye_ros.estimation.outliers import robust_least_squares
 from handeye_ros.published import jing2020
-from handeye_ros.robot.arm_answer import ArmAnswer
-from handeye_ros.robot.estimate import ArmFit, ArmPoints, MIN_STOPS, with_estimated_weights
+from handeye_ros.robot.answer import ArmAnswer
+from handeye_ros.robot.fit import ArmFit, ArmPoints, MIN_STOPS, with_estimated_weights
 from handeye_ros.robot.selection import (
     ArmSelection,
     require_enough_stops,
