@@ -95,10 +95,10 @@ class StoredSession:
                           for profile in stop.load(config).profiles)
         session = Session(config, self.last_number,
                           (next(pose_frames, None), next(profile_frames, None)))
-        for number, stored in sorted(self.stops.items()):
+        for _, stored in sorted(self.stops.items()):
             stop = stored if stored.final_reason else replace(
                 stored, result=result_of(stored, config))
-            session.add_stop(replace(session.numbered(stop, stop.result), number=number))
+            session.add_stop(session.with_result(stop, stop.result))
             session.mark_done(stop)
         return session
 
