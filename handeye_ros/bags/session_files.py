@@ -295,7 +295,7 @@ def load_stop(file: Path, stamp: int, config: Config) -> Stop:
     """
     Return the poses and profiles of a stop from its file, as a stop without number and result.
 
-    Profiles that cannot be read with other settings are left out. Raises InputError.
+    Profiles that cannot be read with other settings are dropped. Raises InputError.
     """
     offset = config.offset_ns
     reader = ProfileReader(config.profile)

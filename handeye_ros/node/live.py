@@ -226,7 +226,7 @@ class LiveSession:
         return tuple(filter(None, (
             f'a verification ({routine.name}) continues: stops are not samples until '
             '~/verify_result' if routine else '',
-            f'left {count} stops out, the oldest of more than {MAX_STOPS} that waited to be '
+            f'dropped {count} stops, the oldest of more than {MAX_STOPS} that waited to be '
             'evaluated: the processor cannot keep up; stop less often, or publish fewer points'
             if count else '')))
 

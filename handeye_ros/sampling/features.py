@@ -114,7 +114,7 @@ def _raise_no_profiles(unusable: Iterable[AnyProfile], stop: Stop, config: Confi
         profile.read(config.profile)
     seconds, settle = (stop.end - stop.start) / NS, config.sampling.settle_time
     if seconds <= 2 * settle and not config.sampling.moving:
-        raise FeatureError(f'sampling.settle_time leaves out {settle:g} s at either end of the '
+        raise FeatureError(f'sampling.settle_time takes off {settle:g} s at either end of the '
                            f'{seconds:.1f} s of this stop: stay longer at each, or lower it')
     if stop.untimed:
         raise FeatureError(

@@ -130,7 +130,7 @@ def test_the_answer_in_files_predicts_points_that_were_held_out(from_table):
     assert 'offset, direction, position' in output
 
 
-def test_a_wrong_row_is_left_out_and_several_points_are_distinguished():
+def test_a_wrong_row_is_dropped_and_several_points_are_distinguished():
     cell = bench.draw(bench.CASES['six'], 40, 5)
     points = cell.data.points.copy()
     points[7] += [0.01, 0, 0]
