@@ -110,9 +110,10 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     reports = [report_of_row(*of_row, used, distance) for of_row, used, distance in zip(
         numbered, fit.used, fit.distances, strict=True)]
     calibration = assemble_calibration(
-        config, 'kinematics', config.sensor_frame, fit.X, covariance,
-        fit.residual_rms, selection.chosen.left_out_rms,
-        {**target, ROBOT_POSITION_ERROR: selection.robot_smooth},
-        sorted(reports, key=attrgetter('stamp')), {'inputs': list(inputs)})
+        config, method='kinematics', sensor_frame=config.sensor_frame, T_flange_sensor=fit.X,
+        covariance=covariance, residual_rms=fit.residual_rms,
+        holdout_rms=selection.chosen.left_out_rms,
+        target={**target, ROBOT_POSITION_ERROR: selection.robot_smooth},
+        reports=sorted(reports, key=attrgetter('stamp')), provenance={'inputs': list(inputs)})
     return ArmAnswer(selection, replace(calibration, name=config.name or calibration.method),
                      (*notes, *selection.notes))

@@ -146,11 +146,7 @@ NO_STOP = Stop(0)
 
 
 def _thinned(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
-    """
-    Return KEPT_PER_SECOND of successive profiles of a stop, evenly spread.
-
-    least: are kept of a short time, if it has as many.
-    """
+    """Return max(least, KEPT_PER_SECOND of their time), at most MAX_KEPT, evenly spread."""
     seconds = (profiles[-1].stamp - profiles[0].stamp) / NS if profiles else 0.0
     most = min(MAX_KEPT, max(least, 1 + round(KEPT_PER_SECOND * seconds)))
     return evenly_spaced(profiles, most)
@@ -219,7 +215,7 @@ class StopFinder(Copyable):
         return ended
 
     def _prolong(self, pose: TimedPose) -> None:
-        """Add a pose to the current stop; a long one keeps its first, on request its last ones."""
+        """Add a pose; a stop keeps its first MAX_STOP_TIME, in manual mode its last, no others."""
         self._poses.append(pose)
         forget = self._poses.pop if self.sampling.automatic else self._poses.popleft
         while (self._poses[-1].stamp - self._poses[0].stamp > MAX_STOP_TIME
@@ -303,7 +299,7 @@ class ProfileBuffer(Copyable):
         self._forget(slice(None))
 
     def keep(self, first: int, last: int, now: int) -> None:
-        """Forget all profiles outside two stamps but those after a third one."""
+        """Keep those from first to last and those later than now (ns); forget the others."""
         self._forget(slice(bisect_right(self.items, last, key=by_stamp),
                            bisect_right(self.items, now, key=by_stamp)))
         self._forget(slice(0, bisect_left(self.items, first, key=by_stamp)))

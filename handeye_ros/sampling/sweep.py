@@ -90,7 +90,8 @@ SEARCH_SAMPLES = 60  # enough to start from (here) or to find a wrong convention
 
 def passes_expanded(samples: Sequence[Sample]) -> tuple[Sample, ...]:
     """Return one sample per profile of passes, with their common trajectory; others unchanged."""
-    trajectories = [sample.trajectory for sample in samples if sample.profile_samples]
+    trajectories = [sample.trajectory for sample in samples
+                    if sample.trajectory is not None and sample.profile_samples]
     trajectory = joined(trajectories) if trajectories else None
     return tuple(replace(station, trajectory=trajectory) if sample.profile_samples else station
                  for sample in samples for station in sample.station_samples)
@@ -112,7 +113,7 @@ class ClockedPoses:
         self.stamps = np.array([sample.stamp for sample in samples])
         self.moving = np.array([sample.moving for sample in samples])
         self.trajectory: Trajectory = next(
-            sample.trajectory for sample in samples if sample.moving)
+            sample.trajectory for sample in samples if sample.trajectory is not None)
 
     @property
     def since_middle(self) -> Array:
