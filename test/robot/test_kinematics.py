@@ -12,7 +12,7 @@ from calibrations import calibration_at
 from cells import ONE_IN_1000, squared_error
 from command import assert_refused, bench_of, handeye, ROOT, succeeds
 from handeye_ros import pipeline, se3
-from handeye_ros.arm import arm_of, corrected_urdf, KINDS, read_urdf
+from handeye_ros.arm import arm_of, corrected_urdf, KINDS, OFFSET, read_urdf
 from handeye_ros.bags.recording import read_bag
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import DataError, HandeyeError
@@ -164,6 +164,22 @@ def test_few_poses_do_not_make_an_error_less_certain_than_before():
     cell = bench.draw(bench.CASES['six'], 17, 2)
     arm = select_from_points([cell.data], cell.arm.with_errors_of(()), 1e-3).arm
     assert (np.sqrt(np.diag(arm.covariance)) < 1.2 * arm.prior_stds[arm.is_estimated]).all()
+
+
+@pytest.mark.parametrize(('kinds', 'words'), [((), 'the URDF as it is'), ((OFFSET,), 'offset')])
+def test_errors_that_an_arm_does_not_have_are_not_added(kinds, words):
+    cell = bench.draw(bench.CASES['none'], 40, 4)
+    arm = cell.arm.with_errors_of(kinds)
+    arm = replace(arm, error_values=np.resize([1e-3, -2e-3, 1.5e-3], len(arm.error_values)))
+    points = se3.apply(se3.inverse(arm.forward(cell.data.q) @ cell.X), cell.ball[None])[:, 0]
+    noise = cell.data.points - cell.exact.points
+    found = select_from_points([replace(cell.data, points=points + noise)],
+                               cell.arm.with_errors_of(()), 1e-3)
+    assert found.arm.estimated_kinds == kinds
+    note, = found.notes
+    assert note.endswith(f'stops no better than {words}: the simpler one is the answer')
+    off = found.arm.error_values - arm.error_values
+    assert (np.abs(off) < 4 * np.sqrt(np.diag(found.arm.covariance))).all()
 
 
 @pytest.mark.parametrize(('joints', 'in_hand'), [
