@@ -25,10 +25,10 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mount_poses
-from handeye_ros.robot.estimate import ArmFit, ArmPoints, with_estimated_weights
-from handeye_ros.robot.recordings import ArmSamples, fit_of_samples
+from handeye_ros.robot.fit import ArmFit, ArmPoints, with_estimated_weights
+from handeye_ros.robot.from_recordings import ArmSamples, fit_of_samples
+from handeye_ros.robot.from_table import select_from_points
 from handeye_ros.robot.selection import ArmSelection, select_model
-from handeye_ros.robot.table import select_from_points
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import recording as cells
 from handeye_ros.simulate import robot, SCENARIOS, settings

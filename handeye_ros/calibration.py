@@ -69,14 +69,15 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
                 for i, square in solution.dropped_squares.items()]
     reports += [SampleReport(reject.stamp, False, reason=reject.reason) for reject in rejects]
     return assemble_calibration(
-        config, problem.target.name, frame_id or UNNAMED_FRAME,
-        solution.estimate.X @ se3.inverse(T_sensor_plane(config)), solution.transform_covariance,
-        rms(residuals), rms(left_out), _described_target(solution, config),
-        sorted(reports, key=lambda report: report.stamp),
-        {'warnings': list(warnings)} if warnings else {}, offset)
+        config, method=problem.target.name, sensor_frame=frame_id or UNNAMED_FRAME,
+        T_flange_sensor=solution.estimate.X @ se3.inverse(T_sensor_plane(config)),
+        covariance=solution.transform_covariance, residual_rms=rms(residuals),
+        holdout_rms=rms(left_out), target=_described_target(solution, config),
+        reports=sorted(reports, key=lambda report: report.stamp),
+        provenance={'warnings': list(warnings)} if warnings else {}, time_offset=offset)
 
 
-def assemble_calibration(config: Config, method: str, sensor_frame: str, T_flange_sensor: Array,
+def assemble_calibration(config: Config, *, method: str, sensor_frame: str, T_flange_sensor: Array,
                          covariance: Array, residual_rms: float, holdout_rms: float,
                          target: Mapping[str, Any], reports: Sequence[SampleReport],
                          provenance: Mapping[str, Any], time_offset: ClockEstimate | None = None

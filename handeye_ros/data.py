@@ -6,12 +6,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Integral
-from typing import Any, ClassVar, NamedTuple, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TYPE_CHECKING, TypeAlias
 
 from handeye_ros.config import ProfileConfig
 from handeye_ros.errors import InputError, require_type, type_in_words
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from handeye_ros.sampling.trajectory import Trajectory
 
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.intp]
@@ -304,7 +307,7 @@ class Sample:
     profile_count: how many profiles it comes from
     flipped_features: of the first profile with the opposite range sign, to detect a wrong setting;
         None where they were not asked for, () of a target without edges or where none are seen
-    trajectory: trajectory of a moving robot (sampling.trajectory)
+    trajectory: of its pass, after passes_expanded of the whole sweep; None at a stop
     clock_values: by which a moving robot has this pose at the stamp; 0 before they are known
     profile_samples: samples of the single profiles of a pass, whose middle one this sample repeats
     centroid: mean of the points of the first profile used, (3,): across its plane, along the line,
@@ -316,7 +319,7 @@ class Sample:
     features: tuple[Feature, ...]
     profile_count: int = 1
     flipped_features: tuple[Feature, ...] | None = None
-    trajectory: Any = None
+    trajectory: Trajectory | None = None
     clock_values: ClockValues = ClockValues()
     profile_samples: tuple[Sample, ...] = ()
     centroid: Array | None = None

@@ -248,7 +248,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         calibration = candidate
     except DataError as error:
         # 10. Diagnosis of a refusal without a certain cause: do other settings or clocks explain
-        # the stops? Stops that show another surface are left out, if the others carry an answer.
+        # the stops? Stops that show another surface are not used, if the others carry an answer.
         refusal = with_known_cause(error, baseline, session, config) if session else error
     answer = Answer(samples, solution, samples_agree, calibration, refusal)
     if session and isinstance(refusal, OtherSurfaceError):

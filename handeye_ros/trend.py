@@ -49,7 +49,7 @@ class TrendEntry:
 
 def trend(folder: Path, against: Calibration | None = None) -> tuple[list[TrendEntry], list[str]]:
     """
-    Return the calibrations below a folder by time, and a warning for each file left out.
+    Return the calibrations below a folder by time, and a warning for each file not used.
 
     against: the reference, the oldest if not given; only those between its frames are compared.
     Raises DataError where fewer than two (with against: one) are between its frames, and
@@ -65,7 +65,7 @@ def trend(folder: Path, against: Calibration | None = None) -> tuple[list[TrendE
     entries = []
     for recorded, _, path, calibration in calibrations:
         if _frames(calibration) != _frames(reference):
-            warnings.append(f'{path} is left out: it is of {_frames(calibration)}, not of '
+            warnings.append(f'{path} is not used: it is of {_frames(calibration)}, not of '
                             f'{_frames(reference)}; name another reference with --against')
             continue
         difference, std, p_reference = difference_of(calibration, reference)
@@ -93,7 +93,7 @@ def _dated_below(folder: Path) -> tuple[list[tuple[str, str, Path, Calibration]]
             warnings.append(str(error))
             continue
         if np.linalg.eigvalsh(calibration.covariance)[0] <= 0:
-            warnings.append(f'{path} is left out: its covariance is not positive definite')
+            warnings.append(f'{path} is not used: its covariance is not positive definite')
             continue
         stamp = min((report.stamp for report in calibration.samples), default=0)
         created = str(calibration.provenance.get('created', ''))

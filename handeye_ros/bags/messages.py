@@ -373,7 +373,7 @@ def profiles_of(raw: RawProfile, previous_stamp: int | None) -> list[RawProfile]
     during all of this time.
 
     previous_stamp: that of the previous message (ns), None for the first message; without a
-        period the first is left out, as its duration is unknown
+        period the first is dropped, as its duration is unknown
     """
     if raw.profile_count == 1:
         return [raw]

@@ -71,8 +71,8 @@ class Recording:
         """
         Yield the profiles: only returns, in message order, with intensity.
 
-        What cannot be used is left out, and is in the warnings after the last one. Raises
-        InputError if most are left out, as are all profiles of an unknown time.
+        What cannot be used is dropped, and is in the warnings after the last one. Raises
+        InputError if most are dropped, as are all profiles of an unknown time.
         """
         reasons = []
         for raw in self.profiles:
@@ -86,10 +86,10 @@ class Recording:
 
 def _dropped_warning(reasons: Sequence[str], total: int, what: str) -> list[str]:
     """
-    Return a warning of what was left out, none without a reason.
+    Return a warning of what was dropped, none without a reason.
 
-    reasons: one of each item left out; total: number of all items; what: they are, in words.
-    Raises InputError if most were left out.
+    reasons: one of each item dropped; total: number of all items; what: they are, in words.
+    Raises InputError if most were dropped.
     """
     if not reasons:
         return []
@@ -97,7 +97,7 @@ def _dropped_warning(reasons: Sequence[str], total: int, what: str) -> list[str]
         usable = 'none' if len(reasons) == total else f'only {total - len(reasons)}'
         raise InputError(f'{usable} of the {total} {what} can be used; the first reason: '
                          f'{reasons[0]}')
-    return [f'{len(reasons)} of {total} {what} were left out; the first: {reasons[0]}']
+    return [f'{len(reasons)} of {total} {what} were dropped; the first: {reasons[0]}']
 
 
 def read_bag(path: Path | str, config: Config,
@@ -219,7 +219,7 @@ class _RecordedTopic:
         """
         Return the usable items in the order of their stamps.
 
-        Left out and repaired messages are added to the warnings. Raises InputError for a missing
+        Dropped and repaired messages are added to the warnings. Raises InputError for a missing
         topic, and if most of its messages are invalid, and DataError for stamps of two runs.
         """
         if reader.types.get(self.name) != self._message_type:
@@ -240,7 +240,7 @@ class _RecordedTopic:
         wrong = np.flatnonzero(~in_order)
         if len(wrong):
             reader.warnings.append(
-                f'{len(wrong)} of {len(stamps)} messages on {self.name} were left out: their '
+                f'{len(wrong)} of {len(stamps)} messages on {self.name} were dropped: their '
                 f'stamps are far from those around them (first message {wrong[0] + 1}, of '
                 f'{stamps[wrong[0]] * 1e-9:.3f} s)')
         return sorted(compress(self._items, in_order), key=by_stamp)
@@ -248,7 +248,7 @@ class _RecordedTopic:
 
 def _keep_majority_frame(kind: str, items: list[Any], frame: str, reader: Reader) -> list[Any]:
     """
-    Return the items of the frame of most; a few others are left out, with a warning.
+    Return the items of the frame of most; a few others are dropped, with a warning.
 
     kind: what they are, in words; frame: their attribute that names it. Raises InputError for two
     frames.
@@ -258,6 +258,6 @@ def _keep_majority_frame(kind: str, items: list[Any], frame: str, reader: Reader
     if strays > max(FEW_STRAYS, FEW_SHARE * len(items)) or 2 * strays >= len(items):
         raise two_frames_error(kind, name, others[0][0])
     if strays:
-        reader.warnings.append(f'{strays} of {len(items)} {kind}s were left out: their frame is '
+        reader.warnings.append(f'{strays} of {len(items)} {kind}s were dropped: their frame is '
                                f'"{others[0][0]}", not "{name}"')
     return [item for item in items if getattr(item, frame) == name]

@@ -95,10 +95,10 @@ class StoredSession:
                           for profile in stop.load(config).profiles)
         session = Session(config, self.last_number,
                           (next(pose_frames, None), next(profile_frames, None)))
-        for number, stored in sorted(self.stops.items()):
+        for _, stored in sorted(self.stops.items()):
             stop = stored if stored.final_reason else replace(
                 stored, result=result_of(stored, config))
-            session.add_stop(replace(session.numbered(stop, stop.result), number=number))
+            session.add_stop(session.with_result(stop, stop.result))
             session.mark_done(stop)
         return session
 
@@ -295,7 +295,7 @@ def load_stop(file: Path, stamp: int, config: Config) -> Stop:
     """
     Return the poses and profiles of a stop from its file, as a stop without number and result.
 
-    Profiles that cannot be read with other settings are left out. Raises InputError.
+    Profiles that cannot be read with other settings are dropped. Raises InputError.
     """
     offset = config.offset_ns
     reader = ProfileReader(config.profile)

@@ -146,8 +146,8 @@ class Reader:
                 start = stream.tell()
                 self._progress((self._before + start) / self._total)
         if damaged_chunks or not complete:
-            left_out = f', left out {damaged_chunks} damaged chunk(s)' if damaged_chunks else ''
-            self._warn_of_damage(path, f'read {count_of(message_count, "message")}{left_out}')
+            dropped = f', dropped {damaged_chunks} damaged chunk(s)' if damaged_chunks else ''
+            self._warn_of_damage(path, f'read {count_of(message_count, "message")}{dropped}')
 
     def _from_database(self, path: Path) -> Iterator[RecordedMessage]:
         """Yield the messages in the order of recording: by time, two runs would look like one."""

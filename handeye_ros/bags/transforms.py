@@ -78,7 +78,7 @@ class FlangeFollower:
     @property
     def warnings(self) -> list[str]:
         """Return one sentence for each frame and reason for which transforms were dropped."""
-        sparse = [f'{self._sparse_count} poses of /tf were left out: another link moved, and its '
+        sparse = [f'{self._sparse_count} poses of /tf were dropped: another link moved, and its '
                   f'transforms are more than {self._max_gap:g} s apart (sampling.max_pose_gap)'
                   ] if self._sparse_count else []
         return [*sparse, *(f'/tf (frame {child}): {warning}' for child, link in self._links.items()

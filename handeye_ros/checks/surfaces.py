@@ -40,7 +40,7 @@ class OtherSurfaceError(DataError):
     """
     Some stops show the edge of another surface.
 
-    stamps: of their samples; why: what they show, in words; warning: where they are left out.
+    stamps: of their samples; why: what they show, in words; warning: where they are not used.
     """
 
     def __init__(self, stops: Iterable[Stop], why: str) -> None:
@@ -48,7 +48,7 @@ class OtherSurfaceError(DataError):
         stops = list(stops)
         self.stamps, self.why = {stop.result.stamp for stop in stops}, why
         they_show = f'the {_numbers(stops)} show {why}'
-        self.warning = f'{they_show}: they are left out'
+        self.warning = f'{they_show}: they are not used'
         super().__init__(f'{they_show}: {ADVICE}', code='surface')
 
 

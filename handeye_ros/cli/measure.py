@@ -215,7 +215,7 @@ def scan(
         pieces = scanner.scan(recording.profiles_of_returns(), trajectory)
         write_cloud(out, pieces, f'frame {scanner.frame}, metres')
     typer.echo(f'{scanner.profiles} profiles, {scanner.returns} returns')
-    typer.echo(f'left out: {scanner.without_pose} profiles without a pose, '
+    typer.echo(f'dropped: {scanner.without_pose} profiles without a pose, '
                f'{scanner.out_of_limits} points outside the limits, {scanner.thinned} thinned out')
     typer.echo(f'wrote {out.absolute()}: {scanner.kept} points in {scanner.frame}')
 

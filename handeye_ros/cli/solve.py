@@ -242,9 +242,9 @@ def kinematics(
     from handeye_ros.arm import read_urdf
     from handeye_ros.bags.session_files import is_session, read_session
     from handeye_ros.results.file_values import input_provenance
-    from handeye_ros.robot.arm_answer import table
-    from handeye_ros.robot.recordings import arm_samples_of, solve_samples
-    from handeye_ros.robot.table import solve_table
+    from handeye_ros.robot.answer import table
+    from handeye_ros.robot.from_recordings import arm_samples_of, solve_samples
+    from handeye_ros.robot.from_table import solve_table
     text, arm = read_urdf(urdf, base, flange)
     if tables:
         with progress_bar('solving'):

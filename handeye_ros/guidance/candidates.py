@@ -159,7 +159,7 @@ def stations_like(template: Problem, solution: Solution, poses: Array, places: A
     Return the stations that see the target like a template (of one station), and their places.
 
     poses: (n, 4, 4) of the mount; places: (n, 2) of the anchor in the sensor plane (m). Poses from
-    which the target is not seen so are left out.
+    which the target is not seen so are dropped.
     """
     obs = template.observations
     anchored, same_point = _anchored(template, obs), obs.station_groups[0].same_point[0]

@@ -226,7 +226,7 @@ class LiveSession:
         return tuple(filter(None, (
             f'a verification ({routine.name}) continues: stops are not samples until '
             '~/verify_result' if routine else '',
-            f'left {count} stops out, the oldest of more than {MAX_STOPS} that waited to be '
+            f'dropped {count} stops, the oldest of more than {MAX_STOPS} that waited to be '
             'evaluated: the processor cannot keep up; stop less often, or publish fewer points'
             if count else '')))
 
@@ -270,7 +270,7 @@ class LiveSession:
         elif stop and not stop.final_reason:
             result = self.evaluate_in_process(stop, self.config)
             with self.lock:
-                self.session.add_stop(self.session.numbered(stop, result))
+                self.session.add_stop(self.session.with_result(stop, result))
         return stop is not None
 
     def evaluate_waiting(self) -> None:
@@ -316,7 +316,7 @@ class LiveSession:
             return self.verification.add_stop(stop)
         earlier = next((s for s in self.session.stops if s.stamp == stop.stamp), None)
         had_sample = bool(earlier and earlier.sample)
-        stop = self.session.numbered(stop, self.evaluate_in_process(stop, self.config))
+        stop = self.session.with_result(stop, self.evaluate_in_process(stop, self.config))
         if is_requested and stop.sample is None:
             remedy = ': move on, and turn the tool' if stop.final_reason else ''
             raise DataError(f'{sample_summary(stop.result)}{remedy}')

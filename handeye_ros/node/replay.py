@@ -74,7 +74,7 @@ def _publishers(node: Node, topics: Mapping[str, str]) -> dict[str, Publisher]:
         try:
             message_type = getattr(import_module(f'{package}.msg'), name)
         except (AttributeError, ImportError):
-            print(f'{topic} is left out: {type_name} is not installed', file=sys.stderr)
+            print(f'{topic} is not played: {type_name} is not installed', file=sys.stderr)
             continue
         qos = STATIC_TF_QOS if topic == '/tf_static' else QoSProfile(depth=1000)
         publishers[topic] = node.create_publisher(message_type, topic, qos)

@@ -116,7 +116,7 @@ class Streams:
     The subscriptions to the topics of a configuration, and the thread that reads their messages.
 
     Profiles and poses are read as reliably as all of their publishers offer: large clouds do not
-    arrive otherwise. An invalid message is counted and left out.
+    arrive otherwise. An invalid message is counted and dropped.
     """
 
     def __init__(self, node: Node, receiver: Receiver,

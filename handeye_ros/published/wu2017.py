@@ -13,7 +13,7 @@ What is wrong in print, and what is done here:
   not their squares.
 - T is no rigid transform when there is noise; the nearest rotation is taken, placed so that the
   mean of all points agrees.
-- four points in one plane have no inverse (eq. 3); such quadruples are left out.
+- four points in one plane have no inverse (eq. 3); such quadruples are not used.
 - eq. 11 says a0 twice; the second is a1. Its plane z = a0 x + a1 y + a2 (eqs. 10 to 14), whose
   normal is o, cannot stand upright; `handeye seam` takes o from the faces of the seam.
 - n and o are measured apart and not square to each other, so eq. 16 is no rotation, and the

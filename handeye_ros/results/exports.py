@@ -20,6 +20,7 @@ import json
 from pathlib import Path
 import re
 import shutil
+from types import MappingProxyType
 
 from handeye_ros import se3
 from handeye_ros.data import Calibration
@@ -146,26 +147,27 @@ FORMATS = {
 }
 
 
-def save_all(calibration: Calibration, folder: Path, formats: Sequence[str]) -> str:
+def save_all(calibration: Calibration, folder: Path, formats: Sequence[str],
+             others: Mapping[str, str] = MappingProxyType({})) -> str:
     """
     Write a calibration in all given formats, always also calibration.yaml; say where, as `write`.
 
-    The files of a previous result are kept in its history: nothing is lost, and all files of these
-    names are of one answer. Raises UnknownNameError and UnwritableError.
+    others: further texts of the answer by file name, which the calibration may name. The files of
+    a previous result are kept in its history: nothing is lost, and all files of these names are of
+    one answer. Raises UnknownNameError, InputError for frames without a name, and UnwritableError.
     """
     calibration = calibration_file.with_origin(calibration)
     chosen = [looked_up('format', name, FORMATS) for name in dict.fromkeys((YAML, *formats))]
     names_of_result = {REPORT_FILE, *(form.file_name(calibration) for form in FORMATS.values())}
-    return write({form.file_name(calibration): form.text(calibration) for form in chosen},
-                 folder.expanduser().absolute(), names_of_result)
+    texts = {form.file_name(calibration): form.text(calibration) for form in chosen}
+    return write({**others, **texts}, folder.expanduser().absolute(), names_of_result | {*others})
 
 
 def export(calibration: Calibration, name: str, file: Path) -> str:
     """
     Write a calibration in one format; say where, as `write`.
 
-    An existing file with other content is kept in the history. Raises UnknownNameError and
-    UnwritableError.
+    An existing file with other content is kept in the history. Raises as save_all.
     """
     file, text = file.expanduser().absolute(), looked_up('format', name, FORMATS).text(calibration)
     return write({file.name: text}, file.parent, {file.name})
@@ -173,11 +175,12 @@ def export(calibration: Calibration, name: str, file: Path) -> str:
 
 def write(texts: Mapping[str, str], folder: Path, names_of_result: set[str]) -> str:
     """
-    Write files by name into a folder, unless it has just these already; say where they are.
+    Write files in order into a folder, unless it has just these already; say where they are.
 
-    names_of_result: of all files that belong to a result; those of the previous one, also its
-    report, are kept in the history of the folder, named after the time when they were replaced. A
-    reader finds at each moment a whole file of each name. Raises UnwritableError.
+    texts: by the names of the files; names_of_result: of all files that belong to a result. Those
+    of the previous one, also its report, are kept in the history of the folder, named after the
+    time when they were replaced. A reader finds at each moment a whole file of each name. Raises
+    UnwritableError.
     """
     files = [folder / name for name in texts]
     listed = ', '.join(map(str, files))

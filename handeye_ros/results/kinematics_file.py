@@ -7,7 +7,9 @@ Only the arm is read again; the other values are for the user.
 """
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
+from itertools import chain
 import math
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,7 @@ from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import unusable_file
 from handeye_ros.output import yaml_text
 from handeye_ros.results.calibration_file import with_origin
-from handeye_ros.results.file_values import require_format, transform_from
+from handeye_ros.results.file_values import checked_numbers, require_format, transform_from
 import numpy as np
 
 FORMAT = 'handeye_ros/kinematics/1'
@@ -34,12 +36,28 @@ not known.
 """
 
 
-def text(arm: Arm, undetermined: Array, found: Mapping[str, Any], calibration: Calibration) -> str:
+@dataclass(frozen=True)
+class TriedModel:
+    """
+    A model of the errors of an arm, as the file lists it.
+
+    parameters: the kinds of errors that it has; chosen: whether it is that of the file
+    residual_rms, left_out_rms: of the stops in its fit, and of those left out of it (m)
+    """
+
+    parameters: tuple[str, ...]
+    residual_rms: float
+    left_out_rms: float
+    chosen: bool
+
+
+def text(arm: Arm, undetermined: Array, models: Iterable[TriedModel], robot_smooth_error: float,
+         calibration: Calibration) -> str:
     """
     Return the content of kinematics.yaml.
 
-    undetermined: as in joint_entries; found: the entries on how the arm was found, by key;
-    calibration: the one that belongs to the arm, with its provenance.
+    undetermined: as in joint_entries; robot_smooth_error: what is left of the robot's error, RMS
+    of each axis (m); calibration: the one that belongs to the arm, with its provenance.
     """
     return HEADER + yaml_text({
         'format': FORMAT, 'name': calibration.name, 'base': arm.base, 'flange': arm.flange,
@@ -48,7 +66,8 @@ def text(arm: Arm, undetermined: Array, found: Mapping[str, Any], calibration: C
             joint.name: round(math.degrees(offset), 5)
             for joint, offset in zip(arm.joints, arm.errors[:, 0].tolist(), strict=True)
             if joint.type == REVOLUTE},
-        'transform': se3.transform_values(calibration.T_flange_sensor), **found,
+        'transform': se3.transform_values(calibration.T_flange_sensor),
+        'models': [asdict(model) for model in models], 'robot_smooth_error': robot_smooth_error,
         'covariance': arm.covariance, 'configurations': arm.configurations.round(6),
         'provenance': with_origin(calibration).provenance})
 
@@ -84,20 +103,23 @@ def read_arm(path: Path) -> Arm:
         joints = tuple(Joint(
             str(joint['name']), str(joint['type']),
             transform_from(path, 'origin', joint['origin']),
-            np.array(joint['axis'], dtype=float), float(joint['lower']), float(joint['upper']))
-            for joint in stored)
+            checked_numbers(path, f'{joint["name"]}.axis', joint['axis'], 3),
+            float(joint['lower']), float(joint['upper'])) for joint in stored)
         kinds = tuple(kind for kind in KINDS if any(kind in joint for joint in stored))
-        values = [float(value) for joint in stored for kind in kinds if kind in joint
-                  for value in joint[kind]['value']]
-        covariance = np.array(content['covariance'], dtype=float).reshape(2 * [len(values)])
+        values = [value for joint in stored for kind in kinds if kind in joint
+                  for value in checked_numbers(path, f'{joint["name"]}.{kind}',
+                                               joint[kind]['value'])]
         arm = Arm(str(content['base']), str(content['flange']), joints,
-                  transform_from(path, 'end', content['end']), kinds, np.array(values), covariance,
-                  np.array(content['configurations'], dtype=float).reshape(-1, len(joints)))
-        if arm.is_estimated.sum() != len(values) or not len(arm.configurations) or any(
+                  transform_from(path, 'end', content['end']), kinds, np.array(values))
+        if arm.is_estimated.sum() != len(values) or not content['configurations'] or any(
                 joint.get('follows', joint['name']) != joint['name'] for joint in stored):
-            raise ValueError('errors of joints or all configurations are missing, or some mimic '
-                             'others, as files of earlier versions can say')
+            raise unusable_file(path, 'errors of joints or all configurations are missing, or '
+                                'joints follow others, as in files of earlier versions: run '
+                                '"handeye kinematics" again')
+        covariance, configurations = (checked_numbers(path, key, [*chain(*content[key])])
+                                      for key in ('covariance', 'configurations'))
+        return replace(arm, covariance=covariance.reshape(2 * [len(values)]),
+                       configurations=configurations.reshape(-1, len(joints)))
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise unusable_file(
             path, 'it is no kinematics.yaml as "handeye kinematics" writes it') from error
-    return arm

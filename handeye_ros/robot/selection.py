@@ -24,7 +24,7 @@ from handeye_ros.arm import (
 )
 from handeye_ros.data import Array, Indices
 from handeye_ros.errors import DataError
-from handeye_ros.robot.estimate import (
+from handeye_ros.robot.fit import (
     arm_covariance,
     ArmFit,
     MIN_STOPS,

@@ -114,8 +114,14 @@ def _raise_no_profiles(unusable: Iterable[AnyProfile], stop: Stop, config: Confi
         profile.read(config.profile)
     seconds, settle = (stop.end - stop.start) / NS, config.sampling.settle_time
     if seconds <= 2 * settle and not config.sampling.moving:
-        raise FeatureError(f'sampling.settle_time leaves out {settle:g} s at either end of the '
+        raise FeatureError(f'sampling.settle_time takes off {settle:g} s at either end of the '
                            f'{seconds:.1f} s of this stop: stay longer at each, or lower it')
+    if stop.untimed:
+        raise FeatureError(
+            'each message holds several profiles without their times, '
+            + ('which a robot that moves needs: set profile.period' if config.sampling.moving else
+               f'and none lies wholly in the {seconds:.1f} s of this stop: set profile.period, or '
+               'stay longer'))
     span = 'pass' if config.sampling.moving else 'stop'
     raise FeatureError(f'no profile has a stamp of the {seconds:.1f} s of this {span}: the '
                        'sensor sent none, they were dropped or could not be read, or its clock, '

@@ -16,8 +16,9 @@ in their order:
 3. done: `take_completed` returns it, once, with its profiles. At the end of a recording
    `take_remaining` returns all others, with the current one; `require_any_stop` refuses a
    recording without any
-4. evaluated: `result_of` (features.py) makes a Sample or a Reject of it, `numbered` gives it a
-   number, and `add_stop` stores it, for `stops`, `samples` and `rejects`
+4. evaluated: `result_of` (features.py) makes a Sample or a Reject of it, `without_duplicate`
+   rejects a pose that another sample has, `with_result` gives it its number, and `add_stop` stores
+   it, for `stops`, `samples` and `rejects`
 
 Why the session cannot use what came is said, in words, by input_faults.py.
 """
@@ -286,17 +287,22 @@ class Session(Copyable):
     def evaluate_remaining(self) -> None:
         """Evaluate and store all remaining stops; raises InputError as take_remaining does."""
         for stop in self.take_remaining():
-            self.add_stop(self.numbered(stop, result_of(stop, self.config)))
+            self.add_stop(self.with_result(stop, result_of(stop, self.config)))
 
-    def numbered(self, stop: Stop, result: Sample | Reject) -> Stop:
-        """Return a stop with its number and result; a duplicate pose gives no sample."""
+    def with_result(self, stop: Stop, result: Sample | Reject) -> Stop:
+        """Return a stop with its number, by default a new one, and its result if no duplicate."""
         earlier = self._stops.get(stop.stamp)  # of the same stop, with fewer profiles
+        number = stop.number or (earlier.number if earlier else self.last_number + 1)
+        return replace(stop, number=number, result=self.without_duplicate(stop, result))
+
+    def without_duplicate(self, stop: Stop, result: Sample | Reject) -> Sample | Reject:
+        """Return the result of a stop, a reject of a sample whose pose another stop has."""
+        if isinstance(result, Reject) or result.moving:
+            return result
         others = [other for other in self.stops
-                  if other is not earlier and not self.excludes(other)]
-        duplicate = '' if isinstance(result, Reject) or result.moving else duplicate_pose_reason(
-            result, others, self.config)
-        return replace(stop, number=earlier.number if earlier else self.last_number + 1,
-                       result=Reject(result.stamp, duplicate, final=True) if duplicate else result)
+                  if other.stamp != stop.stamp and not self.excludes(other)]
+        duplicate = duplicate_pose_reason(result, others, self.config)
+        return Reject(result.stamp, duplicate, final=True) if duplicate else result
 
     def add_stop(self, stop: Stop) -> None:
         """Store an evaluated stop, in place of an earlier part of it."""

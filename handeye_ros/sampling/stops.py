@@ -51,6 +51,7 @@ class Stop:
     poses, profiles: in the order of their stamps
     load_messages: of a stop on the disk, of which at most the last pose is in memory: returns it
         with its poses and profiles, decoded as a configuration says
+    untimed: whether no profile is surely of this time, and of some it is not known (time_margins)
     number: in its session, from 1, never reused; 0 before
     result: a sample, or the reason why there is none
     """
@@ -59,6 +60,7 @@ class Stop:
     poses: tuple[TimedPose, ...] = ()
     profiles: tuple[AnyProfile, ...] = ()
     load_messages: Callable[[Config], Stop] | None = None
+    untimed: bool = False
     number: int = 0
     result: Sample | Reject = NOT_EVALUATED
 
@@ -99,20 +101,25 @@ class Stop:
         """
         Return the stop with the profiles surely taken during it, among candidates in order.
 
-        Of many, about KEPT_PER_SECOND are kept, and MAX_KEPT at most before, in and after the time
-        without vibration.
+        In a pass each has the pose of its stamp, which must be certain. Of many, about
+        KEPT_PER_SECOND are kept, and MAX_KEPT at most before, in and after the time without
+        vibration.
         """
         begin = bisect_left(candidates, self.start, key=by_stamp)
         end = bisect_right(candidates, self.end, key=by_stamp)
         taken = [profile for profile in candidates[begin:end]
                  if self.start <= profile.stamp - profile.time_margins[0]
-                 and profile.stamp + profile.time_margins[1] <= self.end]
+                 and profile.stamp + profile.time_margins[1] <= self.end
+                 and not (config.sampling.moving and any(profile.time_margins))]
+        untimed = not taken and any(
+            any(profile.time_margins) and profile.stamp - profile.time_margins[0] <= self.end
+            and self.start <= profile.stamp + profile.time_margins[1] for profile in candidates)
         first_settled, last_settled = self._settled_span(config)
         begin = bisect_left(taken, first_settled, key=by_stamp)
         end = max(begin, bisect_right(taken, last_settled, key=by_stamp))
-        return replace(self, profiles=(*_thinned(taken[:begin], MIN_SETTLING),
-                                       *_thinned(taken[begin:end], MIN_SETTLED),
-                                       *_thinned(taken[end:], MIN_SETTLING)))
+        return replace(self, untimed=untimed, profiles=(
+            *_thinned(taken[:begin], MIN_SETTLING), *_thinned(taken[begin:end], MIN_SETTLED),
+            *_thinned(taken[end:], MIN_SETTLING)))
 
     def settled_profiles(self, config: Config) -> list[AnyProfile]:
         """Return PROFILES_OF_SAMPLE of the time without vibration at most, not yet decoded."""
@@ -139,11 +146,7 @@ NO_STOP = Stop(0)
 
 
 def _thinned(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
-    """
-    Return KEPT_PER_SECOND of successive profiles of a stop, evenly spread.
-
-    least: are kept of a short time, if it has as many.
-    """
+    """Return max(least, KEPT_PER_SECOND of their time), at most MAX_KEPT, evenly spread."""
     seconds = (profiles[-1].stamp - profiles[0].stamp) / NS if profiles else 0.0
     most = min(MAX_KEPT, max(least, 1 + round(KEPT_PER_SECOND * seconds)))
     return evenly_spaced(profiles, most)
@@ -212,7 +215,7 @@ class StopFinder(Copyable):
         return ended
 
     def _prolong(self, pose: TimedPose) -> None:
-        """Add a pose to the current stop; a long one keeps its first, on request its last ones."""
+        """Add a pose; a stop keeps its first MAX_STOP_TIME, in manual mode its last, no others."""
         self._poses.append(pose)
         forget = self._poses.pop if self.sampling.automatic else self._poses.popleft
         while (self._poses[-1].stamp - self._poses[0].stamp > MAX_STOP_TIME
@@ -296,7 +299,7 @@ class ProfileBuffer(Copyable):
         self._forget(slice(None))
 
     def keep(self, first: int, last: int, now: int) -> None:
-        """Forget all profiles outside two stamps but those after a third one."""
+        """Keep those from first to last and those later than now (ns); forget the others."""
         self._forget(slice(bisect_right(self.items, last, key=by_stamp),
                            bisect_right(self.items, now, key=by_stamp)))
         self._forget(slice(0, bisect_left(self.items, first, key=by_stamp)))

@@ -24,9 +24,10 @@ A sweep differs from stops in these places, found by Sample.moving, sampling.mov
 estimation, Problem.is_sweep:
 
 - profiles: fewer points of a line or arc are kept (lines.py, arcs.py)
-- stops.py cuts it by time, into passes, all of which is evaluated; features.py combines no
-  profiles, and reads every eighth with the other sign of the range too (FLIPPED_EVERY);
-  passes_expanded (here) takes a pass apart, with one trajectory for all
+- stops.py cuts it by time, into passes, all of which is evaluated, but for profiles of unknown
+  times (time_margins); features.py combines no profiles, and reads every eighth with the other
+  sign of the range too (FLIPPED_EVERY); passes_expanded (here) takes a pass apart, with one
+  trajectory for all
 - estimation: problem_with_clocks (here) adds the three unknowns; fewer profiles than stops are
   enough (Problem.enough_stations)
 - session.py: a pass is never a duplicate, nor taken early; guidance advises to sweep on
@@ -38,7 +39,7 @@ estimation, Problem.is_sweep:
   profiles on either side of it (moved.py); a pass agrees if most of its profiles do (review.py)
 - a calibration of a sweep measures at stops all the same (calibration_file.py); a gauge is
   measured in passes (stations.py); a sweep also checks a calibration (check.py); the arm's
-  errors are found at the estimated times (robot/recordings.py); the node counts profiles
+  errors are found at the estimated times (robot/from_recordings.py); the node counts profiles
   (solver.py)
 """
 from __future__ import annotations
@@ -89,7 +90,8 @@ SEARCH_SAMPLES = 60  # enough to start from (here) or to find a wrong convention
 
 def passes_expanded(samples: Sequence[Sample]) -> tuple[Sample, ...]:
     """Return one sample per profile of passes, with their common trajectory; others unchanged."""
-    trajectories = [sample.trajectory for sample in samples if sample.profile_samples]
+    trajectories = [sample.trajectory for sample in samples
+                    if sample.trajectory is not None and sample.profile_samples]
     trajectory = joined(trajectories) if trajectories else None
     return tuple(replace(station, trajectory=trajectory) if sample.profile_samples else station
                  for sample in samples for station in sample.station_samples)
@@ -111,7 +113,7 @@ class ClockedPoses:
         self.stamps = np.array([sample.stamp for sample in samples])
         self.moving = np.array([sample.moving for sample in samples])
         self.trajectory: Trajectory = next(
-            sample.trajectory for sample in samples if sample.moving)
+            sample.trajectory for sample in samples if sample.trajectory is not None)
 
     @property
     def since_middle(self) -> Array:

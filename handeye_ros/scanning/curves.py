@@ -25,7 +25,7 @@ KNOT_SPACING = 0.03  # m between the knots of a spline
 PIECES_TRIED = 1, 2, 4  # number of pieces between these knots
 STIFF_ONLY = PIECES_TRIED[:1]
 CUBIC_ENOUGH = 4e-5  # m RMS between cubic and spline, up to which the cubic is used
-OUTLIER_SIGMAS = 3.5  # sigmas of points that are left out
+OUTLIER_SIGMAS = 3.5  # sigmas of points that are dropped
 MIN_SCATTER = 1e-6  # m: the smallest scatter assumed when outliers are removed
 LENGTH_POINTS = 2000  # points of a curve for its length
 

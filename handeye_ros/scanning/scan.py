@@ -71,7 +71,7 @@ class Scanner:
     frame: the id of the frame of the points
     profiles, without_pose: the number of profiles so far, and of those without a pose
     returns, out_of_limits, thinned: the number of returns of the profiles with a pose, and of
-        those that are left out
+        those that are dropped
     lag: by which the robot reports its rotation later than its position (s)
     """
 

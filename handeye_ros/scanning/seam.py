@@ -156,7 +156,7 @@ def find_seam(points: Array, widest: float = DEFAULT_WIDEST,
 def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, -1.0),
                 travel: float = 0.0, work: float = 0.0) -> ToolFrames:
     """
-    Return frames of a tool along the seam; frames at the ends that are not certain are left out.
+    Return frames of a tool along the seam; frames at the ends that are not certain are dropped.
 
     pitch: distance between two frames (m)
     towards: a direction (3,) within 90 degrees of the approach

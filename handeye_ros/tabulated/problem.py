@@ -164,12 +164,14 @@ def calibrate_table(problem: TableProblem) -> Calibration:
     answer.require_trusted(problem)
     warnings = {'warnings': list(problem.warnings)} if problem.warnings else {}
     return assemble_calibration(
-        problem.config, problem.name, problem.frame,
-        answer.X @ se3.inverse(problem.T_sensor_plane), answer.covariance, answer.residual_rms,
-        answer.left_out_rms, answer.target,
-        [report_of_row(number, kind, used, residual) for (number, kind), used, residual in zip(
-            problem.sample_ids, answer.used, answer.residuals, strict=True)],
-        {'inputs': list(problem.inputs), **warnings})
+        problem.config, method=problem.name, sensor_frame=problem.frame,
+        T_flange_sensor=answer.X @ se3.inverse(problem.T_sensor_plane),
+        covariance=answer.covariance, residual_rms=answer.residual_rms,
+        holdout_rms=answer.left_out_rms, target=answer.target,
+        reports=[report_of_row(number, kind, used, residual)
+                 for (number, kind), used, residual in zip(
+                     problem.sample_ids, answer.used, answer.residuals, strict=True)],
+        provenance={'inputs': list(problem.inputs), **warnings})
 
 
 def answer_table(problem: TableProblem) -> TableAnswer:

@@ -139,7 +139,7 @@ def test_a_cut_mcap_gives_what_lies_before_the_cut(good_bag, tmp_path, layout, s
     assert f'cut off or damaged: read {n + m} messages' in recording.warnings[0]
 
 
-def test_a_damaged_chunk_is_left_out(good_bag, tmp_path, index=15):
+def test_a_damaged_chunk_is_dropped(good_bag, tmp_path, index=15):
     file = rewrite(good_bag, tmp_path / 'damaged.mcap')
     data = bytearray(file.read_bytes())
     raw = next(r for r in scan(good_bag)[1]
@@ -150,7 +150,7 @@ def test_a_damaged_chunk_is_left_out(good_bag, tmp_path, index=15):
     assert 0 < len(PROFILES) - len(recording.profiles) <= 2
     assert PROFILES[index].stamp not in [p.stamp for p in recording.profiles]
     warning, = recording.warnings
-    assert warning.endswith('messages, left out 1 damaged chunk(s)')
+    assert warning.endswith('messages, dropped 1 damaged chunk(s)')
 
 
 def test_an_empty_chunk_is_no_damage(good_bag, tmp_path):
@@ -318,7 +318,7 @@ def test_a_few_wild_stamps_are_dropped_and_reported(good_bag, tmp_path, topic, w
     assert len(kept_messages) <= len(items) - len(inner)
     if inner:
         warning, = recording.warnings
-        assert f'of {len(items)} messages on {topic} were left out: their stamps' in warning
+        assert f'of {len(items)} messages on {topic} were dropped: their stamps' in warning
 
 
 def test_missing_stamps_are_told_and_clocks_that_share_no_time_refused(good_bag, tmp_path):
@@ -352,7 +352,7 @@ def test_other_types_and_encodings_are_refused(good_bag, tmp_path):
     refused(r'/profile \(.*PointCloud2 in ros1\)', file)
 
 
-def test_messages_that_cannot_be_used_are_counted_and_left_out(good_bag, tmp_path):
+def test_messages_that_cannot_be_used_are_counted_and_dropped(good_bag, tmp_path):
     def cut(raw):
         third = raw.topic == '/profile' and raw.log_time == PROFILES[3].stamp
         return raw._replace(data=raw.data[:len(raw.data) // 2]) if third else raw
@@ -360,13 +360,13 @@ def test_messages_that_cannot_be_used_are_counted_and_left_out(good_bag, tmp_pat
     recording = read_bag(with_messages(good_bag, tmp_path, cut), CONFIG)
     assert_equal_recordings(recording, PROFILES[:3] + PROFILES[4:])
     assert recording.warnings[0].startswith(
-        f'1 of {len(PROFILES)} messages on /profile were left out; the first: ')
+        f'1 of {len(PROFILES)} messages on /profile were dropped; the first: ')
     far = [replace(p, points=p.points * 1e3) if i in (5, 6) else p for i, p in enumerate(PROFILES)]
     recording = read_bag(written(tmp_path, name='far', profiles=far), CONFIG)
     assert [p.stamp for p in recording.profiles_of_returns()] == [
         p.stamp for p in PROFILES[:5] + PROFILES[7:]]
     assert recording.warnings[0].startswith(
-        f'2 of {len(PROFILES)} profiles of the recording were left out; the first: PointCloud2')
+        f'2 of {len(PROFILES)} profiles of the recording were dropped; the first: PointCloud2')
     few = [replace(p, points=p.points * np.nan) if i < 5 else p for i, p in enumerate(PROFILES)]
     zero = [replace(p, quaternion=np.zeros(4)) for p in POSES]
     millimetres = Config(profile=ProfileConfig(unit='mm'))
@@ -412,7 +412,7 @@ def test_messages_of_another_frame_are_strays_and_many_are_refused(tmp_path, kin
             kept_stamps = [item.stamp for i, item in enumerate(items) if i not in others]
             assert [item.stamp for item in getattr(recording, f'{kind}s')] == kept_stamps
             assert recording.warnings == [
-                f'{len(others)} of {len(items)} {kind}s were left out: their frame is "map", not '
+                f'{len(others)} of {len(items)} {kind}s were dropped: their frame is "map", not '
                 f'"{first}"']
         else:
             refused(f'two frames, "{first}" and "map"', path)

@@ -94,7 +94,7 @@ def test_what_was_received_is_stored_byte_for_byte(tmp_path: Path) -> None:
 
 @pytest.fixture(scope='module')
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give the folder of a session of all stops, with one removed and one left out."""
+    """Give the folder of a session of all stops, with one removed and one excluded."""
     live = feed(stored(tmp_path_factory.mktemp('session')))
     computed(live)
     live.remove_last_sample()

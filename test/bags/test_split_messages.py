@@ -101,6 +101,24 @@ def test_a_batch_during_which_the_robot_moved_is_not_used(stamp: str, used: set[
                     for p in stop.load(config).profiles}
 
 
+@pytest.mark.parametrize(('moving', 'words'), [
+    (True, 'which a robot that moves needs: set profile.period'),
+    (False, 'none lies wholly in the 1.2 s of this stop: set profile.period, or stay longer')])
+def test_where_no_batch_can_be_used_the_reason_says_so(moving: bool, words: str) -> None:
+    config = Config(sampling=SamplingConfig(mode='moving' if moving else 'still'))
+    session, period = Session(config), 50 if moving else 1000
+    for i in range(400):  # moves all the time, or stands for 1.2 s between two ways
+        x = i / 1000 if moving else min(max(abs(i / 100 - 2.0) - 0.6, 0.0), 1.0)
+        session.add_pose(TimedPose(START + i * 10 * MS, np.array([x, 0, 0]),
+                                   np.array([0, 0, 0, 1.0])))
+    batches = [batch(START + i * period * MS, 4) for i in range(4000 // period + 2)]
+    for profile in profiles(batches, config.profile):
+        session.add_profile(profile)
+    session.evaluate_remaining()
+    assert session.stops and not any(stop.profiles for stop in session.stops)
+    assert all(reject.reason.endswith(words) for reject in session.rejects), session.rejects
+
+
 def test_a_bag_of_batches_is_read_row_by_row(good_bag, tmp_path) -> None:
     data = [batch(START + i * 50 * MS, 5, first=5 * i) for i in range(20)]
     raws = [RecordedMessage('/profile', CLOUD_TYPE, START + i * 50 * MS, d)

@@ -72,7 +72,7 @@ def test_a_seldom_link_that_moves_gives_no_pose():
             ('rail', 'flange', T_1), stamp=k * second // 4)]
         assert [stamp * 4 // second for stamp, _ in poses] == (
             [0, 4] if moved else [0, 1, 2, 3, 4])
-    assert '3 poses of /tf were left out' in follower.warnings[0]
+    assert '3 poses of /tf were dropped' in follower.warnings[0]
 
 
 def stamps_of(stamps):

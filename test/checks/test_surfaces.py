@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Stops that show another surface are named and left out."""
+"""Stops that show another surface are named and not used."""
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -65,7 +65,7 @@ def clamped(scenario: Scenario, height: float, share: float = 1 / 3, lower: floa
     ('plate', 1, partial(clamped, height=0.015, lower=0.2), True),
     ('plate', 7, barred, True), ('plate', 0, partial(clamped, height=0.015), True),
     ('line', 0, partial(clamped, height=0.015), False)])
-def test_the_stops_that_show_another_surface_are_named_and_left_out(
+def test_the_stops_that_show_another_surface_are_named_and_not_used(
         monkeypatch: pytest.MonkeyPatch, name: str, seed: int,
         solids: Callable[[Scenario], tuple[Solid, ...]], answered: bool) -> None:
     monkeypatch.setitem(scenes.SCENES, 'clamped', replace(

@@ -214,7 +214,7 @@ def test_a_button_a_kill_and_a_restart(tmp_path, client, monkeypatch):
         assert report['mode'] == 'manual', 'as it was in the session'
         assert set_parameter(client, 'samples.exclude', [2]).successful
         until(lambda report: [s['excluded'] for s in report['samples']] == [False, True],
-              'a sample is left out')
+              'a sample is excluded')
 
 
 # -- the end

@@ -369,7 +369,7 @@ def test_the_newest_stops_are_kept_and_others_counted(monkeypatch: pytest.Monkey
     state, newest = state_of(fed()), SPHERE.poses[-1].stamp - 15 * 10**9
     assert sample_count(state) == 5, 'the newest that waited'
     assert min(s['stamp'] for s in state['samples']) > newest
-    assert any(re.match('left [1-9][0-9]* stops out, the oldest of more than 5', note)
+    assert any(re.match('dropped [1-9][0-9]* stops, the oldest of more than 5', note)
                for note in state['session']['warnings'])
     live = new()
     for lap in range(3):

@@ -68,7 +68,7 @@ def test_wu_takes_the_best_of_all_210_quadruples() -> None:
                                atol=1e-9)
 
 
-def test_four_points_in_one_plane_are_left_out() -> None:
+def test_four_points_in_one_plane_are_not_used() -> None:
     T, _, base = pairs(2)
     base[:9, 2] = 0.3
     T_base_camera = wu2017.solve(se3.apply(T, base), base)

@@ -26,7 +26,7 @@ def test_an_arm_is_read_as_it_was_written(tmp_path, kinds):
     arm = replace(arm, error_values=rng.normal(size=size), covariance=root @ root.T,
                   configurations=rng.normal(size=(5, 2)).round(6))
     (tmp_path / kinematics_file.NAME).write_text(
-        kinematics_file.text(arm, np.ones(size), {}, CALIBRATION))
+        kinematics_file.text(arm, np.ones(size), (), 0.0, CALIBRATION))
     again = kinematics_file.read_arm(tmp_path)
     assert (again.base, again.flange, again.estimated_kinds) == ('base', 'tool0', kinds)
     for joint, same in zip(arm.joints, again.joints, strict=True):

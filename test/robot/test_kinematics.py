@@ -4,21 +4,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import math
 import re
+import shutil
 
 from calibrations import calibration_at
 from cells import ONE_IN_1000, squared_error
 from command import assert_refused, bench_of, handeye, ROOT, succeeds
 from handeye_ros import pipeline, se3
-from handeye_ros.arm import arm_of, corrected_urdf, KINDS, read_urdf
+from handeye_ros.arm import arm_of, corrected_urdf, KINDS, OFFSET, read_urdf
 from handeye_ros.bags.recording import read_bag
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.results.kinematics_file import read_arm
-from handeye_ros.robot.recordings import arm_samples_of, ArmSamples, solve_samples
-from handeye_ros.robot.table import select_from_points, solve_table
+from handeye_ros.robot.from_recordings import arm_samples_of, ArmSamples, solve_samples
+from handeye_ros.robot.from_table import select_from_points, solve_table
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import robot as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples
@@ -128,7 +130,7 @@ def test_the_answer_in_files_predicts_points_that_were_held_out(from_table):
     assert 'offset, direction, position' in output
 
 
-def test_a_wrong_row_is_left_out_and_several_points_are_distinguished():
+def test_a_wrong_row_is_dropped_and_several_points_are_distinguished():
     cell = bench.draw(bench.CASES['six'], 40, 5)
     points = cell.data.points.copy()
     points[7] += [0.01, 0, 0]
@@ -164,6 +166,22 @@ def test_few_poses_do_not_make_an_error_less_certain_than_before():
     assert (np.sqrt(np.diag(arm.covariance)) < 1.2 * arm.prior_stds[arm.is_estimated]).all()
 
 
+@pytest.mark.parametrize(('kinds', 'words'), [((), 'the URDF as it is'), ((OFFSET,), 'offset')])
+def test_errors_that_an_arm_does_not_have_are_not_added(kinds, words):
+    cell = bench.draw(bench.CASES['none'], 40, 4)
+    arm = cell.arm.with_errors_of(kinds)
+    arm = replace(arm, error_values=np.resize([1e-3, -2e-3, 1.5e-3], len(arm.error_values)))
+    points = se3.apply(se3.inverse(arm.forward(cell.data.q) @ cell.X), cell.ball[None])[:, 0]
+    noise = cell.data.points - cell.exact.points
+    found = select_from_points([replace(cell.data, points=points + noise)],
+                               cell.arm.with_errors_of(()), 1e-3)
+    assert found.arm.estimated_kinds == kinds
+    note, = found.notes
+    assert note.endswith(f'stops no better than {words}: the simpler one is the answer')
+    off = found.arm.error_values - arm.error_values
+    assert (np.abs(off) < 4 * np.sqrt(np.diag(found.arm.covariance))).all()
+
+
 @pytest.mark.parametrize(('joints', 'in_hand'), [
     (np.diag([1, 1, 1, 1, -1, 1]), True),
     pytest.param(np.eye(6), False, marks=pytest.mark.thorough)])
@@ -188,13 +206,43 @@ def test_bad_urdfs_are_refused_in_a_sentence(urdf, flange, words):
         arm_of(urdf, flange=flange)
 
 
-def test_a_damaged_kinematics_file_is_refused(from_table, tmp_path):
-    text = (from_table[2] / 'out/kinematics.yaml').read_text()
-    for damaged in (text.replace('\n  direction:', '\n  directions:', 1),
-                    yaml.dump(yaml.safe_load(text) | {'configurations': []})):
-        (tmp_path / 'kinematics.yaml').write_text(damaged)
-        with pytest.raises(HandeyeError, match='no kinematics.yaml'):
-            read_arm(tmp_path)
+def test_a_former_arm_is_kept_with_its_calibration(from_table, tmp_path):
+    names = ('kinematics.yaml', 'corrected.urdf', 'calibration.yaml')
+    shutil.copytree(from_table[2] / 'out', tmp_path / 'out')
+    former = {name: (tmp_path / 'out' / name).read_text() for name in names}
+    lines = (from_table[2] / 'points.csv').read_text().splitlines()
+    (tmp_path / 'points.csv').write_text('\n'.join(lines[:36]))
+    words = succeeds('kinematics', 'points.csv', '--urdf', from_table[2] / 'arm.urdf', '--out',
+                     'out', cwd=tmp_path).stdout
+    kept, = (tmp_path / 'out/history').iterdir()
+    assert {name: (kept / name).read_text() for name in names} == former
+    assert {path.name for path in (tmp_path / 'out').iterdir()} == {*names, 'history'}
+    for folder in (kept, tmp_path / 'out'):
+        arm, calibration = read_arm(folder), read_calibration(folder)
+        stored = yaml.safe_load((folder / 'kinematics.yaml').read_text())['transform']
+        np.testing.assert_allclose(se3.transform_from_values(stored), calibration.T_flange_sensor)
+        assert len(arm.configurations) == calibration.quality.samples_used
+    at = [words.index(f'out/{name}') for name in names]
+    assert at == sorted(at), 'the calibration names the arm, so it is written after it'
+
+
+@pytest.mark.parametrize(('change', 'words'), [
+    (lambda arm: arm.pop('end'), 'it is no kinematics.yaml as'),
+    (lambda arm: arm['joints'][1].pop('direction'), 'errors of joints or all configurations are'),
+    (lambda arm: arm.update(configurations=[]), 'errors of joints or all configurations are'),
+    (lambda arm: arm['joints'][0].update(follows='a'), 'or joints follow others, as in files of'),
+    (lambda arm: arm['covariance'].pop(), 'it is no kinematics.yaml as'),
+    (lambda arm: arm['joints'][1]['offset'].update(value=[math.nan]),
+     r'joint_2\.offset\[0\] is nan, expected a finite number'),
+    (lambda arm: arm['joints'][2].update(axis=[0, math.nan, 1]), r'joint_3\.axis\[1\] is nan'),
+    (lambda arm: arm['covariance'][3].__setitem__(2, math.nan), r'covariance\[\d+\] is nan'),
+    (lambda arm: arm['configurations'][4].__setitem__(1, math.inf), r'ions\[25\] is inf')])
+def test_a_damaged_kinematics_file_is_refused(from_table, tmp_path, change, words):
+    content = yaml.safe_load((from_table[2] / 'out/kinematics.yaml').read_text())
+    change(content)
+    (tmp_path / 'kinematics.yaml').write_text(yaml.dump(content))
+    with pytest.raises(HandeyeError, match=words):
+        read_arm(tmp_path)
 
 
 def test_the_file_of_an_arm_without_errors_is_read(from_table, tmp_path):

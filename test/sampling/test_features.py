@@ -43,7 +43,7 @@ def test_a_profile_that_disagrees_is_outvoted(other_shape: Callable[[Array], Arr
         assert abs(heights[0] - heights[1]) < 2e-5
 
 
-def test_an_edge_that_few_profiles_show_is_left_out() -> None:
+def test_an_edge_that_few_profiles_show_is_not_used() -> None:
     def with_two_edges(x: Array) -> Array:
         return np.where(x > 0.012, np.nan, step_up_to(0.002)(x))
     features = features_of_stop([*many(step_up_to(0.002), 8), *many(with_two_edges, 3, 1)], 1)

@@ -108,7 +108,7 @@ def test_a_stop_is_given_early_and_again_when_it_is_over() -> None:
         stop = session.early_stop()
         if stop:
             seconds.append((item.stamp - START) / NS)
-            session.add_stop(session.numbered(stop, result_of(stop, CONFIG)))
+            session.add_stop(session.with_result(stop, result_of(stop, CONFIG)))
         collect(session)
     session.evaluate_remaining()
     assert len(session.samples) == session.last_number == 2

@@ -72,7 +72,7 @@ def test_the_sign_of_a_quaternion_is_no_motion() -> None:
     assert np.allclose(sample.T_base_flange[:3, :3], np.eye(3))
 
 
-def test_profiles_near_the_ends_of_a_stop_are_left_out() -> None:
+def test_profiles_near_the_ends_of_a_stop_are_dropped() -> None:
     for settle in (0.0, 0.1, 0.3):
         config = with_values(CONFIG, {'sampling.settle_time': settle}, 'test')
         sample, = played(stops((0, 1)), profiles(0, 1), config).samples
@@ -80,7 +80,7 @@ def test_profiles_near_the_ends_of_a_stop_are_left_out() -> None:
         assert sample.profile_count == ((times >= settle) & (times <= 1 - settle)).sum()
     config = with_values(CONFIG, {'sampling.settle_time': 0.6}, 'test')
     reject, = played(stops((0, 1)), profiles(0, 1), config).rejects
-    assert reject.reason.startswith('sampling.settle_time leaves out 0.6 s at either end of')
+    assert reject.reason.startswith('sampling.settle_time takes off 0.6 s at either end of')
 
 
 def test_a_number_to_exclude_that_no_stop_has_is_told() -> None:
@@ -137,8 +137,8 @@ def test_a_stop_near_an_earlier_one_brings_nothing_new() -> None:
     session = played(poses, profiles(0, 3), config)
     reject, = session.rejects
     assert reject.reason == '6 mm and 0.0 degrees from sample 1: it brings nothing new'
-    left_out = with_values(config, {'samples.exclude': [1]}, 'test')
-    assert len(played(poses, profiles(0, 3), left_out).samples) == 1, 'of the second stop'
+    without = with_values(config, {'samples.exclude': [1]}, 'test')
+    assert len(played(poses, profiles(0, 3), without).samples) == 1, 'of the second stop'
     turned = [replace(p, quaternion=pose(0, turn=0.1 * (p.stamp > START + NS)).quaternion)
               for p in poses]
     assert len(played(turned, profiles(0, 3), config).samples) == 2

@@ -79,7 +79,7 @@ def test_eye_on_base_and_the_axes_of_the_driver_are_followed():
         assert scanner.frame == ('flange' if values else 'base')
 
 
-def test_points_beyond_the_limits_of_range_and_incidence_are_left_out():
+def test_points_beyond_the_limits_of_range_and_incidence_are_dropped():
     x = np.linspace(-0.02, 0.02, 401)
     z = np.where(x < 0, 0.15, 0.15 + 2 * x)  # flat, then 63 degrees
     profile = Profile(T0 + STEP, 'laser', np.column_stack([x, z]))

@@ -71,7 +71,7 @@ def go_on(session: Session, items: Sequence[TimedPose | Profile], config: Config
 def collect(session: Session, config: Config = CONFIG) -> None:
     """Evaluate the stops that were completed since the last call, as the node does."""
     for stop in session.take_completed():
-        session.add_stop(session.numbered(stop, result_of(stop, config)))
+        session.add_stop(session.with_result(stop, result_of(stop, config)))
 
 
 def add(session: Session, item: TimedPose | Profile) -> None:
@@ -84,7 +84,7 @@ def add(session: Session, item: TimedPose | Profile) -> None:
 def taken(session: Session, config: Config = CONFIG) -> Sample:
     """Return the sample of the current stop, put into the session as on request."""
     stop = session.stop_on_request()
-    stop = session.numbered(stop, result_of(stop, config))
+    stop = session.with_result(stop, result_of(stop, config))
     if isinstance(stop.result, Reject):
         raise DataError(stop.result.reason)
     session.add_stop(stop)

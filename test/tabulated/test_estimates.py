@@ -101,7 +101,7 @@ def test_views_are_as_sure_as_they_say(on_base: bool, count: int) -> None:
     assert np.mean(np.array(squares) < ONE_IN_100 / 6) >= 0.95
 
 
-def test_a_wrong_view_is_left_out() -> None:
+def test_a_wrong_view_is_dropped() -> None:
     X, _, poses = views(5, (3e-5, 1e-4))
     seen = poses.seen.copy()
     seen[4] = se3.perturb(seen[4], np.array([5e-3, 0, 0, 0, 0.02, 0]))

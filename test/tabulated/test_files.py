@@ -128,7 +128,7 @@ def test_without_noise_all_find_the_truth(name: str, handeye: Run, tmp_path: Pat
         assert np.abs(se3.difference(X, cell.T_flange_sensor)).max() < limit, row
 
 
-def test_a_wrong_row_is_left_out_and_reported(tmp_path: Path) -> None:
+def test_a_wrong_row_is_dropped_and_reported(tmp_path: Path) -> None:
     write_simulated('points', 1, tmp_path / 'cell')
     file = tmp_path / 'cell' / 'points.csv'
     header, row, *rest = file.read_text().splitlines()

@@ -10,9 +10,8 @@ from pathlib import Path
 
 from handeye_ros.arm import corrected_urdf, KINDS, OFFSET, POSITION, REVOLUTE
 from handeye_ros.data import Calibration
-from handeye_ros.output import write_atomically
 from handeye_ros.results import exports, kinematics_file
-from handeye_ros.results.kinematics_file import joint_entries, UNDETERMINED_SHARE
+from handeye_ros.results.kinematics_file import joint_entries, TriedModel, UNDETERMINED_SHARE
 from handeye_ros.results.printed import figures_table
 from handeye_ros.robot.selection import ArmSelection, UNCHANGED_ARM
 from rich.console import Group, RenderableType
@@ -31,25 +30,22 @@ class ArmAnswer:
 
     def save(self, urdf: str, folder: Path, formats: Sequence[str]) -> str:
         """
-        Write calibration.yaml, kinematics.yaml and corrected.urdf; return what was written.
+        Write kinematics.yaml, corrected.urdf and the calibration; return as exports.save_all.
 
         urdf: the stated one of the robot. The calibration names the kinematics file.
         """
-        folder, selection = folder.absolute(), self.selection
-        provenance, file = self.calibration.provenance, folder / kinematics_file.NAME
+        selection, provenance = self.selection, self.calibration.provenance
+        file = folder.expanduser().absolute() / kinematics_file.NAME
         read_with = {**provenance['config'], 'kinematics': str(file)}
         calibration = replace(self.calibration, provenance={**provenance, 'config': read_with})
-        saved = exports.save_all(calibration, folder, formats)
-        found = {
-            'models': [{'parameters': list(m.fit.arm.estimated_kinds),
-                        'residual_rms': m.fit.residual_rms, 'left_out_rms': m.left_out_rms,
-                        'chosen': m is selection.chosen} for m in selection.models],
-            'robot_smooth_error': selection.robot_smooth}
-        write_atomically(file, kinematics_file.text(
-            selection.arm, selection.undetermined, found, replace(self.calibration, provenance={
-                **provenance, 'warnings': list(self.warnings)})))
-        write_atomically(folder / URDF_FILE, corrected_urdf(urdf, selection.arm))
-        return f'{saved}, {file.name}, {URDF_FILE}'
+        models = [TriedModel(model.fit.arm.estimated_kinds, model.fit.residual_rms,
+                             model.left_out_rms, model is selection.chosen)
+                  for model in selection.models]
+        return exports.save_all(calibration, folder, formats, {
+            file.name: kinematics_file.text(
+                selection.arm, selection.undetermined, models, selection.robot_smooth, replace(
+                    self.calibration, provenance={**provenance, 'warnings': list(self.warnings)})),
+            URDF_FILE: corrected_urdf(urdf, selection.arm)})
 
 
 def table(answer: ArmAnswer) -> RenderableType:

@@ -24,8 +24,8 @@ from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solution import cover
 from handeye_ros.frames import mount_poses, T_sensor_plane
-from handeye_ros.robot.arm_answer import ArmAnswer
-from handeye_ros.robot.estimate import ArmFit, ArmProfiles, with_estimated_weights
+from handeye_ros.robot.answer import ArmAnswer
+from handeye_ros.robot.fit import ArmFit, ArmProfiles, with_estimated_weights
 from handeye_ros.robot.selection import (
     require_enough_stops,
     require_within_limits,

@@ -22,8 +22,8 @@ from handeye_ros.csv_tables import ANGLE, CsvTable, LENGTH, require_different
 from handeye_ros.data import Indices, ROBOT_POSITION_ERROR
 from handeye_ros.estimation.outliers import robust_least_squares
 from handeye_ros.published import jing2020
-from handeye_ros.robot.arm_answer import ArmAnswer
-from handeye_ros.robot.estimate import ArmFit, ArmPoints, MIN_STOPS, with_estimated_weights
+from handeye_ros.robot.answer import ArmAnswer
+from handeye_ros.robot.fit import ArmFit, ArmPoints, MIN_STOPS, with_estimated_weights
 from handeye_ros.robot.selection import (
     ArmSelection,
     require_enough_stops,
@@ -110,9 +110,10 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     reports = [report_of_row(*of_row, used, distance) for of_row, used, distance in zip(
         numbered, fit.used, fit.distances, strict=True)]
     calibration = assemble_calibration(
-        config, 'kinematics', config.sensor_frame, fit.X, covariance,
-        fit.residual_rms, selection.chosen.left_out_rms,
-        {**target, ROBOT_POSITION_ERROR: selection.robot_smooth},
-        sorted(reports, key=attrgetter('stamp')), {'inputs': list(inputs)})
+        config, method='kinematics', sensor_frame=config.sensor_frame, T_flange_sensor=fit.X,
+        covariance=covariance, residual_rms=fit.residual_rms,
+        holdout_rms=selection.chosen.left_out_rms,
+        target={**target, ROBOT_POSITION_ERROR: selection.robot_smooth},
+        reports=sorted(reports, key=attrgetter('stamp')), provenance={'inputs': list(inputs)})
     return ArmAnswer(selection, replace(calibration, name=config.name or calibration.method),
                      (*notes, *selection.notes))

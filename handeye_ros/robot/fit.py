@@ -217,7 +217,7 @@ class ArmFit:
 
     @property
     def residual_rms(self) -> float:
-        """Return the RMS residual of the used stops (m)."""
+        """Return the RMS distance of the points of the used stops from their target (m)."""
         return rms(self.distances[self.used])
 
     @cached_property
@@ -287,8 +287,9 @@ def noise_and_variances(fit: ArmFit, conservative: bool = False) -> tuple[Array,
         of_kind = np.flatnonzero(fit.kind_numbers == kind)
         stated = fit.prior_stds[of_kind] / np.sqrt(present)
         covariance = fit.covariance[np.ix_(6 + of_kind, 6 + of_kind)] / np.outer(stated, stated)
-        variances[kind] = prior_variances(covariance, fit.robot_errors[of_kind] / stated, present,
-                                          MAX_VARIANCE)[int(conservative)]
+        likeliest, for_report = prior_variances(covariance, fit.robot_errors[of_kind] / stated,
+                                                present, MAX_VARIANCE)
+        variances[kind] = for_report if conservative else likeliest
     (r, J), axis = fit.whitened_rows, fit.used_rows % len(fit.noise)
     redundancy = 1 - np.einsum('mi,mi->m', J @ fit.covariance, J)
     freedom, squares = np.bincount(axis, redundancy), np.bincount(axis, (r * fit.noise[axis]) ** 2)
