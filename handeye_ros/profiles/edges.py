@@ -193,7 +193,7 @@ def edge_at(end: FaceEnd) -> EdgePoint:
 def _require_room(end: FaceEnd) -> None:
     """Raise NoEdgeError where the end of the view may cut the face off."""
     last = end.segment.last
-    room = min(last, len(end.points) - 1 - last) * end.pitch
+    room = (len(end.points) - 1 - last) * end.pitch
     if end.has_lost_columns and room < VIEW_MARGIN:
         raise NoEdgeError(
             f'{room * 1e3:.1f} mm from the end of the view, where its edge may be cut off (move '
