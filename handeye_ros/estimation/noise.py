@@ -61,7 +61,7 @@ class NoiseModel:
 
     variance_factors: (5,), see FACE_INDEX
     tau_squared: tau^2 of blocks by name; 1 of those not named
-    blocks_as_noise: whether distortion, the robot's smooth error and the target's feature_errors
+    blocks_as_noise: whether distortion, the robot's smooth error and the target's point_errors
         count as errors of each station, and all other blocks are left out
     """
 
@@ -104,9 +104,9 @@ def covariance_parts(linear: Linearisation, group: StationGroup) -> Array:
     local_distortion = (LOCAL_SHARE * configured.distortion) ** 2
     pose_stds = np.repeat([configured.robot_translation, configured.robot_rotation], 3)
     # no covariance between the components, so that any factors keep the sum positive
-    features = _outer(linear.wrt_feature[group.rows]) * group.same_point
-    features += 1e-9 ** 2 * np.eye(group.rows.shape[1])  # (1 nm)^2: exact points weigh, too
-    parts = [*features * group.factor_masks,
+    own = _outer(linear.wrt_unit_errors[group.rows]) * group.same_point
+    own += 1e-9 ** 2 * np.eye(group.rows.shape[1])  # (1 nm)^2: exact points weigh, too
+    parts = [*own * group.factor_masks,
              group.correlation * _outer(linear.wrt_point[group.rows], local_distortion),
              _outer(linear.wrt_pose[group.rows], pose_stds ** 2)]
     if linear.wrt_jitter is not None:
@@ -123,7 +123,7 @@ def total_covariance(linear: Linearisation, group: StationGroup, noise: NoiseMod
         rows = group.rows
         total += group.correlation * _outer(linear.wrt_point[rows], configured.distortion ** 2)
         total += _outer(linear.wrt_pose[rows], (configured.robot_smooth * SMOOTH_UNITS) ** 2)
-        total += _outer(target.feature_errors(linear)[rows]) * group.same_point
+        total += _outer(target.point_errors(linear)[rows]) * group.same_point
     return total
 
 

@@ -331,8 +331,8 @@ class Linearisation:
         return np.asarray(self.jacobian[..., :3] @ self.estimate.X[..., :3, [0, 2]])
 
     @cached_property
-    def wrt_feature(self) -> Array:
-        """Return the derivative (..., m, 2) by the feature's unit errors."""
+    def wrt_unit_errors(self) -> Array:
+        """Return the derivative (..., m, 2) by the unit errors e of the point, see error_root."""
         root = self.problem.observations.error_root
         return np.asarray(np.einsum('...mi,mij->...mj', self.wrt_point, root))
 

@@ -166,11 +166,12 @@ class Target(ABC):
         """Return the blocks of nuisance parameters of its own (see blocks.py)."""
 
     @abstractmethod
-    def feature_errors(self, linear: Linearisation) -> Array:
+    def point_errors(self, linear: Linearisation) -> Array:
         """
-        Return derivatives (m, 1) of the residuals by a unit-variance error of each feature.
+        Return derivatives (m, 1) of the residuals by an error of unit variance of each point.
 
-        They replace the blocks during the search.
+        Conditions on one point share its error. It stands for the target's own blocks during the
+        search.
         """
 
     # for the checks and the answer

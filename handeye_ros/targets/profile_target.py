@@ -21,7 +21,7 @@ is the smallest. It states
 - half_turn_misfit, where half a turn about another place than a point may change its views least
 - alike_views_in_words, where views that are too much alike leave something undetermined
 - describe_strays, where it can say how far from its own the unused edges lie
-- blocks and feature_errors, where it has other systematic errors than those of faces
+- blocks and point_errors, where it has other systematic errors than those of faces
 
 Here are its observations, and the systematic errors that targets of faces have in common: set-back
 of faces, shapes of edges, flatness, range at grazing incidence.
@@ -145,7 +145,7 @@ class ProfileTarget(Target):
         for source in (ends_of_faces, flatness, grazing):
             yield from source(linear)
 
-    def feature_errors(self, linear: Linearisation) -> Array:
+    def point_errors(self, linear: Linearisation) -> Array:
         """Return the derivatives (m, 1) by independent set-backs of edge points, in sigmas."""
         return out_of_face(linear)[:, None] * linear.problem.config.target.setback_std
 

@@ -141,7 +141,7 @@ def test_derivatives_by_pose_point_and_feature_are_those_of_differences(name: st
         assert np.abs(linear.wrt_pose[:, k] - expected).max() < 2e-7
     for k in range(2):
         for derivative, direction in ((linear.wrt_point, np.tile(np.eye(2)[k], (len(obs), 1))),
-                                      (linear.wrt_feature, obs.error_root[:, :, k])):
+                                      (linear.wrt_unit_errors, obs.error_root[:, :, k])):
             expected = by([replace(at_problem, observations=replace(
                 obs, points=obs.points + s * h * direction)) for s in (1, -1)])
             assert np.abs(derivative[:, k] - expected).max() < 2e-7
