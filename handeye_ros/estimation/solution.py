@@ -213,10 +213,11 @@ def _iterated(start: Posterior) -> tuple[Posterior, bool]:
     """
     Return the posterior that repeated steps (5) reach and True; if none, the nearest and False.
 
-    The nearest has the shortest step in sigmas. After each step the variance factors are estimated
-    from the residuals before it, (7), and then the taus for the report from those after it, (6).
-    (Both from the same residuals may swing from too much of one to too much of the other for ever.
-    Where these do all the same, half of the later changes, in logarithms, ends it.)
+    The nearest has the shortest step in sigmas. In each round the variance factors follow from the
+    posterior as it is linearised before the step (its predicted residuals after the step), (7),
+    and the taus for the report from the posterior linearised anew there, (6). (Both from the same
+    posterior may swing from too much of one to too much of the other for ever. Where these do all
+    the same, half of the later changes, in logarithms, ends it.)
     """
     current = nearest = start
     shortest = np.inf
