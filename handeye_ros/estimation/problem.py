@@ -139,7 +139,7 @@ class PoseModel:
     jitter: (k,) 1 sigma of independent errors of the parameters at each station, as of stamps;
         None: none
     stations: indices of the problem's stations among the N
-    least_variance: see ParameterBlock
+    least_tau_squared: see ParameterBlock
     blocks: source of further blocks for such poses, or None
     """
 
@@ -147,7 +147,7 @@ class PoseModel:
     names: tuple[str, ...]
     stds: tuple[float, ...]
     stations: NDArray[np.intp]
-    least_variance: float = 0.0
+    least_tau_squared: float = 0.0
     blocks: Callable[[Linearisation], Iterable[ParameterBlock]] | None = None
     jitter: Array | None = None
 

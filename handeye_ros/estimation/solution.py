@@ -179,7 +179,7 @@ def posteriors_of_fit(problem: Problem, fit: ConvergedFit, previous: Posterior |
     posterior = posterior_at(problem, fit.linear.estimate, fit.noise_of_estimate)
     if len(problem.poses) > len(fit.linear.problem.poses):  # one step from the taus of the part
         at_report_taus = replace(posterior, noise=replace(
-            fit.noise_of_estimate, tau_squared=fit.noise_of_report.tau_squared))
+            fit.noise_of_estimate, tau_squares=fit.noise_of_report.tau_squares))
         for_estimate, _ = at_report_taus.estimated_tau_squares()
         posterior = posterior.with_tau_squares(for_estimate)
     noise, steps = (previous.noise, 1) if previous else (fit.noise_of_report, LAST_STEPS)

@@ -187,7 +187,7 @@ def ends_of_faces(linear: Linearisation) -> Blocks:
     for k in np.unique(kind[end]).tolist():
         # it comes from few points of a curve, and is extrapolated
         by_shape = np.where(end & (kind == k), outwards * obs.shape_std, 0.0)
-        yield ParameterBlock(f'shape_{kinds[k]}', by_shape[:, None], 1.0, least_variance=1.0)
+        yield ParameterBlock(f'shape_{kinds[k]}', by_shape[:, None], 1.0, least_tau_squared=1.0)
 
 
 def face_kinds(target: Target) -> list[int]:

@@ -306,7 +306,7 @@ def _covariance(linear: Linearisation, batch: StationGroup) -> Array:
     """Return the covariance (groups, c, c) of noise and range errors of steep faces."""
     total = total_covariance(linear, batch, WITHOUT_LOCAL_DISTORTION)
     for block in grazing(linear):
-        columns = block.columns[batch.rows] * block.largest_variance ** 0.5
+        columns = block.columns[batch.rows] * block.largest_tau_squared ** 0.5
         total += columns @ np.swapaxes(columns, 1, 2)
     return total
 

@@ -13,7 +13,7 @@ from handeye_ros.estimation.noise import (
     FACTOR_FREEDOM,
     NoiseModel,
     POSE_INDEX,
-    prior_variances,
+    tau_squares_of_block,
 )
 from handeye_ros.estimation.posterior import Posterior, posterior_at
 from handeye_ros.simulate import SCENARIOS
@@ -24,7 +24,7 @@ import pytest
 @pytest.mark.parametrize(('count', 'scale'), [(2, 1.3), (10, 1.3), (1, 1.7)])
 def test_without_evidence_a_scale_is_for_the_report_as_documented(count: int, scale: float
                                                                   ) -> None:
-    _, for_report = prior_variances(np.eye(count), np.zeros(count), 1.0, 400.0)
+    _, for_report = tau_squares_of_block(np.eye(count), np.zeros(count), 1.0, 400.0)
     assert np.sqrt(for_report) == pytest.approx(scale, abs=0.05)
 
 
@@ -36,7 +36,7 @@ def test_a_scale_is_what_data_show(value: float, std: float, least: float, most:
     """Of a single parameter that the data alone put at value +- std."""
     information = 1 / std ** 2
     covariance = np.array([[1 / (1 + information)]])
-    _, for_report = prior_variances(covariance, covariance[0] * value * information, 1.0, 1e8)
+    _, for_report = tau_squares_of_block(covariance, covariance[0] * value * information, 1.0, 1e8)
     assert least < np.sqrt(for_report) < most
 
 
