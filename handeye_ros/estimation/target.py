@@ -158,7 +158,11 @@ class Target(ABC):
         return np.concatenate([pose, state[..., 16:] + delta[..., len(self.pose_axes):]], axis=-1)
 
     def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
-        """Return value and 1 sigma of the parameters that are known, by name: no unknowns."""
+        """
+        Return the stated value and its 1 sigma (m or rad) of parameters by name; here of none.
+
+        With 0 it is exact, else a block of nuisance parameters. All others are unknowns.
+        """
         return {}
 
     @abstractmethod
