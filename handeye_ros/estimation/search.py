@@ -26,10 +26,10 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, SEED
 from handeye_ros.estimation.contamination import with_possibly_wrong_station
 from handeye_ros.estimation.least_squares import (
+    Evaluation,
     LeastSquares,
     many_least_squares,
     means_by,
-    Rows,
     States,
 )
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, NoiseModel, whitening
@@ -268,7 +268,7 @@ def _least_squares_of(problem: Problem, noise: NoiseModel = BLOCKS_AS_NOISE
     unknown = np.flatnonzero(problem.pose_parameter_stds)
     stds, k, u = problem.pose_parameter_stds[unknown], len(unknown), len(problem.free_columns)
 
-    def rows(linear: Linearisation) -> Rows:
+    def evaluate(linear: Linearisation) -> Evaluation:
         m = len(linear.residuals)
 
         def jacobian() -> Array:
@@ -281,7 +281,7 @@ def _least_squares_of(problem: Problem, noise: NoiseModel = BLOCKS_AS_NOISE
         def whiten(values: Array) -> Array:
             return np.concatenate([whitening(linear, noise)(values[:m]), values[m:]])
         prior_residuals = linear.problem.pose_parameters[unknown] / stds
-        return Rows(np.append(linear.residuals, prior_residuals), jacobian, lambda: whiten)
+        return Evaluation(np.append(linear.residuals, prior_residuals), jacobian, lambda: whiten)
 
     def retract(linear: Linearisation, step: Array) -> Linearisation:
         pose_parameters = linear.problem.pose_parameters.copy()
@@ -289,7 +289,7 @@ def _least_squares_of(problem: Problem, noise: NoiseModel = BLOCKS_AS_NOISE
         moved = linear.problem.with_pose_parameters(pose_parameters)
         return linearise(moved, moved.retracted(linear.estimate, step[:u]))
     item = np.append(problem.observations.station, np.full(k, len(problem.poses)))
-    return LeastSquares(rows, retract, item)
+    return LeastSquares(evaluate, retract, item)
 
 
 def least_squares_fit(problem: Problem, start: Estimate, noise: NoiseModel = BLOCKS_AS_NOISE

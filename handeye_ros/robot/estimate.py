@@ -26,9 +26,9 @@ from handeye_ros.data import Array, Indices
 from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.least_squares import (
     covariance_from_jacobian,
+    Evaluation,
     LeastSquares,
     rms_by,
-    Rows,
 )
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, tau_squares_of_block, whitening
 from handeye_ros.estimation.outliers import drop_outliers, leave_one_out_residuals
@@ -255,9 +255,8 @@ class ArmFit:
         """Return the least squares with these weights; all errors of the robot are one item."""
         stations = self.station[self.used_rows]
         item = np.append(stations, np.full(len(self.robot_errors), len(self.q)))
-        return LeastSquares(lambda fit: Rows(
-            fit.rows_with_priors[0], lambda: fit.rows_with_priors[1]),
-                            ArmFit.retracted, item)
+        return LeastSquares(lambda fit: Evaluation(
+            fit.rows_with_priors[0], lambda: fit.rows_with_priors[1]), ArmFit.retracted, item)
 
     def retracted(self, step: Array) -> ArmFit:
         """Return the estimate after a step (u,)."""

@@ -28,10 +28,10 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import wrt_smooth
 from handeye_ros.estimation.least_squares import (
     chi2_sf,
+    Evaluation,
     identity,
     inverse_roots,
     LeastSquares,
-    Rows,
     Whitener,
 )
 from handeye_ros.estimation.noise import (
@@ -144,7 +144,8 @@ class Shape:
         """Return the unknowns (k,) that fit points p (m, 3) best; white(q) whitens distances."""
         distance = partial(self.distance, p)
         return LeastSquares[Array](
-            lambda q: Rows(distance(q), partial(derivatives, distance, q), partial(white, q)),
+            lambda q: Evaluation(
+                distance(q), partial(derivatives, distance, q), partial(white, q)),
             np.add, np.zeros(len(p), dtype=np.intp)).minimised(
                 self.start, iterations=iterations)
 
