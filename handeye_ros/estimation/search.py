@@ -73,8 +73,7 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
 
     subsets: also start from random subsets of the stations if all together do not fit: slow, and
     left out where a poor fit answers the question too. start: the only start to use, if given.
-    Stations that are all alike have a solution too, with free directions; raises LinAlgError
-    where a start cannot be computed.
+    Stations that are all alike have a solution too, with free directions.
     """
     starts = iter([start]) if start is not None else chain(
         problem.target.starts(problem, rng),
@@ -88,12 +87,11 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
 
 def quick_solution(problem: Problem) -> Solution | None:
     """Return the solution from the first two starts, None if neither fits or can be computed."""
-    with suppress(np.linalg.LinAlgError):  # no start
-        for start in islice(problem.target.starts(problem, np.random.default_rng(SEED)), 2):
-            with suppress(np.linalg.LinAlgError):  # from this start
-                robust = robust_fit(problem, start)
-                if typical_square(station_squares(problem, robust)) < MISFIT_SQUARE:
-                    return without_outliers(problem, robust)
+    for start in islice(problem.target.starts(problem, np.random.default_rng(SEED)), 2):
+        with suppress(np.linalg.LinAlgError):  # from this start
+            robust = robust_fit(problem, start)
+            if typical_square(station_squares(problem, robust)) < MISFIT_SQUARE:
+                return without_outliers(problem, robust)
     return None
 
 

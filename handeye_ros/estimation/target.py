@@ -94,9 +94,9 @@ class Target(ABC):
     @abstractmethod
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """
-        Yield estimates to start from, best first, computed on demand.
+        Yield at least one estimate to start from, best first, computed on demand.
 
-        Raises LinAlgError where the samples do not determine one.
+        What the samples do not determine is arbitrary in it.
         """
 
     @abstractmethod
