@@ -76,8 +76,8 @@ def edge_error_root(edge: EdgePoint) -> Array:
     return np.column_stack([edge.direction * edge.std, across * edge.std_across])
 
 
-def _normal_points(feature: FaceLine | Arc) -> tuple[Array, Array]:
-    """Return the normal points (k, 2) of a line or an arc, and 1 sigma across it as vectors."""
+def _mean_points(feature: FaceLine | Arc) -> tuple[Array, Array]:
+    """Return the mean points (k, 2) of a line or an arc, and 1 sigma across it as vectors."""
     if isinstance(feature, Arc):
         radial = feature.points - feature.centre
         return feature.points, (feature.std / np.linalg.norm(radial, axis=1))[:, None] * radial
@@ -121,7 +121,7 @@ class ProfileTarget(Target):
                             station, self.edge_place(feature)[None], kind,
                             edge_error_root(feature)[None], number, feature))
                 else:
-                    points, across = _normal_points(feature)
+                    points, across = _mean_points(feature)
                     parts.append(observations_at(
                         station, points, number % self.face_count,
                         np.stack([across, np.zeros_like(across)], axis=-1), number))
