@@ -58,8 +58,9 @@ SUBSET_COUNT = 40  # of six stations: if a third are wrong, one subset has no wr
 # squared whitened residuals, blocks as noise
 CONVINCING_SQUARE = 4.0  # most of a good estimate (2 sigma)
 UNRIVALLED_SQUARE = 0.1  # most of one that no other can beat
-# least (4 sigma) of a station that does not fit: over the typical one, where several surfaces are
-# in view also to be dropped, and of one without edges; a start of which it is typical is none
+# 4 sigma: a station from here on does not fit. Over the typical square in is_convincing, and in
+# without_outliers where several surfaces are in view; of a station without edges its least square;
+# quick_solution gives up a start whose typical square is as large
 MISFIT_SQUARE = 16.0
 # added in mean_log_square: as the robot is seldom as inaccurate as configured, fits to a fifth of
 # a sigma are distinguished from fits to a half

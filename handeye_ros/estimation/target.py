@@ -121,8 +121,10 @@ class Target(ABC):
         """
         Return the conditions g (..., m) of points (..., m, 3) in the target's frame.
 
-        And their derivatives by the points, (..., m, 3), and by the measures, (..., m, j). Here
-        the distances from its surfaces, of a target without measures.
+        And their derivatives by the points, (..., m, 3), and by the measures (..., j), so
+        (..., m, j); kind: (m,). A target whose starts call `shortlisted` must take several states
+        at once, others may take one. Here the distances (m) from its surfaces, of a target without
+        measures.
         """
         normals = self.normals[kind]
         g = (local * normals).sum(axis=-1)

@@ -163,7 +163,11 @@ class Plate(ProfileTarget):
 
     def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
                          ) -> tuple[Array, Array, Array]:
-        """Return height over the face, or distance from the edge; of one plate at a time."""
+        """
+        Return height over the face, or distance from the edge (m), of points (m, 3).
+
+        Of one plate at a time, with the measures (3,): both lengths (m), and the angle (rad).
+        """
         *size, angle = measures
         sine, cosine = np.sin(angle), np.cos(angle)
         across = [sine, -cosine, 0.0], [0.0, 1.0, 0.0]
