@@ -188,8 +188,7 @@ class PairedRows(TableProblem):
             return Evaluation((whiten @ differences[..., None]).ravel(),
                               lambda: (whiten @ derivatives).reshape(-1, 6 * len(state)))
 
-        system = LeastSquares(evaluate,
-                              lambda state, step: se3.perturb(state, step.reshape(-1, 6)),
+        system = LeastSquares(evaluate, lambda T, step: se3.perturb(T, step.reshape(-1, 6)),
                               np.repeat(np.arange(len(self)), whiten.shape[1]))
         return robust_least_squares(system, start, self.fewest), whiten
 
