@@ -146,8 +146,7 @@ class Shape:
         return LeastSquares[Array](
             lambda q: Evaluation(
                 distance(q), partial(derivatives, distance, q), partial(white, q)),
-            np.add, np.zeros(len(p), dtype=np.intp)).minimised(
-                self.start, iterations=iterations)
+            np.add, np.zeros(len(p), dtype=np.intp)).minimised(self.start, iterations=iterations)
 
 
 def derivatives(function: Callable[[Array], Array], q: Array) -> Array:
