@@ -66,13 +66,6 @@ def test_lost_points_inside_the_face_are_no_edge() -> None:
     assert edge.point[0] == pytest.approx(-0.012, abs=3 * PITCH)
 
 
-def test_a_face_of_0_9_mm_at_the_border_has_an_edge_on_the_other_side() -> None:
-    points = drawn(lambda x: np.where(x < x[0] + 4.5e-3, 0.17, np.nan)) * [0.2, 1]
-    _, (edge,) = features_of(points)
-    assert edge.ending == 'gap'
-    assert edge.point[0] == pytest.approx(points[0, 0] + 9e-4, abs=PITCH)
-
-
 def test_outliers_and_speckle_do_not_move_an_edge() -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
