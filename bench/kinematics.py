@@ -173,7 +173,7 @@ def bound(cell: Cell, rows: ArmPoints, held: ArmPoints) -> float:
     scale = max(float(np.sqrt(((cell.arm.errors / cell.arm.prior_stds) ** 2).mean())), 1e-6)
     seen, others = (replace(ArmFit.of_arm(
         cell.arm, [each], cell.X, [cell.ball], np.full(3, NOISE)),
-        variances=np.full(3, scale ** 2)) for each in (rows, held))
+        tau_squares=np.full(3, scale ** 2)) for each in (rows, held))
     best = seen.solved()
     J = replace(others, X=best.X, arm=best.arm, targets=best.targets).whitened_rows[1]
     variances = np.einsum('mi,ij,mj->m', J, best.covariance, J).reshape(-1, 3)

@@ -188,7 +188,7 @@ class FaceLine:
     std: 1 sigma of its offset at the centre, and of the change of the offset over one spread (m).
         So the offsets at centre +- spread * direction are uncorrelated, each with 1 sigma sqrt(2)
         * std.
-    points: (k, 2) normal points: means of equal bins of measured points, in order
+    points: (k, 2) mean points: those of equal bins of measured points, in order
     points_std: (k,) 1 sigma of each across the line
     bins: (m, 2) means of finer parts, whose scatter gives std and points_std. All three are empty
         if only the line is known.
@@ -260,10 +260,10 @@ class Arc:
     """
     The part of a profile on a sphere.
 
-    points: (k, 2) normal points, each the mean of its bin of the arc
+    points: (k, 2) mean points, each the mean of its bin of the arc
     std: (k,) 1 sigma of each along the circle's normal
     centre (2,), radius: the circle fitted through all points
-    measured: (n, 2) the points of the arc that the normal points stand for, as measured
+    measured: (n, 2) the points of the arc that the mean points stand for, as measured
     """
 
     points: Array
@@ -275,7 +275,7 @@ class Arc:
 
     @property
     def polyline(self) -> Array:
-        """Return its normal points (k, 2)."""
+        """Return its mean points (k, 2)."""
         return self.points
 
     @property

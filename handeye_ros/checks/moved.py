@@ -307,7 +307,7 @@ def _blocks_of_move(posterior: Posterior, body: int, station: int) -> tuple[Para
     columns = _wrt_moves(posterior.linear)[body]
     columns[posterior.problem.observations.station < station] = 0.0
     return tuple(ParameterBlock(name, columns[:, axes], float(MOVE_STD[axes][0]),
-                                largest_variance=1.0)
+                                largest_tau_squared=1.0)
                  for name, axes in (('translation', slice(0, 3)), ('rotation', slice(3, 6))))
 
 
@@ -324,7 +324,7 @@ def _wrong_times(posterior: Posterior, stations: NDArray[np.intp]) -> ParameterB
     wrt_time = posterior.linear.wrt_twists(problem.pose_twists[:, :, [time]])
     after, along = observations.station[:, None] >= stations, observations.points[:, :1]
     columns = np.hstack([wrt_time * after, wrt_time * along / rms(along)])
-    return ParameterBlock('times', columns * TIME_STD, TIME_STD, largest_variance=1.0)
+    return ParameterBlock('times', columns * TIME_STD, TIME_STD, largest_tau_squared=1.0)
 
 
 def _wrt_moves(linear: Linearisation) -> Array:

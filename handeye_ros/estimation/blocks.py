@@ -63,7 +63,7 @@ class ParameterBlock:
     target_parameter_index: index of the target's parameter that the block is; None: of none
     pose_parameter_index: index of the pose parameter that it is; None: of none
     value: (1,) of that parameter in the estimate it is linearised at, less the stated
-    least_variance, largest_variance: bounds of tau^2
+    least_tau_squared, largest_tau_squared: bounds of tau^2
     reported_as: key in the answer, '' for none
     origin: added to the reported value of one parameter
     """
@@ -76,8 +76,8 @@ class ParameterBlock:
     target_parameter_index: int | None = None
     pose_parameter_index: int | None = None
     value: Array | None = None
-    least_variance: float = 0.0
-    largest_variance: float = 400.0  # 20 times the sigma
+    least_tau_squared: float = 0.0
+    largest_tau_squared: float = 400.0  # 20 times the sigma
     reported_as: str = ''
     origin: float = 0.0
 
@@ -110,7 +110,7 @@ def stated_measures(linear: Linearisation) -> Blocks:
         measure = np.array([target.measures(state).get(name, stated)])
         yield ParameterBlock(name, linear.jacobian[:, 6 + i:7 + i] * std, std,
                              target_parameter_index=i, value=measure - stated,
-                             largest_variance=1e8)  # a stated measure may be plainly wrong
+                             largest_tau_squared=1e8)  # a stated measure may be plainly wrong
 
 
 def scale_twists(problem: Problem) -> Array:
@@ -240,7 +240,7 @@ def pose_parameters(linear: Linearisation) -> Blocks:
         yield ParameterBlock(name, linear.wrt_twists(twists) * std, std, twists,
                              pose_parameter_index=k,
                              value=problem.pose_parameters[[k]],
-                             least_variance=model.least_variance, reported_as=name)
+                             least_tau_squared=model.least_tau_squared, reported_as=name)
 
 
 def blocks_with_columns(blocks: Sequence[ParameterBlock], first: int = 0

@@ -43,7 +43,7 @@ def identity(values: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class Evaluation:
     """
     Residuals (m,) of a state; the rest is computed on demand.
 
@@ -59,12 +59,12 @@ class Rows:
 @dataclass(frozen=True, eq=False)
 class LeastSquares(Generic[S]):
     """
-    A least-squares problem: rows(state), and retract(state, step (u,)), the state after a step.
+    A least-squares problem: evaluate(state), and retract(state, step (u,)), the state after it.
 
     item: (m,) the number of each row's item, from 0, ascending.
     """
 
-    rows: Callable[[S], Rows]
+    evaluate: Callable[[S], Evaluation]
     retract: Callable[[S, Array], S]
     item: NDArray[np.intp]
 
@@ -78,19 +78,19 @@ class LeastSquares(Generic[S]):
         """
         root_weights = np.ones(len(self.item)) if weights is None else np.sqrt(weights)[self.item]
 
-        def whitened(rows: Rows) -> tuple[Whitener, Array, Array]:
-            whiten = rows.whitener()
-            return (whiten, whiten(rows.residuals) * root_weights,
-                    whiten(rows.jacobian()) * root_weights[:, None])
+        def whitened(evaluation: Evaluation) -> tuple[Whitener, Array, Array]:
+            whiten = evaluation.whitener()
+            return (whiten, whiten(evaluation.residuals) * root_weights,
+                    whiten(evaluation.jacobian()) * root_weights[:, None])
 
         state, damping = start, 1e-4
-        whiten, r, J = whitened(self.rows(start))
+        whiten, r, J = whitened(self.evaluate(start))
         for _ in range(iterations):
             step = _damped_steps(J, r, np.array(damping))
             moved = self.retract(state, step)
-            rows = self.rows(moved)
+            evaluation = self.evaluate(moved)
             cost = r @ r
-            cost_moved = float(((whiten(rows.residuals) * root_weights) ** 2).sum())
+            cost_moved = float(((whiten(evaluation.residuals) * root_weights) ** 2).sum())
             if not cost_moved <= cost * (1 + ROUNDING_SHARE):  # larger, or nan
                 damping *= DAMPING_FACTOR
                 continue
@@ -99,7 +99,7 @@ class LeastSquares(Generic[S]):
                     or cost_moved >= cost * (1 - 1e-14)):  # only rounding of the derivatives left
                 break
             damping = max(damping / DAMPING_FACTOR ** 2, 1e-14)
-            whiten, r, J = whitened(rows)
+            whiten, r, J = whitened(evaluation)
         return state
 
     def few_weighted_steps(self, state: S, weights: Array) -> S:

@@ -27,13 +27,13 @@ SMOOTH_UNITS = np.repeat([1.0, 1 / TURN_LENGTH], 3)
 LOCAL_SHARE = 0.6  # of the sensor's distortion that differs between stations, as speckle does
 
 TRIED_TAUS = np.geomspace(0.001, 1e4, 43)  # of blocks; quantities are summed over these
-TRIED_VARIANCES = np.square(TRIED_TAUS)
+TRIED_TAU_SQUARES = np.square(TRIED_TAUS)
 
 
 def _log_half_t(freedom: float, width: float) -> Array:
     """Return the log of the half-t prior of TRIED_TAUS, equally spaced in their log."""
     return np.asarray(np.log(TRIED_TAUS) - (freedom + 1) / 2 * np.log1p(
-        TRIED_VARIANCES / (freedom * width ** 2)))
+        TRIED_TAU_SQUARES / (freedom * width ** 2)))
 
 
 # For the report, conservative: 1.3 times as configured (RMS), and with some chance several times.
@@ -60,13 +60,13 @@ class NoiseModel:
     Factors on the configured variances in (3), and tau of blocks.
 
     variance_factors: (5,), see FACE_INDEX
-    tau_squared: tau^2 of blocks by name; 1 of those not named
-    blocks_as_noise: whether distortion, the robot's smooth error and the target's feature_errors
+    tau_squares: tau^2 of blocks by name; 1 of those not named
+    blocks_as_noise: whether distortion, the robot's smooth error and the target's point_errors
         count as errors of each station, and all other blocks are left out
     """
 
     variance_factors: Array = field(default_factory=lambda: np.ones(5))
-    tau_squared: Mapping[str, float] = field(default_factory=dict)
+    tau_squares: Mapping[str, float] = field(default_factory=dict)
     blocks_as_noise: bool = False
 
 
@@ -104,9 +104,9 @@ def covariance_parts(linear: Linearisation, group: StationGroup) -> Array:
     local_distortion = (LOCAL_SHARE * configured.distortion) ** 2
     pose_stds = np.repeat([configured.robot_translation, configured.robot_rotation], 3)
     # no covariance between the components, so that any factors keep the sum positive
-    features = _outer(linear.wrt_feature[group.rows]) * group.same_point
-    features += 1e-9 ** 2 * np.eye(group.rows.shape[1])  # (1 nm)^2: exact points weigh, too
-    parts = [*features * group.factor_masks,
+    own = _outer(linear.wrt_unit_errors[group.rows]) * group.same_point
+    own += 1e-9 ** 2 * np.eye(group.rows.shape[1])  # (1 nm)^2: exact points weigh, too
+    parts = [*own * group.factor_masks,
              group.correlation * _outer(linear.wrt_point[group.rows], local_distortion),
              _outer(linear.wrt_pose[group.rows], pose_stds ** 2)]
     if linear.wrt_jitter is not None:
@@ -123,7 +123,7 @@ def total_covariance(linear: Linearisation, group: StationGroup, noise: NoiseMod
         rows = group.rows
         total += group.correlation * _outer(linear.wrt_point[rows], configured.distortion ** 2)
         total += _outer(linear.wrt_pose[rows], (configured.robot_smooth * SMOOTH_UNITS) ** 2)
-        total += _outer(target.feature_errors(linear)[rows]) * group.same_point
+        total += _outer(target.point_errors(linear)[rows]) * group.same_point
     return total
 
 
@@ -141,8 +141,8 @@ def whitening(linear: Linearisation, noise: NoiseModel) -> Whitening:
         inverse_roots(total_covariance(linear, group, noise)) for group in groups))
 
 
-def prior_variances(covariance: Array, value: Array, present: float, largest: float
-                    ) -> tuple[float, float]:
+def tau_squares_of_block(covariance: Array, value: Array, present: float, largest: float
+                         ) -> tuple[float, float]:
     """
     Return tau^2 of one block, (6), for the estimate and for the report.
 
@@ -155,19 +155,19 @@ def prior_variances(covariance: Array, value: Array, present: float, largest: fl
     # lambda_l and gamma_l: what the data say without the prior
     information, gradient = 1 / posterior - 1 / present, (axes.T @ value) / posterior
     # with each tau^2 tried (s, k): the posterior variance, and the squared estimate over it
-    growth = 1 + TRIED_VARIANCES[:, None] * information
-    variance = TRIED_VARIANCES[:, None] / growth
+    growth = 1 + TRIED_TAU_SQUARES[:, None] * information
+    variance = TRIED_TAU_SQUARES[:, None] / growth
     squares = variance * gradient ** 2
     log_likelihood = 0.5 * (squares - np.log(growth)).sum(axis=1)
-    log_likelihood[largest < TRIED_VARIANCES] = -np.inf
+    log_likelihood[largest < TRIED_TAU_SQUARES] = -np.inf
     prior = LOG_SINGLE_REPORT_PRIOR if len(value) == 1 else LOG_REPORT_PRIOR
     second_moment = (variance * (1 + squares)).sum(axis=1)
-    return (_matching_variance(LOG_MAP_PRIOR + log_likelihood, squares.sum(axis=1)),
-            _matching_variance(prior + log_likelihood, second_moment))
+    return (_matching_tau_squared(LOG_MAP_PRIOR + log_likelihood, squares.sum(axis=1)),
+            _matching_tau_squared(prior + log_likelihood, second_moment))
 
 
-def _matching_variance(log_posterior: Array, moment: Array) -> float:
+def _matching_tau_squared(log_posterior: Array, moment: Array) -> float:
     """Return the tau^2 at which a moment (s,) equals its mean over TRIED_TAUS, (6)."""
     weights = np.exp(log_posterior - log_posterior.max())
     mean = (weights * moment).sum() / weights.sum()
-    return float(np.exp(np.interp(mean, moment, np.log(TRIED_VARIANCES))))
+    return float(np.exp(np.interp(mean, moment, np.log(TRIED_TAU_SQUARES))))

@@ -176,16 +176,17 @@ def robust_least_squares(system: LeastSquares[S], start: S, fewest: int) -> Robu
     n = int(system.item[-1]) + 1
 
     def mean_squares(state: S) -> Array:
-        rows = system.rows(state)
-        return np.asarray((rows.whitener()(rows.residuals) ** 2).reshape(n, -1).mean(axis=1))
+        evaluated = system.evaluate(state)
+        whitened = evaluated.whitener()(evaluated.residuals).reshape(n, -1)
+        return np.asarray((whitened ** 2).mean(axis=1))
 
     def fitted(previous: RobustFit[S] | None, used: NDArray[np.intp], _: object) -> RobustFit[S]:
         is_used = np.isin(np.arange(n), used)
         state = system.minimised(previous.state if previous else robust, is_used.astype(float))
-        rows, is_used_row = system.rows(state), is_used[system.item]
-        whiten = rows.whitener()
-        whitened = whiten(rows.residuals)
-        r, J = whitened[is_used_row], whiten(rows.jacobian())[is_used_row]
+        evaluated, is_used_row = system.evaluate(state), is_used[system.item]
+        whiten = evaluated.whitener()
+        whitened = whiten(evaluated.residuals)
+        r, J = whitened[is_used_row], whiten(evaluated.jacobian())[is_used_row]
         covariance = covariance_from_jacobian(J)
         left_out = leave_one_out_residuals(r, J, J @ covariance, system.item[is_used_row])
         variance_factor = float(r @ r / max(len(r) - J.shape[1], 1))

@@ -30,7 +30,7 @@ from handeye_ros.estimation.noise import (
     covariance_parts,
     FACTOR_FREEDOM,
     NoiseModel,
-    prior_variances,
+    tau_squares_of_block,
     total_covariance,
     Whitening,
     whitening,
@@ -90,12 +90,12 @@ class Posterior:
 
     def prior_tau(self, block: ParameterBlock) -> float:
         """Return tau of a block: its sigma over the configured one."""
-        return float(self.noise.tau_squared.get(block.name, 1.0) ** 0.5)
+        return float(self.noise.tau_squares.get(block.name, 1.0) ** 0.5)
 
     @property
     def tau_squares(self) -> Array:
         """Return tau^2 of each block (d,)."""
-        return np.array([self.noise.tau_squared.get(block.name, 1.0) for block in self.blocks])
+        return np.array([self.noise.tau_squares.get(block.name, 1.0) for block in self.blocks])
 
     @cached_property
     def prior_information(self) -> Array:
@@ -182,15 +182,15 @@ class Posterior:
         squares = np.empty((2, len(self.blocks)))
         for i, (block, columns) in enumerate(
                 blocks_with_columns(self.blocks, self.unknown_count)):
-            found = prior_variances(self.covariance[columns, columns], self.step[columns],
-                                    self.tau_squares[i], block.largest_variance)
-            squares[:, i] = np.maximum(found, block.least_variance)
+            found = tau_squares_of_block(self.covariance[columns, columns], self.step[columns],
+                                         self.tau_squares[i], block.largest_tau_squared)
+            squares[:, i] = np.maximum(found, block.least_tau_squared)
         return squares[0], squares[1]
 
     def with_tau_squares(self, squares: Array) -> Posterior:
         """Return the posterior with tau^2 (d,) of blocks."""
         named = dict(zip([block.name for block in self.blocks], squares.tolist(), strict=True))
-        return replace(self, noise=replace(self.noise, tau_squared=named))
+        return replace(self, noise=replace(self.noise, tau_squares=named))
 
     def with_estimated_factors(self, prior: Array | float = 1.0) -> Posterior:
         """Return the posterior with variance factors from (7), linearised where this one is."""

@@ -139,7 +139,7 @@ class PoseModel:
     jitter: (k,) 1 sigma of independent errors of the parameters at each station, as of stamps;
         None: none
     stations: indices of the problem's stations among the N
-    least_variance: see ParameterBlock
+    least_tau_squared: see ParameterBlock
     blocks: source of further blocks for such poses, or None
     """
 
@@ -147,7 +147,7 @@ class PoseModel:
     names: tuple[str, ...]
     stds: tuple[float, ...]
     stations: NDArray[np.intp]
-    least_variance: float = 0.0
+    least_tau_squared: float = 0.0
     blocks: Callable[[Linearisation], Iterable[ParameterBlock]] | None = None
     jitter: Array | None = None
 
@@ -331,8 +331,8 @@ class Linearisation:
         return np.asarray(self.jacobian[..., :3] @ self.estimate.X[..., :3, [0, 2]])
 
     @cached_property
-    def wrt_feature(self) -> Array:
-        """Return the derivative (..., m, 2) by the feature's unit errors."""
+    def wrt_unit_errors(self) -> Array:
+        """Return the derivative (..., m, 2) by the unit errors e of the point, see error_root."""
         root = self.problem.observations.error_root
         return np.asarray(np.einsum('...mi,mij->...mj', self.wrt_point, root))
 

@@ -26,10 +26,10 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, SEED
 from handeye_ros.estimation.contamination import with_possibly_wrong_station
 from handeye_ros.estimation.least_squares import (
+    Evaluation,
     LeastSquares,
     many_least_squares,
     means_by,
-    Rows,
     States,
 )
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, NoiseModel, whitening
@@ -58,8 +58,9 @@ SUBSET_COUNT = 40  # of six stations: if a third are wrong, one subset has no wr
 # squared whitened residuals, blocks as noise
 CONVINCING_SQUARE = 4.0  # most of a good estimate (2 sigma)
 UNRIVALLED_SQUARE = 0.1  # most of one that no other can beat
-# least (4 sigma) of a station that does not fit: over the typical one, where several surfaces are
-# in view also to be dropped, and of one without edges; a start of which it is typical is none
+# 4 sigma: a station from here on does not fit. Over the typical square in is_convincing, and in
+# without_outliers where several surfaces are in view; of a station without edges its least square;
+# quick_solution gives up a start whose typical square is as large
 MISFIT_SQUARE = 16.0
 # added in mean_log_square: as the robot is seldom as inaccurate as configured, fits to a fifth of
 # a sigma are distinguished from fits to a half
@@ -73,8 +74,7 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
 
     subsets: also start from random subsets of the stations if all together do not fit: slow, and
     left out where a poor fit answers the question too. start: the only start to use, if given.
-    Stations that are all alike have a solution too, with free directions; raises LinAlgError
-    where a start cannot be computed.
+    Stations that are all alike have a solution too, with free directions.
     """
     starts = iter([start]) if start is not None else chain(
         problem.target.starts(problem, rng),
@@ -88,12 +88,11 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
 
 def quick_solution(problem: Problem) -> Solution | None:
     """Return the solution from the first two starts, None if neither fits or can be computed."""
-    with suppress(np.linalg.LinAlgError):  # no start
-        for start in islice(problem.target.starts(problem, np.random.default_rng(SEED)), 2):
-            with suppress(np.linalg.LinAlgError):  # from this start
-                robust = robust_fit(problem, start)
-                if typical_square(station_squares(problem, robust)) < MISFIT_SQUARE:
-                    return without_outliers(problem, robust)
+    for start in islice(problem.target.starts(problem, np.random.default_rng(SEED)), 2):
+        with suppress(np.linalg.LinAlgError):  # from this start
+            robust = robust_fit(problem, start)
+            if typical_square(station_squares(problem, robust)) < MISFIT_SQUARE:
+                return without_outliers(problem, robust)
     return None
 
 
@@ -268,7 +267,7 @@ def _least_squares_of(problem: Problem, noise: NoiseModel = BLOCKS_AS_NOISE
     unknown = np.flatnonzero(problem.pose_parameter_stds)
     stds, k, u = problem.pose_parameter_stds[unknown], len(unknown), len(problem.free_columns)
 
-    def rows(linear: Linearisation) -> Rows:
+    def evaluate(linear: Linearisation) -> Evaluation:
         m = len(linear.residuals)
 
         def jacobian() -> Array:
@@ -281,7 +280,7 @@ def _least_squares_of(problem: Problem, noise: NoiseModel = BLOCKS_AS_NOISE
         def whiten(values: Array) -> Array:
             return np.concatenate([whitening(linear, noise)(values[:m]), values[m:]])
         prior_residuals = linear.problem.pose_parameters[unknown] / stds
-        return Rows(np.append(linear.residuals, prior_residuals), jacobian, lambda: whiten)
+        return Evaluation(np.append(linear.residuals, prior_residuals), jacobian, lambda: whiten)
 
     def retract(linear: Linearisation, step: Array) -> Linearisation:
         pose_parameters = linear.problem.pose_parameters.copy()
@@ -289,7 +288,7 @@ def _least_squares_of(problem: Problem, noise: NoiseModel = BLOCKS_AS_NOISE
         moved = linear.problem.with_pose_parameters(pose_parameters)
         return linearise(moved, moved.retracted(linear.estimate, step[:u]))
     item = np.append(problem.observations.station, np.full(k, len(problem.poses)))
-    return LeastSquares(rows, retract, item)
+    return LeastSquares(evaluate, retract, item)
 
 
 def least_squares_fit(problem: Problem, start: Estimate, noise: NoiseModel = BLOCKS_AS_NOISE

@@ -179,7 +179,7 @@ def posteriors_of_fit(problem: Problem, fit: ConvergedFit, previous: Posterior |
     posterior = posterior_at(problem, fit.linear.estimate, fit.noise_of_estimate)
     if len(problem.poses) > len(fit.linear.problem.poses):  # one step from the taus of the part
         at_report_taus = replace(posterior, noise=replace(
-            fit.noise_of_estimate, tau_squared=fit.noise_of_report.tau_squared))
+            fit.noise_of_estimate, tau_squares=fit.noise_of_report.tau_squares))
         for_estimate, _ = at_report_taus.estimated_tau_squares()
         posterior = posterior.with_tau_squares(for_estimate)
     noise, steps = (previous.noise, 1) if previous else (fit.noise_of_report, LAST_STEPS)
@@ -213,10 +213,11 @@ def _iterated(start: Posterior) -> tuple[Posterior, bool]:
     """
     Return the posterior that repeated steps (5) reach and True; if none, the nearest and False.
 
-    The nearest has the shortest step in sigmas. After each step the variance factors are estimated
-    from the residuals before it, (7), and then the taus for the report from those after it, (6).
-    (Both from the same residuals may swing from too much of one to too much of the other for ever.
-    Where these do all the same, half of the later changes, in logarithms, ends it.)
+    The nearest has the shortest step in sigmas. In each round the variance factors follow from the
+    posterior as it is linearised before the step (its predicted residuals after the step), (7),
+    and the taus for the report from the posterior linearised anew there, (6). (Both from the same
+    posterior may swing from too much of one to too much of the other for ever. Where these do all
+    the same, half of the later changes, in logarithms, ends it.)
     """
     current = nearest = start
     shortest = np.inf

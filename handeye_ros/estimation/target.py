@@ -94,9 +94,9 @@ class Target(ABC):
     @abstractmethod
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """
-        Yield estimates to start from, best first, computed on demand.
+        Yield at least one estimate to start from, best first, computed on demand.
 
-        Raises LinAlgError where the samples do not determine one.
+        What the samples do not determine is arbitrary in it.
         """
 
     @abstractmethod
@@ -121,8 +121,10 @@ class Target(ABC):
         """
         Return the conditions g (..., m) of points (..., m, 3) in the target's frame.
 
-        And their derivatives by the points, (..., m, 3), and by the measures, (..., m, j). Here
-        the distances from its surfaces, of a target without measures.
+        And their derivatives by the points, (..., m, 3), and by the measures (..., j), so
+        (..., m, j); kind: (m,). A target whose starts call `shortlisted` must take several states
+        at once, others may take one. Here the distances (m) from its surfaces, of a target without
+        measures.
         """
         normals = self.normals[kind]
         g = (local * normals).sum(axis=-1)
@@ -158,7 +160,11 @@ class Target(ABC):
         return np.concatenate([pose, state[..., 16:] + delta[..., len(self.pose_axes):]], axis=-1)
 
     def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
-        """Return value and 1 sigma of the parameters that are known, by name: no unknowns."""
+        """
+        Return the stated value and its 1 sigma (m or rad) of parameters by name; here of none.
+
+        With 0 it is exact, else a block of nuisance parameters. All others are unknowns.
+        """
         return {}
 
     @abstractmethod
@@ -166,11 +172,12 @@ class Target(ABC):
         """Return the blocks of nuisance parameters of its own (see blocks.py)."""
 
     @abstractmethod
-    def feature_errors(self, linear: Linearisation) -> Array:
+    def point_errors(self, linear: Linearisation) -> Array:
         """
-        Return derivatives (m, 1) of the residuals by a unit-variance error of each feature.
+        Return derivatives (m, 1) of the residuals by an error of unit variance of each point.
 
-        They replace the blocks during the search.
+        Conditions on one point share its error. It stands for the target's own blocks during the
+        search.
         """
 
     # for the checks and the answer

@@ -42,7 +42,7 @@ RIM_INCIDENCE = 0.5  # an arc that ends at a larger angle of incidence (rad) end
 RIM_WIDTH = 0.24  # angle of the arc before its rim that is not used (rad)
 RIM_COSINE = 0.5  # smallest cosine of the incidence of a usable point: the rim is bad
 ARC_POINTS, SWEPT_ARC_POINTS = 12, 6  # of an arc; where hundreds of profiles show the ball
-FINER_BINS = 4  # per bin of an arc: their scatter gives the variance of its normal point
+FINER_BINS = 4  # per bin of an arc: their scatter gives the variance of its mean point
 MIN_DENSITY = 0.5  # smallest share of an arc's points among those between its ends
 MIN_ARC_SAGITTA = 2.5  # smallest sagitta of an arc, in tolerances: less may be a corner
 MIN_ARC_ANGLE = 0.5  # smallest angle of an arc that determines its circle (rad)
@@ -224,7 +224,7 @@ def _squares_of_lines(sums: Array) -> Array:
 
 def fitted_arc(raw: Array, most: int = ARC_POINTS) -> Arc:
     """
-    Return the arc of (n, 2) raw points, with at most so many normal points.
+    Return the arc of (n, 2) raw points, with at most so many mean points.
 
     The points of several profiles may be mixed. Errors common to all profiles scatter between
     parts of the arc, so they are not taken for noise that averages out.

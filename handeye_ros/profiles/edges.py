@@ -191,8 +191,9 @@ def edge_at(end: FaceEnd) -> EdgePoint:
 
 
 def _require_room(end: FaceEnd) -> None:
-    """Raise NoEdgeError where the end of the view may cut the face off."""
+    """Raise NoEdgeError for an edge so near an end of the view that either side may be cut off."""
     last = end.segment.last
+    # on the side of the face too: less of it in view may be a sliver
     room = min(last, len(end.points) - 1 - last) * end.pitch
     if end.has_lost_columns and room < VIEW_MARGIN:
         raise NoEdgeError(

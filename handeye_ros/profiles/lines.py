@@ -1,9 +1,9 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The line of a face with its normal points, of one profile or of all of a stop.
+The line of a face with its mean points, of one profile or of all of a stop.
 
-Normal points are means of equal bins of points. Speckle is correlated over some columns and
+Mean points are those of equal bins of points. Speckle is correlated over some columns and
 constant while the robot stands, so the scatter of single points over the root of their number is
 too small an uncertainty. The scatter of the means is used instead: second differences remove the
 smooth shape.
@@ -18,7 +18,7 @@ from handeye_ros.profiles.segment import legendre_2, Segment
 import numpy as np
 
 LINE_POINTS, SWEPT_LINE_POINTS = 6, 4  # of a line; where hundreds of profiles show each part of it
-BIN_COUNT = 24  # bins whose scatter gives the variance of the normal points
+BIN_COUNT = 24  # bins whose scatter gives the variance of the mean points
 MIN_POINTS = 4  # of a bin
 MIN_BINS = 6
 SURELY_MORE = 1.7  # ratio to the variance of white noise that chance seldom exceeds
@@ -26,7 +26,7 @@ SURELY_MORE = 1.7  # ratio to the variance of white noise that chance seldom exc
 
 def face_line(segment: Segment, points: Array, moving: bool) -> FaceLine:
     """
-    Return the face line of a segment of a profile (n, 2), with its normal points.
+    Return the face line of a segment of a profile (n, 2), with its mean points.
 
     moving: whether the profile is one of a sweep.
     """
@@ -56,10 +56,10 @@ def with_line_errors(edge: EdgePoint, line: FaceLine, excess: float = 1.0) -> Ed
 def line_of_bins(centre: Array, slope: float, spread: float, bins: Array, white_var: float,
                  most: int = LINE_POINTS) -> FaceLine:
     """
-    Return the face line with the normal points that follow from means of points, its bins.
+    Return the face line with the mean points that follow from its bins, means of fewer points.
 
     centre (2,), slope, spread: of the line; bins: (m, 2); white_var: the variance (m^2) of each
-    bin for independent noise; most: of the normal points.
+    bin for independent noise; most: of the mean points.
     """
     direction = np.array([1.0, slope]) / math.hypot(1.0, slope)
     normal = np.array([-direction[1], direction[0]])

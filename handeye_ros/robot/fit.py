@@ -9,8 +9,8 @@ the axes of the sensor; s is the measured point, c the position of the target. S
 one at several positions, have sensor and arm in common; the errors of the arm act through the
 twists of the flange.
 
-As of the blocks in sections 3 and 4 of docs/estimator.md, the data determine the variance of each
-kind of error: its most likely value for the estimate, a conservative one for the covariance.
+As of the blocks in sections 3 and 4 of docs/estimator.md, the data determine tau^2 of each kind of
+error: its most likely value for the estimate, a conservative one for the covariance.
 """
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from handeye_ros.data import Array, Indices
 from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.least_squares import (
     covariance_from_jacobian,
+    Evaluation,
     LeastSquares,
     rms_by,
-    Rows,
 )
-from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, prior_variances, whitening
+from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, tau_squares_of_block, whitening
 from handeye_ros.estimation.outliers import drop_outliers, leave_one_out_residuals
 from handeye_ros.estimation.problem import Estimate, linearise, Problem
 from handeye_ros.frames import mount_poses
@@ -40,11 +40,11 @@ from scipy.linalg import block_diag
 
 SMOOTH_ERROR_STD = 2e-4  # prior 1 sigma of the remaining error of the robot, each axis (m)
 MIN_STOPS = 12  # that the cross-validation has four regions of three stops
-# iterations of variances and noise; relative change below which they end
+# iterations of taus and noise; relative change below which they end
 MAX_ROUNDS, CONVERGED_CHANGE = 6, 0.02
 POOLED_FREEDOM = 4.0  # degrees of freedom by which the noise of all axes counts for each axis
 MIN_NOISE = 1e-6  # rounding of the values (m)
-MAX_VARIANCE = 1e3  # of a kind of error, relative to its prior
+LARGEST_TAU_SQUARED = 1e3  # of a kind of error
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +143,7 @@ class ArmFit:
     smooth: (3 b,) coefficients of smooth functions, the remaining error of the robot
     noise: (axes,) 1 sigma of the residuals: of points one for each axis, else one
     used: (n,) which stops count
-    variances: (g,) of each kind of error of the robot, relative to its prior
+    tau_squares: (g,) tau^2 of each kind of error of the robot: its variance over the prior one
     smooth_error_basis: (n, b) the smooth functions at the stops
     """
 
@@ -154,7 +154,7 @@ class ArmFit:
     targets: tuple[Array, ...]
     noise: Array
     used: NDArray[np.bool_]
-    variances: Array
+    tau_squares: Array
     smooth_error_basis: Array
 
     @classmethod
@@ -199,10 +199,10 @@ class ArmFit:
 
     @property
     def prior_stds(self) -> Array:
-        """Return the prior sigmas (p,) of the errors, at the estimated variance of each kind."""
+        """Return the prior sigmas (p,) of the errors, at the estimated tau of each kind."""
         stated = np.append(self.arm.prior_stds[self.arm.is_estimated],
                            np.full(len(self.smooth), SMOOTH_ERROR_STD))
-        return stated * np.sqrt(self.variances[self.kind_numbers])
+        return stated * np.sqrt(self.tau_squares[self.kind_numbers])
 
     @cached_property
     def residuals(self) -> list[Residuals]:
@@ -255,9 +255,8 @@ class ArmFit:
         """Return the least squares with these weights; all errors of the robot are one item."""
         stations = self.station[self.used_rows]
         item = np.append(stations, np.full(len(self.robot_errors), len(self.q)))
-        return LeastSquares(lambda fit: Rows(
-            fit.rows_with_priors[0], lambda: fit.rows_with_priors[1]),
-                            ArmFit.retracted, item)
+        return LeastSquares(lambda fit: Evaluation(
+            fit.rows_with_priors[0], lambda: fit.rows_with_priors[1]), ArmFit.retracted, item)
 
     def retracted(self, step: Array) -> ArmFit:
         """Return the estimate after a step (u,)."""
@@ -275,38 +274,38 @@ class ArmFit:
         return self.system.minimised(self, iterations=20, tolerance=1e-4)
 
 
-def noise_and_variances(fit: ArmFit, conservative: bool = False) -> tuple[Array, Array]:
+def noise_and_tau_squares(fit: ArmFit, conservative: bool = False) -> tuple[Array, Array]:
     """
-    Return noise (axes,) and variances (g,) of ArmFit as the residuals of a fit show them.
+    Return noise (axes,) and tau^2 (g,) of ArmFit as the residuals of a fit show them.
 
-    The variances of all kinds of errors are the most likely ones; conservative: wider ones, for a
+    The tau^2 of all kinds of errors are the most likely ones; conservative: larger ones, for a
     reported covariance. The noise of each axis is pooled with that of all axes.
     """
-    variances = fit.variances.copy()
-    for kind, present in enumerate(fit.variances):
+    tau_squares = fit.tau_squares.copy()
+    for kind, present in enumerate(fit.tau_squares):
         of_kind = np.flatnonzero(fit.kind_numbers == kind)
         stated = fit.prior_stds[of_kind] / np.sqrt(present)
         covariance = fit.covariance[np.ix_(6 + of_kind, 6 + of_kind)] / np.outer(stated, stated)
-        likeliest, for_report = prior_variances(covariance, fit.robot_errors[of_kind] / stated,
-                                                present, MAX_VARIANCE)
-        variances[kind] = for_report if conservative else likeliest
+        likeliest, for_report = tau_squares_of_block(
+            covariance, fit.robot_errors[of_kind] / stated, present, LARGEST_TAU_SQUARED)
+        tau_squares[kind] = for_report if conservative else likeliest
     (r, J), axis = fit.whitened_rows, fit.used_rows % len(fit.noise)
     redundancy = 1 - np.einsum('mi,mi->m', J @ fit.covariance, J)
     freedom, squares = np.bincount(axis, redundancy), np.bincount(axis, (r * fit.noise[axis]) ** 2)
     pooled = squares.sum() / max(freedom.sum(), 1.0)
     noise = np.sqrt((squares + POOLED_FREEDOM * pooled)
                     / (np.maximum(freedom, 0.0) + POOLED_FREEDOM))
-    return np.maximum(noise, MIN_NOISE), variances
+    return np.maximum(noise, MIN_NOISE), tau_squares
 
 
 def with_estimated_weights(fit: ArmFit, conservative: bool = False, rounds: int = MAX_ROUNDS
                            ) -> ArmFit:
-    """Return a fit with noise and variances as it shows them; see noise_and_variances."""
+    """Return a fit with noise and taus as it shows them; see noise_and_tau_squares."""
     for _ in range(rounds):
-        before = np.append(fit.noise, fit.variances)
-        noise, variances = noise_and_variances(fit, conservative)
-        fit = replace(fit, noise=noise, variances=variances).solved()
-        if np.abs(np.log(np.append(noise, variances) / before)).max() < CONVERGED_CHANGE:
+        before = np.append(fit.noise, fit.tau_squares)
+        noise, tau_squares = noise_and_tau_squares(fit, conservative)
+        fit = replace(fit, noise=noise, tau_squares=tau_squares).solved()
+        if np.abs(np.log(np.append(noise, tau_squares) / before)).max() < CONVERGED_CHANGE:
             break
     return fit
 
@@ -329,7 +328,7 @@ def without_bad_stops(fit: ArmFit) -> ArmFit:
 def solved_with_arm(fit: ArmFit, arm: Arm) -> ArmFit:
     """Return the fit with the errors of an arm, at the sigmas of PRIOR_STDS."""
     fit = replace(fit, arm=arm)
-    return replace(fit, variances=np.ones(len(set(fit.kind_numbers)))).solved()
+    return replace(fit, tau_squares=np.ones(len(set(fit.kind_numbers)))).solved()
 
 
 def arm_covariance(fit: ArmFit, chosen_fit: ArmFit) -> tuple[Array, float]:
@@ -338,18 +337,18 @@ def arm_covariance(fit: ArmFit, chosen_fit: ArmFit) -> tuple[Array, float]:
 
     The covariance (6 + k, 6 + k) is that of X and the errors of the arm, the RMS (m, per axis)
     that of what is left, which neighbouring stops have in common. Both come from fit, which has
-    all kinds of errors of the arm, with conservative variances and the smooth error; the
+    all kinds of errors of the arm, with conservative taus and the smooth error; the
     covariance includes how far X and the errors of the arm are from those of the chosen fit there.
     """
     wide = with_estimated_weights(fit, conservative=True)
-    arm_variances, noise = wide.variances, wide.noise
+    arm_tau_squares, noise = wide.tau_squares, wide.noise
     basis = smooth_basis(wide.arm.forward(wide.q))
     wide = replace(wide, smooth_error_basis=basis, smooth=np.zeros(3 * basis.shape[1]),
-                   variances=np.append(arm_variances, 1.0))
+                   tau_squares=np.append(arm_tau_squares, 1.0))
     for _ in range(2):  # iterations of the noise beside a smooth error
         wide = replace(wide, noise=noise).solved()
-        noise, variances = noise_and_variances(wide, conservative=True)
-    wide = replace(wide, variances=np.append(arm_variances, variances[-1]))
+        noise, tau_squares = noise_and_tau_squares(wide, conservative=True)
+    wide = replace(wide, tau_squares=np.append(arm_tau_squares, tau_squares[-1]))
     in_chosen = chosen_fit.arm.is_estimated[wide.arm.is_estimated]
     rows = np.append(np.arange(6), 6 + np.flatnonzero(in_chosen))
     difference = np.append(se3.difference(wide.X, chosen_fit.X),

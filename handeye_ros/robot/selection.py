@@ -190,7 +190,7 @@ def _predicts_better(richer: ValidatedFit, simpler: ValidatedFit) -> bool:
 
 def _undetermined(fit: ArmFit) -> Array:
     """Return the posterior over the prior sigma (k,) of the errors, with the priors as stated."""
-    stated = replace(fit, variances=np.ones_like(fit.variances))
+    stated = replace(fit, tau_squares=np.ones_like(fit.tau_squares))
     return np.sqrt(np.diag(stated.covariance)[6:6 + len(stated.prior_stds)]) / stated.prior_stds
 
 

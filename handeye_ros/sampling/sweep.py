@@ -146,7 +146,7 @@ def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:
     clocked = ClockedPoses(samples)
     stds = config.time_offset_std, config.rotation_lag_std, config.clock_drift_std
     model = PoseModel(
-        clocked.with_derivatives, CLOCK_KEYS, stds, np.arange(len(samples)), least_variance=1.0,
+        clocked.with_derivatives, CLOCK_KEYS, stds, np.arange(len(samples)), least_tau_squared=1.0,
         blocks=partial(errors_in_motion, clocked.stamps),
         jitter=np.array([config.noise.stamps, 0.0, 0.0]))
     clock_values = next(sample.clock_values for sample in samples if sample.moving)

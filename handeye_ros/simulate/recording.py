@@ -385,8 +385,10 @@ def simulate_samples(scenario: Scenario, rng: Generator) -> tuple[tuple[Sample, 
     """
     Return the samples of a recording, and their truth.
 
-    Each feature has exactly its stated noise (white sensor noise, averaged over the profiles of a
-    stop), each pose the robot's error. Standard sensor frame; without wrong conventions.
+    Each feature has exactly its stated noise, each pose the robot's error. Of the sensor's errors
+    there is the white noise alone, averaged over the profiles of a stop, of the target none but
+    its edge_angle; a sweep gives its stops. Standard sensor frame; without wrong conventions. For
+    all other faults use `simulate`.
     """
     scenario = replace(scenario, frame='standard')
     cell, dwell = draw(scenario, rng), scenario.robot.dwell

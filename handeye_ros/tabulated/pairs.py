@@ -26,7 +26,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.csv_tables import CsvTable, require_different
 from handeye_ros.data import Array, Indices, SEED
 from handeye_ros.errors import DataError, require_count
-from handeye_ros.estimation.least_squares import chi2_isf, inverse_roots, LeastSquares, Rows
+from handeye_ros.estimation.least_squares import chi2_isf, Evaluation, inverse_roots, LeastSquares
 from handeye_ros.estimation.outliers import robust_least_squares, RobustFit
 from handeye_ros.frames import mount_frame, mount_poses
 from handeye_ros.notations import NOTATIONS
@@ -183,12 +183,12 @@ class PairedRows(TableProblem):
         """
         whiten = inverse_roots(np.tensordot(variances, self.linearised(start)[2], 1))
 
-        def rows(state: Array) -> Rows:
+        def evaluate(state: Array) -> Evaluation:
             differences, derivatives, _ = self.linearised(state)
-            return Rows((whiten @ differences[..., None]).ravel(),
-                        lambda: (whiten @ derivatives).reshape(-1, 6 * len(state)))
+            return Evaluation((whiten @ differences[..., None]).ravel(),
+                              lambda: (whiten @ derivatives).reshape(-1, 6 * len(state)))
 
-        system = LeastSquares(rows, lambda state, step: se3.perturb(state, step.reshape(-1, 6)),
+        system = LeastSquares(evaluate, lambda T, step: se3.perturb(T, step.reshape(-1, 6)),
                               np.repeat(np.arange(len(self)), whiten.shape[1]))
         return robust_least_squares(system, start, self.fewest), whiten
 

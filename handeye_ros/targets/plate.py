@@ -6,7 +6,7 @@ A plate: its face, and two straight edges with a common corner; with target.size
 Frame of the target: corner at the origin, edge p along x, edge q along y (turned by the edge
 angle when that is free), face z = 0. Unknown beside X: the target's pose and, on demand, the
 angle between the edges. An edge point and a face line, both from the same profile, give
-conditions: the normal points of the line lie in z = 0, the edge point on its edge.
+conditions: the mean points of the line lie in z = 0, the edge point on its edge.
 """
 from __future__ import annotations
 
@@ -163,7 +163,11 @@ class Plate(ProfileTarget):
 
     def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
                          ) -> tuple[Array, Array, Array]:
-        """Return height over the face, or distance from the edge; of one plate at a time."""
+        """
+        Return height over the face, or distance from the edge (m), of points (m, 3).
+
+        Of one plate at a time, with the measures (3,): both lengths (m), and the angle (rad).
+        """
         *size, angle = measures
         sine, cosine = np.sin(angle), np.cos(angle)
         across = [sine, -cosine, 0.0], [0.0, 1.0, 0.0]

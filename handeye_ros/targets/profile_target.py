@@ -21,7 +21,7 @@ is the smallest. It states
 - half_turn_misfit, where half a turn about another place than a point may change its views least
 - alike_views_in_words, where views that are too much alike leave something undetermined
 - describe_strays, where it can say how far from its own the unused edges lie
-- blocks and feature_errors, where it has other systematic errors than those of faces
+- blocks and point_errors, where it has other systematic errors than those of faces
 
 Here are its observations, and the systematic errors that targets of faces have in common: set-back
 of faces, shapes of edges, flatness, range at grazing incidence.
@@ -76,8 +76,8 @@ def edge_error_root(edge: EdgePoint) -> Array:
     return np.column_stack([edge.direction * edge.std, across * edge.std_across])
 
 
-def _normal_points(feature: FaceLine | Arc) -> tuple[Array, Array]:
-    """Return the normal points (k, 2) of a line or an arc, and 1 sigma across it as vectors."""
+def _mean_points(feature: FaceLine | Arc) -> tuple[Array, Array]:
+    """Return the mean points (k, 2) of a line or an arc, and 1 sigma across it as vectors."""
     if isinstance(feature, Arc):
         radial = feature.points - feature.centre
         return feature.points, (feature.std / np.linalg.norm(radial, axis=1))[:, None] * radial
@@ -121,7 +121,7 @@ class ProfileTarget(Target):
                             station, self.edge_place(feature)[None], kind,
                             edge_error_root(feature)[None], number, feature))
                 else:
-                    points, across = _normal_points(feature)
+                    points, across = _mean_points(feature)
                     parts.append(observations_at(
                         station, points, number % self.face_count,
                         np.stack([across, np.zeros_like(across)], axis=-1), number))
@@ -145,7 +145,7 @@ class ProfileTarget(Target):
         for source in (ends_of_faces, flatness, grazing):
             yield from source(linear)
 
-    def feature_errors(self, linear: Linearisation) -> Array:
+    def point_errors(self, linear: Linearisation) -> Array:
         """Return the derivatives (m, 1) by independent set-backs of edge points, in sigmas."""
         return out_of_face(linear)[:, None] * linear.problem.config.target.setback_std
 
@@ -187,7 +187,7 @@ def ends_of_faces(linear: Linearisation) -> Blocks:
     for k in np.unique(kind[end]).tolist():
         # it comes from few points of a curve, and is extrapolated
         by_shape = np.where(end & (kind == k), outwards * obs.shape_std, 0.0)
-        yield ParameterBlock(f'shape_{kinds[k]}', by_shape[:, None], 1.0, least_variance=1.0)
+        yield ParameterBlock(f'shape_{kinds[k]}', by_shape[:, None], 1.0, least_tau_squared=1.0)
 
 
 def face_kinds(target: Target) -> list[int]:

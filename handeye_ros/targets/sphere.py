@@ -109,7 +109,7 @@ class Sphere(ProfileTarget):
 
     def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
                          ) -> tuple[Array, Array, Array]:
-        """Return the distances of points from the sphere."""
+        """Return the distances of points from the sphere (m); measures: (..., 1) radius (m)."""
         distance = np.sqrt((local * local).sum(axis=-1))
         return (distance - measures, local / distance[..., None],
                 np.full((*distance.shape, 1), -1.0))

@@ -112,7 +112,7 @@ class Wedge(ProfileTarget):
 
     def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
                          ) -> tuple[Array, Array, Array]:
-        """Return the height over the face of each point."""
+        """Return heights over the faces (m); measures: (..., 2) turns of both faces (rad)."""
         turn = measures[..., kind]
         c, s = np.cos(turn), np.sin(turn)
         y, z = local[..., 1], local[..., 2]

@@ -382,7 +382,7 @@ def _predicted(problem: Problem, cell: CalibratedCell) -> _Prediction:
     at_found_sizes = linearise(found_sizes, cell.estimate)
     # the range of a face in grazing light may be off by as much as a calibration allows
     of_blocks = [
-        block.columns * (block.largest_variance ** 0.5 if block.name == GRAZING else 1.0)
+        block.columns * (block.largest_tau_squared ** 0.5 if block.name == GRAZING else 1.0)
         for source in (cell.target.blocks, sensor_distortion, line_bend)
         for block in source(at_found_sizes)]
 

@@ -28,10 +28,10 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import wrt_smooth
 from handeye_ros.estimation.least_squares import (
     chi2_sf,
+    Evaluation,
     identity,
     inverse_roots,
     LeastSquares,
-    Rows,
     Whitener,
 )
 from handeye_ros.estimation.noise import (
@@ -144,9 +144,9 @@ class Shape:
         """Return the unknowns (k,) that fit points p (m, 3) best; white(q) whitens distances."""
         distance = partial(self.distance, p)
         return LeastSquares[Array](
-            lambda q: Rows(distance(q), partial(derivatives, distance, q), partial(white, q)),
-            np.add, np.zeros(len(p), dtype=np.intp)).minimised(
-                self.start, iterations=iterations)
+            lambda q: Evaluation(
+                distance(q), partial(derivatives, distance, q), partial(white, q)),
+            np.add, np.zeros(len(p), dtype=np.intp)).minimised(self.start, iterations=iterations)
 
 
 def derivatives(function: Callable[[Array], Array], q: Array) -> Array:
@@ -306,7 +306,7 @@ def _covariance(linear: Linearisation, batch: StationGroup) -> Array:
     """Return the covariance (groups, c, c) of noise and range errors of steep faces."""
     total = total_covariance(linear, batch, WITHOUT_LOCAL_DISTORTION)
     for block in grazing(linear):
-        columns = block.columns[batch.rows] * block.largest_variance ** 0.5
+        columns = block.columns[batch.rows] * block.largest_tau_squared ** 0.5
         total += columns @ np.swapaxes(columns, 1, 2)
     return total
 

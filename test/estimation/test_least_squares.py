@@ -8,9 +8,9 @@ from handeye_ros.estimation.least_squares import (
     chi2_isf,
     chi2_sf,
     covariance_from_jacobian,
+    Evaluation,
     LeastSquares,
     many_least_squares,
-    Rows,
 )
 from handeye_ros.estimation.outliers import (
     leave_one_out_residuals,
@@ -34,7 +34,7 @@ def linear(seed: int, noise: float = 1.0
     A, truth = rng.normal(size=(40, 4)), rng.normal(size=4)
     b, item = A @ truth + noise * rng.normal(size=40), np.repeat(np.arange(20), 2)
     root = np.kron(np.eye(20), np.array([[1.0, 0.0], [0.7, 2.0]]))
-    system = LeastSquares(lambda x: Rows(A @ x - b, lambda: A, lambda: lambda v: root @ v),
+    system = LeastSquares(lambda x: Evaluation(A @ x - b, lambda: A, lambda: lambda v: root @ v),
                           np.add, item)
     return system, root @ A, root @ b, item
 
@@ -75,7 +75,7 @@ def test_wrong_items_are_left_out_and_change_nothing(seed: int) -> None:
     system, A, b, item = linear(seed, noise=0.01)
     good_items, is_wrong = np.arange(3, 20), np.isin(item, (0, 1, 2))
     b = b + 100.0 * is_wrong
-    spoilt = LeastSquares(lambda x: Rows(A @ x - b, lambda: A), np.add, item)
+    spoilt = LeastSquares(lambda x: Evaluation(A @ x - b, lambda: A), np.add, item)
     adjusted = robust_least_squares(spoilt, np.zeros(4), fewest=4)
     assert set(adjusted.used.tolist()) <= set(good_items.tolist())
     is_used = np.isin(item, adjusted.used)

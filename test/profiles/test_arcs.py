@@ -38,7 +38,7 @@ def test_an_exact_arc_is_recovered_exactly(config: Config, radius: float) -> Non
     arc, = arc_features(wide(lambda x: ball(x, radius), noise=0.0), config)
     assert np.allclose(arc.centre, CENTRE, atol=1e-9) and arc.radius == pytest.approx(radius)
     assert np.allclose(np.linalg.norm(arc.measured - CENTRE, axis=1), radius)
-    # a mean of angles and radii, so the normal points lie on the circle too
+    # a mean of angles and radii, so the mean points lie on the circle too
     assert np.allclose(np.linalg.norm(arc.points - CENTRE, axis=1), radius)
 
 

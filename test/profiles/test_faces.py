@@ -28,7 +28,7 @@ TOWARDS = with_values(CONFIG, {'profile.range_sign': -1}, 'test')
 
 
 @pytest.mark.parametrize('tilt', [-0.5, 0.0, 0.3])
-def test_the_normal_points_of_a_face_are_as_certain_as_they_say(tilt: float) -> None:
+def test_the_mean_points_of_a_face_are_as_certain_as_they_say(tilt: float) -> None:
     normal = np.array([-np.sin(tilt), np.cos(tilt)])
     single = []
     for seed in range(60):
