@@ -84,8 +84,9 @@ def verify(
     calibration, settings = open_calibration(calibration_file, config, assignments, kinematics)
     settings = routine.settings(settings, len(bags))
     if routine.in_passes:
-        scanned = stations_of_passes(_passes(bags, calibration, settings), settings)
-        result = verify_stations(routine, scanned, calibration)
+        passes = _passes(bags, calibration, settings)
+        result = verify_stations(
+            routine, stations_of_passes(passes, calibration, settings), calibration)
     else:
         stops = [_stops(bag, calibration, settings) for bag in bags]
         result = verify_stops(routine, stops, calibration, settings)

@@ -11,18 +11,20 @@ from types import SimpleNamespace
 
 from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig, with_values
-from handeye_ros.data import Arc, FaceLine, Reject
+from handeye_ros.data import Arc, FaceLine, Reject, ROTATION_LAG
 from handeye_ros.errors import DataError, InputError, looked_up
 from handeye_ros.output import yaml_text
+from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate.robot import pose_error
 from handeye_ros.simulate.scenario import PlateTarget, SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.verification.fit import DETECTION_SIGMAS, EVEN_CHANCE_SIGMAS
 from handeye_ros.verification.result_file import plain_values, protocol, sentence
 from handeye_ros.verification.routines import ROUTINES
-from handeye_ros.verification.stations import stations_of
+from handeye_ros.verification.stations import stations_of, stations_of_passes
 from handeye_ros.verification.verify import verify_stations
 from handeye_ros.words import mm
+from moving_scan import calibration, moving, plane_profiles
 import numpy as np
 import pytest
 from verifications import assess, bench, measure
@@ -348,7 +350,8 @@ def test_what_cannot_be_verified_is_refused():
 
 def teeth(artefact, calibration, lengths=()):
     config = of_lengths(*(lengths or artefact.lengths))
-    return verify_stations(ROUTINES['tooth'], bench.scanned(artefact, config), calibration)
+    return verify_stations(ROUTINES['tooth'], bench.scanned(artefact, calibration, config),
+                           calibration)
 
 
 @pytest.mark.parametrize('lengths', [(0.0155, 0.005), *(
@@ -360,11 +363,21 @@ def test_teeth_of_another_gauge_never_pass(lengths):
         assert 'not the gauge' in str(refusal)
 
 
+def test_a_pass_has_the_poses_of_a_scan_where_rotations_are_reported_late():
+    poses = [replace(p, quaternion=q.quaternion)
+             for p, q in zip(moving(200)[4:], moving(200)[:-4], strict=True)]
+    late = replace(calibration(), target={ROTATION_LAG: 0.020})
+    one_pass = plane_profiles(200)[30:180], trajectory_of(poses, 0.5)
+    stations = stations_of_passes([one_pass], late, Config())
+    points = stations.problem.points_in_base(late.T_flange_sensor)
+    np.testing.assert_allclose(points[:, 2], 0.1, atol=1e-7)
+
+
 @pytest.mark.thorough
 def test_passes_that_contradict_the_others_are_told():
     artefact, calibration = measure('tooth', 1)
     config = of_lengths(*artefact.lengths)
-    stations = bench.scanned(artefact, config)
+    stations = bench.scanned(artefact, calibration, config)
     move = np.where(stations.recording_of_pose == 1, 6e-4, 0.0)[:, None] * [1, 1, 1, 0, 0, 0]
     contradicting = replace(stations, problem=replace(
         stations.problem, poses=se3.perturb(stations.problem.poses, move)))
