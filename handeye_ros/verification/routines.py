@@ -15,6 +15,7 @@ from handeye_ros.errors import InputError
 from handeye_ros.verification.fit import Quantity, Shape
 from handeye_ros.verification.station_set import StationSet
 from handeye_ros.verification.tooth_gauge import teeth
+from handeye_ros.words import count_of
 import numpy as np
 
 
@@ -179,9 +180,12 @@ class Routine:
         if recordings is not None:
             possible = self.recordings_for(len(config.verify.lengths))
             if recordings not in possible:
+                is_longer = len(self.recording_counts) > 1 and recordings > possible[-1]
                 raise InputError(
                     f'{self.name} needs {_numbers_text(possible, "recording")}, and got '
-                    f'{recordings} (of the node each begins with ~/verify_start)')
+                    f'{recordings}' + is_longer * (
+                        f' for {count_of(len(config.verify.lengths), "length")}: repeat the '
+                        'heights in verify.lengths for each block, and each time one is laid'))
         return config if self.in_passes else with_values(config, {
             'target.type': self.target, 'method': 'auto', 'target.radius': config.verify.radius})
 
