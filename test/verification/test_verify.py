@@ -24,7 +24,7 @@ from handeye_ros.verification.routines import ROUTINES
 from handeye_ros.verification.stations import stations_of, stations_of_passes
 from handeye_ros.verification.verify import verify_stations
 from handeye_ros.words import mm
-from moving_scan import calibration, moving, plane_profiles
+from moving_scan import calibration as scan_calibration, moving, plane_profiles
 import numpy as np
 import pytest
 from verifications import assess, bench, measure
@@ -195,14 +195,17 @@ def test_what_could_not_have_shown_is_no_pass():
     spread = with_poses(alike, {k: [*2.5e-3 * k * along, 0, 0, 0] for k in range(8)})
     assert assess('plane', spread, calibration, tolerance=1e-2).verdict in ('insensitive', 'fail')
     few = assess('plane', *measure('plane', count=5))
-    assert few.verdict == 'insensitive' and 'would show with 95 % only from' in few.reasons[0]
+    assert few.verdict == 'insensitive' and 'this decides nothing' in few.reasons[0]
     artefact, calibration = measure('step', count=12)
     detectable = assess('step', artefact, calibration).fit.misalignment.smallest_detectable
     certain, likely, coarse = (assess('step', artefact, calibration, tolerance=k * detectable)
                                for k in (2.0, 0.8, 0.5))
     assert (certain.verdict, likely.verdict, coarse.verdict) == ('pass', 'pass', 'insensitive')
-    assert 'would show with 95 % only from' in likely.reasons[0] and not certain.reasons
     even = EVEN_CHANCE_SIGMAS / DETECTION_SIGMAS / 0.5
+    for told in likely, coarse:
+        assert (f'{mm(0.5 * even * detectable)} (RMS over the points) would be found in half of '
+                f'the cases, one of {mm(detectable)} with 95 %') in told.reasons[0]
+    assert not certain.reasons
     more = math.ceil(sum(stop.used for stop in coarse.per_group) * even ** 2)
     assert f'record about {more} stops like these' in coarse.reasons[0]
     artefact, calibration = measure('ball_bar')  # a tolerance below the uncertainty is no pass
@@ -301,7 +304,7 @@ def test_the_smooth_error_of_the_robot_is_part_of_the_uncertainty():
             inside[stated] += [abs(q.deviation) < 1.96 * np.hypot(q.std, q.std_by_calibration)
                                for q in verification.quantities if q.deviation is not None]
             if stated and verification.verdict == 'insensitive':
-                assert 'smooth error of the robot' in verification.reasons[0]
+                assert 'smooth error of the robot (0.15 mm) stays' in verification.reasons[0]
     assert np.mean(inside[size]) > 0.85 > 0.5 > np.mean(inside[0.0])
     assert {*verdicts[size]} <= {'pass', 'undecided', 'insensitive'}
     assert 'fail' in verdicts[0.0]
@@ -367,7 +370,7 @@ def test_teeth_of_another_gauge_never_pass(lengths):
 def test_a_pass_has_the_poses_of_a_scan_where_rotations_are_reported_late():
     poses = [replace(p, quaternion=q.quaternion)
              for p, q in zip(moving(200)[4:], moving(200)[:-4], strict=True)]
-    late = replace(calibration(), target={ROTATION_LAG: 0.020})
+    late = replace(scan_calibration(), target={ROTATION_LAG: 0.020})
     one_pass = plane_profiles(200)[30:180], trajectory_of(poses, 0.5)
     stations = stations_of_passes([one_pass], late, Config())
     points = stations.problem.points_in_base(late.T_flange_sensor)
