@@ -24,7 +24,8 @@ from handeye_ros.verification.routines import ROUTINES
 from handeye_ros.verification.stations import stations_of, stations_of_passes
 from handeye_ros.verification.verify import verify_stations
 from handeye_ros.words import mm
-from moving_scan import calibration as scan_calibration, moving, plane_profiles
+from moving_scan import calibration as scan_calibration
+from moving_scan import moving, plane_profiles
 import numpy as np
 import pytest
 from verifications import assess, bench, measure
