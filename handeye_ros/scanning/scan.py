@@ -9,8 +9,8 @@ two coordinates of a return count along `unit_vectors` of the profile's axes in 
 With eye_on_base the points are in the frame of the flange, which carries the workpiece past the
 sensor. The poses are interpolated by a spline at the stamp of each profile plus time_offset; the
 rotation is taken later by the rotation lag that the calibration estimated. A profile outside the
-poses or in a gap gives no points. Only the poses, and the cubes of voxels, need memory that grows
-with the recording.
+poses or in a gap gives no points. Beside poses and cubes of voxels, of each profile only its stamp
+and place stay in memory.
 """
 from __future__ import annotations
 
