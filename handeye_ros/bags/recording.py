@@ -150,9 +150,9 @@ def read_bag(path: Path | str, config: Config,
     gap = max(profiles[0].stamp - poses[-1].stamp, poses[0].stamp - profiles[-1].stamp)
     if gap > 0:
         raise DataError(f'profiles and poses share no time: {gap * 1e-9:.1f} s are between them; '
-                        'the clocks of sensor and robot differ (synchronise them, or, if the '
-                        f'difference is known and at most {MAX_TIME_OFFSET:g} s, set time_offset),'
-                        ' one of the two topics ended early, or they were not recorded together')
+                        'the clocks differ (synchronise them, or, if the difference is known and '
+                        f'at most {MAX_TIME_OFFSET:g} s, set time_offset), a topic ended early, '
+                        'or they were not recorded together')
     return Recording(tuple(profiles), poses, joints if len(joints) else None, reader.warnings,
                      reader.files)
 

@@ -86,9 +86,8 @@ def verify(
     calibration, settings = open_calibration(calibration_file, config, assignments, kinematics)
     settings = routine.settings(settings, len(bags))
     if routine.in_passes:
-        passes = _passes(bags, calibration, settings)
-        result = verify_stations(
-            routine, stations_of_passes(passes, calibration, settings), calibration)
+        scanned = stations_of_passes(_passes(bags, calibration, settings), calibration, settings)
+        result = verify_stations(routine, scanned, calibration)
     else:
         stops = [_stops(bag, calibration, settings) for bag in bags]
         result = verify_stops(routine, stops, calibration, settings)

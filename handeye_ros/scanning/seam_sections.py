@@ -116,9 +116,8 @@ def _sections_along(sheets: Sheets, rough_seam: RoughSeam, curve: Curve) -> Seam
     worst = int(np.argmax(missing))
     if missing[worst] > MAX_MISSING_EDGE:
         place = position_text(curve.extrapolated(t[worst:worst + 2].mean())[0])
-        raise DataError(f'the {rough_seam.kind} seam is not seen for '
-                        f'{mm(float(missing[worst]))} at {place}: scan there again, or cut one '
-                        'part out with --box')
+        raise DataError(f'the {rough_seam.kind} seam is not seen for {mm(float(missing[worst]))} '
+                        f'at {place}: scan there again, or cut one part out with --box')
 
     sheet_edges = np.array([*sections.values()], SHEET_EDGE)  # (k, 2)
     extent = sheet_edges['extent']

@@ -202,12 +202,12 @@ class Routine:
         if recordings is not None:
             possible = self.recordings_for(len(config.verify.lengths))
             if recordings not in possible:
-                is_longer = len(self.recording_counts) > 1 and recordings > possible[-1]
-                raise InputError(
-                    f'{self.name} needs {_numbers_text(possible, "recording")}, and got '
-                    f'{recordings}' + is_longer * (
-                        f' for {count_of(len(config.verify.lengths), "length")}: repeat the '
-                        'heights in verify.lengths for each block, and each time one is laid'))
+                heights = (
+                    f' for {count_of(len(config.verify.lengths), "length")}: verify.lengths has '
+                    'the heights of each block, repeated each time it is laid'
+                    if len(self.recording_counts) > 1 and recordings > possible[-1] else '')
+                raise InputError(f'{self.name} needs {_numbers_text(possible, "recording")}, and '
+                                 f'got {recordings}{heights}')
         return config if self.in_passes else with_values(config, {
             'target.type': self.target, 'method': 'auto', 'target.radius': config.verify.radius})
 

@@ -235,6 +235,8 @@ def test_joints_as_a_sensor_sees_them(name):
     assert frames.measures[:, 2].max() < 10 * seam.sections.noise
     if name == 'vee 6, root 2':
         assert seam.line == 'root'
+        told = sentences(seam, frames)[-1]
+        assert 'seams of another kind (butt, 39.2 mm long at x y z = ' in told
         assert frames.measures[:, 0] == pytest.approx(2e-3, abs=1.5e-4)
 
 

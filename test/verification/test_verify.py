@@ -346,7 +346,7 @@ def test_what_cannot_be_verified_is_refused():
             assess(name, artefact, calibration)
     for name, lengths, bags, words in (('step', (0.1,), 1, 'needs 2 recordings, and got 1'),
                                        ('step', (0.1,) * 4, 4, '5 or 6 recordings, and got 4'),
-                                       ('step', (0.025,), 6, 'got 6 for 1 length: repeat the'),
+                                       ('step', (0.025,), 6, 'got 6 for 1 length: verify.lengths'),
                                        ('cube', (), 1, 'no routine "cube"'),
                                        ('ball_bar', (), 2, r'1 length \(.*, and got 0')):
         with pytest.raises(InputError, match=words):
