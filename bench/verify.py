@@ -282,10 +282,10 @@ def covariance(rng: np.random.Generator) -> Array:
     return np.asarray(C * np.outer(size, size))
 
 
-def scanned(made: Artefact, config: Config) -> StationSet:
+def scanned(made: Artefact, found: Calibration, config: Config) -> StationSet:
     """Return what a scan in passes gives the routine of the gauge."""
     return stations_of_passes([(part.profiles, trajectory_of(part.poses, 0.5))
-                               for part in made.passes], config)
+                               for part in made.passes], found, config)
 
 
 def stops_of(routine: Routine, made: Artefact, config: Config
@@ -305,8 +305,7 @@ def runs(routine: Routine, made: Artefact, found: tuple[Calibration, ...], aim: 
         lengths=made.lengths, radius=radius, reference=made.reference, aim=aim,
         tolerance=tolerance))
     if routine.in_passes:
-        stations = scanned(made, config)
-        return [verify_stations(routine, stations, one) for one in found]
+        return [verify_stations(routine, scanned(made, one, config), one) for one in found]
     bags = stops_of(routine, made, config)
     return [verify_stations(routine, stations_of(routine, bags, one, config), one)
             for one in found]

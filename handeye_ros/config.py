@@ -344,8 +344,8 @@ class VerifyConfig(Section):
     calibration: str = setting(
         '', 'File of the calibration that is verified; empty: the answer of the node.')
     lengths: tuple[float, ...] = setting(
-        (), 'Nominal length of the ball bar, heights of the faces over the first, or pitch and '
-        'height of the teeth.', 1e-6, 10.0, 'm')
+        (), 'Nominal length of the ball bar, heights of the faces over the first (of each block, '
+        'each time it is laid), or pitch and height of the teeth.', 1e-6, 10.0, 'm')
     radius: float = setting(0.0, 'Nominal radius of the balls; 0: unknown.', 0.0, 10.0, 'm')
     reference: tuple[float, ...] = setting(
         (), 'The point as a tip of the robot touched it, in the base (with eye_on_base: in the '

@@ -458,6 +458,11 @@ class Calibration:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     time_offset: ClockEstimate | None = None
 
+    @property
+    def rotation_lag(self) -> float:
+        """Return by how much the robot reports its rotation later than its position (s)."""
+        return float(self.target.get(ROTATION_LAG, 0.0))
+
 
 @dataclass(frozen=True)
 class Agreement:

@@ -21,7 +21,7 @@ from handeye_ros.bags.messages import ProfileReader, profiles_of, returns_of
 from handeye_ros.bags.poses import ArmPose, OtherJointsError, pose_topics
 from handeye_ros.bags.storage import CLOUD_TYPE, full_name, Reader, RecordedMessage, TF_TYPE
 from handeye_ros.bags.transforms import FlangeFollower
-from handeye_ros.config import Config
+from handeye_ros.config import Config, MAX_TIME_OFFSET
 from handeye_ros.data import Array, Profile, RawProfile, TimedPose
 from handeye_ros.errors import (
     DataError,
@@ -150,8 +150,9 @@ def read_bag(path: Path | str, config: Config,
     gap = max(profiles[0].stamp - poses[-1].stamp, poses[0].stamp - profiles[-1].stamp)
     if gap > 0:
         raise DataError(f'profiles and poses share no time: {gap * 1e-9:.1f} s are between them; '
-                        'the clocks of sensor and robot differ, one of the two topics ended '
-                        'early, or they were not recorded together')
+                        'the clocks differ (synchronise them, or, if the difference is known and '
+                        f'at most {MAX_TIME_OFFSET:g} s, set time_offset), a topic ended early, '
+                        'or they were not recorded together')
     return Recording(tuple(profiles), poses, joints if len(joints) else None, reader.warnings,
                      reader.files)
 

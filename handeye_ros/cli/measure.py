@@ -31,6 +31,8 @@ from handeye_ros.cli.common import (
     write_yaml,
 )
 from handeye_ros.errors import BadValueError, InputError, looked_up
+from handeye_ros.scanning import DEFAULT_TOWARDS, DEFAULT_WIDEST
+from handeye_ros.words import mm
 import typer
 
 if TYPE_CHECKING:
@@ -84,7 +86,7 @@ def verify(
     calibration, settings = open_calibration(calibration_file, config, assignments, kinematics)
     settings = routine.settings(settings, len(bags))
     if routine.in_passes:
-        scanned = stations_of_passes(_passes(bags, calibration, settings), settings)
+        scanned = stations_of_passes(_passes(bags, calibration, settings), calibration, settings)
         result = verify_stations(routine, scanned, calibration)
     else:
         stops = [_stops(bag, calibration, settings) for bag in bags]
@@ -235,9 +237,9 @@ def seam(
         metavar='X X Y Y Z Z', help='Use the points between these values; -inf, inf: no limit.')
     ] = 3 * NO_LIMITS,
     widest: Annotated[str, length_option(
-        help='Largest distance between the edges of the seam.')] = '12mm',
+        help='Largest distance between the edges of the seam.')] = mm(DEFAULT_WIDEST),
     towards: Annotated[tuple[float, float, float], typer.Option(
-        metavar='X Y Z', help='The tool approaches the part this way.')] = (0.0, 0.0, -1.0),
+        metavar='X Y Z', help='The tool approaches the part this way.')] = DEFAULT_TOWARDS,
     travel: Annotated[float, typer.Option(help='The tool leans along the seam (degrees).')] = 0.0,
     work: Annotated[float, typer.Option(help='The tool leans across it (degrees).')] = 0.0,
     line: Annotated[PathLine, typer.Option(
@@ -264,7 +266,7 @@ def seam(
     points = points[((points >= limits[::2]) & (points <= limits[1::2])).all(axis=1)]
     with progress_bar('looking for the seam'):
         result = find_seam(points, widest_m, towards, line.value, start_m or None)
-        frames = tool_frames(result, pitch_m, towards, math.radians(travel), math.radians(work))
+        frames = tool_frames(result, pitch_m, math.radians(travel), math.radians(work))
     write(out, result, frames, frame)
     if bag:
         import time

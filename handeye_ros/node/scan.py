@@ -58,7 +58,7 @@ class ScanNode(Node):
         self._sensor = calibration.child_frame
         self._scanner = Scanner(calibration, config, options)
         # ns from the stamp of a profile to that of the last pose that places it
-        self._pose_delay = round((config.time_offset + max(self._scanner.lag, 0.0)) * 1e9)
+        self._pose_delay = round((config.time_offset + max(calibration.rotation_lag, 0.0)) * 1e9)
         self._lock = Lock()  # of the two deques, for the thread of the streams and the timer
         self._profiles: deque[Profile] = deque(maxlen=KEPT_PROFILES)
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_POSES)

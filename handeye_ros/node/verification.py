@@ -146,12 +146,15 @@ class LiveVerification:
             raise DataError('no verification was started: call ~/verify_start first')
         live = self._live
         live.evaluate_all()
+        try:
+            config = self.routine.settings(live.config, len(self._recordings))
+        except InputError as error:
+            raise InputError(f'{error}: begin each with ~/verify_start') from None
         file = live.config.verify.calibration or live.solver.saved
         accept = partial(self._accept, self._recordings, file, live.solver.calibration)
         return live.worker.run_job(
             VERIFYING, accept, verify_stops, self.routine,
-            [[*stops.values()] for stops in self._recordings], self._calibration(),
-            self.routine.settings(live.config, len(self._recordings)))
+            [[*stops.values()] for stops in self._recordings], self._calibration(), config)
 
     def _accept(self, recordings: Sequence[object], file: str, answer: Calibration | None,
                 result: Verification) -> str:

@@ -52,13 +52,13 @@ class RoughSeam:
     kind: one of SEAM_KINDS
     pairs: (k, 2) indices of points on its two rims that face each other, in order along it
     t: (k,) lengths of the pairs along the seam (m)
-    other_seam_count: number of other seams, of other kinds
+    others: kind, length and place of each seam of another kind, in words
     """
 
     kind: str
     pairs: Pairs
     t: Array
-    other_seam_count: int
+    others: tuple[str, ...]
 
 
 def rough_seam_of(sheets: Sheets, widest: float, up: Array) -> RoughSeam:
@@ -87,16 +87,24 @@ def rough_seam_of(sheets: Sheets, widest: float, up: Array) -> RoughSeam:
             f'which must be smaller than {mm(CORNER_NOISE * spacing)} for a corner: scan more '
             f'densely, with less noise, a step of more than {mm(MAX_LAP_HEIGHT)} with the sensor '
             'tilted by 30 to 45 degrees towards its wall, or check what was scanned')
+    middles = {each: [sheets.points[part].mean(axis=1) for part, _ in chains]
+               for each, chains in seams.items()}
     if len(seams[kind]) > 1:
-        middles = [sheets.points[part].mean(axis=1) for part, _ in seams[kind]]
-        listed = '; '.join(f'{mm(float(np.linalg.norm(np.ptp(p, axis=0))))} long at '
-                           f'{position_text(p.mean(axis=0))}' for p in middles)
-        apart = float(cKDTree(middles[0]).query(np.concatenate(middles[1:]))[0].min())
+        first, *others = middles[kind]
+        apart = float(cKDTree(first).query(np.concatenate(others))[0].min())
         raise DataError(
-            f'{len(middles)} seams ({listed}), {mm(apart)} apart: cut one out with --box; if they '
-            'are the edges of a single one, give a larger --widest; if they are its parts, scan '
-            'again what is not seen of it')
-    return RoughSeam(kind, *seams[kind][0], sum(map(len, seams.values())) - 1)
+            f'{len(middles[kind])} {kind} seams ({"; ".join(map(_extent_text, middles[kind]))}), '
+            f'{mm(apart)} apart: cut one out with --box; if they are the edges of a single one, '
+            'give a larger --widest; if they are its parts, scan again what is not seen of it')
+    return RoughSeam(kind, *seams[kind][0], tuple(
+        f'{other}, {_extent_text(middle)}' for other in SEAM_KINDS if other != kind
+        for middle in middles[other]))
+
+
+def _extent_text(middles: Array) -> str:
+    """Return the length and the place of a seam in words; middles: (k, 3) of its pairs."""
+    length = float(np.linalg.norm(np.ptp(middles, axis=0)))
+    return f'{mm(length)} long at {position_text(middles.mean(axis=0))}'
 
 
 def position_text(point: Array) -> str:

@@ -9,8 +9,8 @@ two coordinates of a return count along `unit_vectors` of the profile's axes in 
 With eye_on_base the points are in the frame of the flange, which carries the workpiece past the
 sensor. The poses are interpolated by a spline at the stamp of each profile plus time_offset; the
 rotation is taken later by the rotation lag that the calibration estimated. A profile outside the
-poses or in a gap gives no points. Only the poses, and the cubes of voxels, need memory that grows
-with the recording.
+poses or in a gap gives no points. Beside poses and cubes of voxels, of each profile only its stamp
+and place stay in memory.
 """
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from itertools import compress, islice
 
 from handeye_ros import se3
 from handeye_ros.config import Config, NoiseConfig
-from handeye_ros.data import Array, Calibration, Profile, ROTATION_LAG
+from handeye_ros.data import Array, Calibration, Profile
 from handeye_ros.errors import BadValueError, DataError
 from handeye_ros.frames import mount_poses, target_frame, unit_vectors
 from handeye_ros.sampling.trajectory import Trajectory
@@ -72,7 +72,6 @@ class Scanner:
     profiles, without_pose: the number of profiles so far, and of those without a pose
     returns, out_of_limits, thinned: the number of returns of the profiles with a pose, and of
         those that are dropped
-    lag: by which the robot reports its rotation later than its position (s)
     """
 
     def __init__(self, calibration: Calibration, config: Config, options: ScanOptions) -> None:
@@ -81,7 +80,6 @@ class Scanner:
         self.options = options
         self.profiles = self.without_pose = 0
         self.returns = self.out_of_limits = self.thinned = 0
-        self.lag = float(calibration.target.get(ROTATION_LAG, 0.0))  # s
         self._fields: np.dtype[np.void] | None = None  # of a point, as the first profile has them
         self._filled = set[int]()  # cubes that have their point
 
@@ -117,7 +115,7 @@ class Scanner:
             self._fields = np.dtype([(name, '<f4') for name in (
                 *'xyz', *compress(optional, optional.values()))])
         stamps = np.array([p.stamp for p in profiles], dtype=np.int64) + self.config.offset_ns
-        flange = trajectory.at(stamps, self.lag)
+        flange = trajectory.at(stamps, self.calibration.rotation_lag)
         self.profiles += len(profiles)
         self.without_pose += len(profiles) - int(flange.inside.sum())
         T = mount_poses(flange.T_base_flange, self.config) @ self.calibration.T_flange_sensor

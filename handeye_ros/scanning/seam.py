@@ -20,12 +20,13 @@ from handeye_ros.arithmetic import rms
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.output import csv_text, write_atomically, yaml_text
+from handeye_ros.scanning import DEFAULT_TOWARDS, DEFAULT_WIDEST
 from handeye_ros.scanning.curves import Curve, spline
 from handeye_ros.scanning.rough_seam import rough_seam_of
 from handeye_ros.scanning.seam_sections import SeamSections, sections_of_seam
 from handeye_ros.scanning.sheets import FLAT_RATIO, sheets_of
 from handeye_ros.se3 import unit
-from handeye_ros.words import mm
+from handeye_ros.words import count_of, mm
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -33,12 +34,12 @@ FORMAT = 'handeye_ros/seam/1'
 FRAME_COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'gap', 'mismatch', 'residual',
                  'std')
 NEARBY_LENGTH = 0.01  # m along the seam: sections within it give the residual at a frame
-DEFAULT_WIDEST = 0.012  # m between the edges of a seam, as the verb has it too
 MAX_SPACING = 0.012  # m between points: more are of a cloud in mm
 MAX_CLOUD_POINTS = 400_000  # largest number of points of a cloud that are used
 MIN_POINTS = 500  # smallest number
 # largest 1 sigma of position (m) and approach of an end frame
 MAX_FRAME_STD = 4e-5, np.deg2rad(0.4)
+MAX_LISTED = 3  # seams of other kinds that are named
 MAX_SCATTER = 10.0  # largest scatter of the sections, in sigmas of the points, or one spacing
 
 
@@ -54,7 +55,8 @@ class Seam:
     normals: through the directions out of the part, the mean of those of the sheets
     distances: (k,) of the measured roots of the sections from their curve (m)
     spacing: of the points of the cloud (m)
-    other_seam_count: number of edges that face each other elsewhere, as another kind of seam
+    others: kind, length and place of each seam of another kind, in words
+    towards: a direction (3,) within 90 degrees of the approach of the tool
     """
 
     kind: str
@@ -65,7 +67,8 @@ class Seam:
     normals: Curve
     distances: Array
     spacing: float
-    other_seam_count: int
+    others: tuple[str, ...]
+    towards: Sequence[float]
 
     @property
     def scatter(self) -> float:
@@ -103,13 +106,13 @@ class ToolFrames:
 
 
 def find_seam(points: Array, widest: float = DEFAULT_WIDEST,
-              towards: Sequence[float] = (0.0, 0.0, -1.0), line: str = 'auto',
+              towards: Sequence[float] = DEFAULT_TOWARDS, line: str = 'auto',
               start: Sequence[float] | None = None) -> Seam:
     """
     Return the only seam in a cloud of points (n, 3), which are in metres.
 
     widest: the largest distance between the edges of a seam (m)
-    towards: a direction (3,) within 90 degrees of the approach of the tool
+    towards: see Seam
     line: the line that the path follows: root, centre, first, second (edge), or auto, the root of
         V and fillet and the centre of butt and lap
     start: a point (3,) near the end where the seam begins
@@ -141,25 +144,23 @@ def find_seam(points: Array, widest: float = DEFAULT_WIDEST,
     off_root = curves['root'].position(sections.t) - sections.lines['root']
     seam = Seam(rough_seam.kind, line, sections, curves, curves[line].simplified(),
                 spline(sections.t, sections.normals), np.linalg.norm(off_root, axis=1),
-                sheets.spacing, rough_seam.other_seam_count)
+                sheets.spacing, rough_seam.others, towards)
     if seam.scatter > max(MAX_SCATTER * sheets.noise, sheets.spacing):
-        raise DataError(f'the sections of the seam scatter by {mm(seam.scatter)}, and the points '
-                        f'by {mm(sheets.noise)}: this is not a uniform seam; cut it out with '
-                        '--box, or scan more densely')
+        raise DataError(f'the sections of the {seam.kind} seam scatter by {mm(seam.scatter)}, and '
+                        f'the points by {mm(sheets.noise)}: this is not a uniform seam; cut it '
+                        'out with --box, or scan more densely')
     if sections.noise > FLAT_RATIO * sheets.noise:
-        raise DataError(f'the sheets beside the seam are {mm(sections.noise)} thick, and the '
-                        f'noise of the points is {mm(sheets.noise)}: they bend, and the noise '
-                        'hides where; scan with less noise, or cut the seam out with --box')
+        raise DataError(f'the sheets beside the {seam.kind} seam are {mm(sections.noise)} thick, '
+                        f'and the noise of the points is {mm(sheets.noise)}: they bend, and the '
+                        'noise hides where; scan with less noise, or cut the seam out with --box')
     return seam
 
 
-def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, -1.0),
-                travel: float = 0.0, work: float = 0.0) -> ToolFrames:
+def tool_frames(seam: Seam, pitch: float, travel: float = 0.0, work: float = 0.0) -> ToolFrames:
     """
     Return frames of a tool along the seam; frames at the ends that are not certain are dropped.
 
     pitch: distance between two frames (m)
-    towards: a direction (3,) within 90 degrees of the approach
     travel: the travel angle, by which the tool leans against the advance, about n x o (rad)
     work: the work angle, by which it leans to the side, about n (rad)
 
@@ -176,7 +177,7 @@ def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, 
     t = np.interp(arc_lengths, *seam.curve.arc)
     n = seam.curve.tangent(t)
     o = -seam.normal(t)
-    o[o @ np.asarray(towards) < 0] *= -1
+    o[o @ np.asarray(seam.towards) < 0] *= -1
     o = unit(o - (o * n).sum(axis=1, keepdims=True) * n)
     R = np.stack([n, o, np.cross(n, o)], axis=-1)
     tilt = Rotation.from_euler('xz', [work, travel]).as_matrix()
@@ -234,7 +235,7 @@ def sentences(seam: Seam, frames: ToolFrames) -> list[str]:
     if max(begins, ends) > 1e-6:
         lines.append(f'no frames on the first {begins * 1e3:.1f} mm and the last '
                      f'{ends * 1e3:.1f} mm: the line is too uncertain there')
-    if seam.other_seam_count:
-        lines.append(f'{seam.other_seam_count} other edges that face each other (steps, corners) '
-                     'are not taken for the seam; cut one out with --box to have it')
+    if seam.others:
+        lines.append(f'beside it {count_of(len(seam.others), "seam")} of another kind '
+                     f'({"; ".join(seam.others[:MAX_LISTED])}): cut one out with --box to have it')
     return lines

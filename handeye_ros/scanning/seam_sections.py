@@ -77,9 +77,9 @@ def sections_of_seam(sheets: Sheets, rough_seam: RoughSeam) -> SeamSections:
     line_half_width = float(np.quantile(distance, 0.95))
     if line_half_width > MAX_LINE_WIDTH * sheets.spacing:
         place = position_text(middle[int(np.argmax(distance))])
-        raise DataError(f'what looks like a seam is not a single open line: it is '
-                        f'{mm(2 * line_half_width)} wide at {place} (closed, or branching?): cut '
-                        'a part out with --box')
+        raise DataError(f'what looks like a {rough_seam.kind} seam is not a single open line: it '
+                        f'is {mm(2 * line_half_width)} wide at {place} (closed, or branching?): '
+                        'cut a part out with --box')
     i, j = rough_seam.pairs.T
     up = (-sheets.outward[i] - sheets.outward[j] if is_corner
           else sheets.normals[i] + sheets.normals[j])
@@ -116,8 +116,8 @@ def _sections_along(sheets: Sheets, rough_seam: RoughSeam, curve: Curve) -> Seam
     worst = int(np.argmax(missing))
     if missing[worst] > MAX_MISSING_EDGE:
         place = position_text(curve.extrapolated(t[worst:worst + 2].mean())[0])
-        raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
-                        'there again, or cut one part out with --box')
+        raise DataError(f'the {rough_seam.kind} seam is not seen for {mm(float(missing[worst]))} '
+                        f'at {place}: scan there again, or cut one part out with --box')
 
     sheet_edges = np.array([*sections.values()], SHEET_EDGE)  # (k, 2)
     extent = sheet_edges['extent']

@@ -194,6 +194,11 @@ class Misalignment(NamedTuple):
     smallest_detectable: float
     weakest_direction: str
 
+    @property
+    def even_chance(self) -> float:
+        """Return the size of an error in this direction that is found in half of the cases (m)."""
+        return self.smallest_detectable * EVEN_CHANCE_SIGMAS / DETECTION_SIGMAS
+
 
 @dataclass(frozen=True, eq=False)
 class ShapeFit:

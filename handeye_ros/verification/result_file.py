@@ -33,7 +33,7 @@ FIGURE_ROWS = (('mean distance from the fit', 'mean', 'm'), ('its standard devia
                ('its maximum', 'maximum', 'm'), ('its RMS', 'rms', 'm'),
                ('tolerance of lengths', 'tolerance', 'm'),
                ('tolerance of angles', 'angle_tolerance', 'rad'),
-               ('smallest error of the calibration found with 95 %', 'smallest_error', 'm'))
+               ('smallest error found with 95 %, RMS over the points', 'smallest_error', 'm'))
 # Characteristics of VDI/VDE 2634 parts 2 and 3: meaning, and factor to the error of the quantity
 # (PS is of the diameter). E is the length measurement error of ISO 10360.
 CHARACTERISTICS = {

@@ -15,6 +15,7 @@ from handeye_ros.errors import InputError
 from handeye_ros.verification.fit import Quantity, Shape
 from handeye_ros.verification.station_set import StationSet
 from handeye_ros.verification.tooth_gauge import teeth
+from handeye_ros.words import count_of
 import numpy as np
 
 
@@ -54,19 +55,54 @@ def point(stations: StationSet, X: Array, settings: VerifyConfig) -> Shape:
                      'xyz', reference, strict=True)))
 
 
-def planes(stations: StationSet, X: Array, settings: VerifyConfig) -> Shape:
+def plane(stations: StationSet, X: Array, settings: VerifyConfig) -> Shape:
+    """Return one plane, of which nothing is measured but its distances."""
+    return _planes(stations, X, 1, lambda normals, heights: np.empty(0), ())
+
+
+def step(stations: StationSet, X: Array, settings: VerifyConfig) -> Shape:
+    """
+    Return the faces of one block or more; measured: their heights over the first of each.
+
+    A block has one recording more than lengths.
+    """
+    blocks = len(stations.counts) - len(settings.lengths)
+
+    def values(normals: Array, heights: Array) -> Array:
+        of_block = heights.reshape(blocks, -1)
+        return (of_block[:, 1:] - of_block[:, :1]).ravel()
+
+    of_each = len(settings.lengths) // blocks
+    return _planes(stations, X, blocks, values, tuple(
+        Quantity(f'height of face {k % of_each + 1} over face 0'
+                 + (f' of block {k // of_each + 1}' if blocks > 1 else ''),
+                 nominal=length, characteristic='E')
+        for k, length in enumerate(settings.lengths)))
+
+
+def square(stations: StationSet, X: Array, settings: VerifyConfig) -> Shape:
+    """Return two planes that are not parallel; measured: the angle between them."""
+    def values(normals: Array, heights: Array) -> Array:
+        across, along = np.linalg.norm(np.cross(*normals)), -(normals[0] @ normals[1])
+        return np.array([np.arctan2(across, along)])
+
+    return _planes(stations, X, 2, values, (
+        Quantity('angle between the faces', nominal=np.pi / 2, unit='rad'),))
+
+
+def _planes(stations: StationSet, X: Array, blocks: int, values: Callable[[Array, Array], Array],
+            quantities: tuple[Quantity, ...]) -> Shape:
     """
     Return a plane for each recording; those of one block are parallel.
 
-    A block begins with a recording without a nominal length; its heights are measured, or the
-    angle of two blocks of one face. Their q (2 blocks + planes,) are two slopes of each block,
-    then the height of each plane over the middle of its points (m).
+    Each block has as many recordings, one after the other. values(normals, heights): of the
+    quantities, by the normals (count, 3) of all planes and their heights (count,) over the origin
+    of the base (m). The q (2 blocks + count,) are two slopes of each block, then the height of
+    each plane over the middle of its points (m).
     """
     p, count = stations.problem.points_in_base(X), len(stations.counts)
     recording = stations.recording_of_point
-    blocks = count - len(settings.lengths)
-    block, face = np.divmod(np.arange(count), count // blocks)  # of each recording
-    is_square = count == blocks == 2  # two blocks of one face, without a height between them
+    block = np.arange(count) * blocks // count  # of each recording
     middles = np.array([p[recording == k].mean(axis=0) for k in range(count)])
     centred = p - middles[recording]
     sensors, frames = (stations.problem.poses @ X)[:, :3, 3], np.empty((blocks, 3, 3))
@@ -76,32 +112,19 @@ def planes(stations: StationSet, X: Array, settings: VerifyConfig) -> Shape:
         sensor = sensors[block[stations.recording_of_pose] == k].mean(axis=0)
         frames[k, :, 2] *= np.sign((sensor - middles[block == k][0]) @ frames[k, :, 2])
 
-    def normals_and_heights(q: Array) -> tuple[Array, Array]:
-        """Return the normal (count, 3) of each plane, and its height (count,) over its middle."""
-        slopes, heights = q[:2 * blocks].reshape(blocks, 2), q[2 * blocks:]
-        n = frames[:, :, 2] + np.einsum('kij,kj->ki', frames[:, :, :2], slopes)
-        return se3.unit(n)[block], heights
+    def normals_of(q: Array) -> Array:
+        slopes = q[:2 * blocks].reshape(blocks, 2)
+        return se3.unit(frames[:, :, 2] + np.einsum('kij,kj->ki', frames[:, :, :2], slopes))[block]
 
     def distance(p: Array, q: Array) -> Array:
-        normals, heights = normals_and_heights(q)
-        over_middle = ((p - middles[recording]) * normals[recording]).sum(axis=1)
-        return np.asarray(over_middle - heights[recording])
+        over_middle = ((p - middles[recording]) * normals_of(q)[recording]).sum(axis=1)
+        return np.asarray(over_middle - q[2 * blocks:][recording])
 
-    def values(q: Array) -> Array:
-        normals, heights = normals_and_heights(q)
-        if is_square:
-            across, along = np.linalg.norm(np.cross(*normals)), -(normals[0] @ normals[1])
-            return np.array([np.arctan2(across, along)])
-        in_base = (middles * normals).sum(axis=1) + heights
-        return np.asarray((in_base - in_base[np.searchsorted(block, block)])[face > 0])
+    def values_of(q: Array) -> Array:
+        normals = normals_of(q)
+        return values(normals, (middles * normals).sum(axis=1) + q[2 * blocks:])
 
-    quantities = tuple(
-        Quantity(f'height of face {f} over face 0' + (f' of block {b + 1}' if blocks > 1 else ''),
-                 nominal=length, characteristic='E')
-        for b, f, length in zip(block[face > 0], face[face > 0], settings.lengths, strict=True))
-    if is_square:
-        quantities = (Quantity('angle between the faces', nominal=np.pi / 2, unit='rad'),)
-    return Shape(stations, np.zeros(2 * blocks + count), distance, values, quantities)
+    return Shape(stations, np.zeros(2 * blocks + count), distance, values_of, quantities)
 
 
 def spheres(stations: StationSet, X: Array, settings: VerifyConfig) -> Shape:
@@ -179,9 +202,12 @@ class Routine:
         if recordings is not None:
             possible = self.recordings_for(len(config.verify.lengths))
             if recordings not in possible:
-                raise InputError(
-                    f'{self.name} needs {_numbers_text(possible, "recording")}, and got '
-                    f'{recordings} (of the node each begins with ~/verify_start)')
+                heights = (
+                    f' for {count_of(len(config.verify.lengths), "length")}: verify.lengths has '
+                    'the heights of each block, repeated each time it is laid'
+                    if len(self.recording_counts) > 1 and recordings > possible[-1] else '')
+                raise InputError(f'{self.name} needs {_numbers_text(possible, "recording")}, and '
+                                 f'got {recordings}{heights}')
         return config if self.in_passes else with_values(config, {
             'target.type': self.target, 'method': 'auto', 'target.radius': config.verify.radius})
 
@@ -210,7 +236,7 @@ class Routine:
 ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (
     Routine('line', 'distances of edge points from a straight edge', 'line', {0: [1]}, line,
             edge_distances=2),
-    Routine('plane', 'distances of points from a flat face', 'plane', {0: [1]}, planes,
+    Routine('plane', 'distances of points from a flat face', 'plane', {0: [1]}, plane,
             'flatness of face', 'F'),
     Routine('point', 'one point seen from everywhere: scatter, and bias of a touched one', 'line',
             {0: [1]}, point, '3 sigma of the points along', edge_distances=3,
@@ -222,9 +248,9 @@ ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (
     Routine('step', 'heights of parallel faces over the first, of one block to three', 'plane',
             # a block has one face more than heights
             {n: [n + blocks for blocks in (1, 2, 3) if n % blocks == 0 and n + blocks <= 12]
-             for n in range(1, 12)}, planes, nominal_keys=['verify.lengths']),
+             for n in range(1, 12)}, step, nominal_keys=['verify.lengths']),
     Routine('square', 'angle between two faces, and their flatness', 'plane', {0: [2]},
-            planes, 'flatness of face', 'F'),
+            square, 'flatness of face', 'F'),
     Routine('tooth', 'pitch and height of a tooth gauge, scanned in passes', '',
             {2: range(2, 21)}, teeth),
 )}

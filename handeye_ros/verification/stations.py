@@ -4,8 +4,8 @@
 From a recording to the stations of a routine: the features and points that show the artefact.
 
 Where several surfaces are in sight, those in a region of interest take part, or the nearest one.
-A sweep over the artefact takes its poses at the time offset of the calibration. Of a gauge of
-teeth single points are taken while the robot moves.
+A sweep over the artefact takes its poses at the time offset of the calibration, and its rotations
+later by the lag, as does a pass over a gauge of teeth, of which single points are taken.
 """
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ from handeye_ros.data import (
     has_return,
     Indices,
     Profile,
-    ROTATION_LAG,
     Sample,
 )
 from handeye_ros.errors import DataError, InputError
@@ -108,8 +107,8 @@ def _select_artefact(routine: Routine, samples: Sequence[Sample], X: Array,
     return samples, ''
 
 
-def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], config: Config
-                       ) -> StationSet:
+def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]],
+                       calibration: Calibration, config: Config) -> StationSet:
     """
     Return some points of the profiles of each pass, each with its own pose.
 
@@ -119,7 +118,8 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
     poses, stamps, counts = list[Array](), list[int](), list[int]()
     offset = config.offset_ns
     for profiles, trajectory in passes:
-        flange = trajectory.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
+        flange = trajectory.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64),
+                               calibration.rotation_lag)
         usable = np.flatnonzero(flange.inside)
         usable = usable[even_indices(len(usable), PASS_PROFILES)]
         for number, index in enumerate(usable.tolist(), len(stamps)):
@@ -271,6 +271,6 @@ def _with_calibrated_times(samples: Sequence[Sample], calibration: Calibration, 
                          'stops, calibrate with a sweep, or state time_offset and time_offset_std '
                          f'({KNOWN_OFFSET_STD * 1e3:g} ms or less)')
     flange = ClockedPoses(samples).at(offset.value - config.time_offset if offset else 0.0,
-                                      float(calibration.target.get(ROTATION_LAG, 0.0)))
+                                      calibration.rotation_lag)
     return [replace(sample, T_base_flange=T, trajectory=None)
             for sample, T in zip(samples, flange.T_base_flange, strict=True)]

@@ -30,7 +30,6 @@ from handeye_ros.estimation.outliers import FALSE_ALARM
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.verification.fit import (
     COVERAGE_FACTOR,
-    DETECTION_SIGMAS,
     EVEN_CHANCE_SIGMAS,
     fit_shape,
     Quantity,
@@ -87,8 +86,8 @@ class Verification:
     Result of a routine.
 
     routine, calibration: their names
-    verdict: pass, fail, undecided (the uncertainty is too large for the tolerance), or insensitive
-        (an error of the calibration as large as the tolerance would not have shown)
+    verdict: pass, fail, undecided (a doubt, see _decide), or insensitive (see the module); fail
+        before insensitive before undecided before pass
     reasons: sentences
     tolerance (m), angle_tolerance (rad): as configured
     station_count: number of poses used: of stops, of a sweep or of passes of profiles
@@ -226,8 +225,8 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Gro
     def remedy(size: float, largest: float) -> str:
         """Return what makes a size that is too large, but not hopelessly so, small enough."""
         if EVEN_CHANCE_SIGMAS * robot_smooth > settings.tolerance:
-            return (f': the smooth error of the robot that the calibration found '
-                    f'({mm(robot_smooth)}) hides less')
+            return ('; more stops or passes hardly help, as the smooth error of the robot '
+                    f'({mm(robot_smooth)}) stays: a larger tolerance or a better robot is needed')
         return '' if size >= 10 * largest else (
             f': record about {count_of(math.ceil(used * (size / largest) ** 2), group_noun)} like '
             'these, or turn the sensor more between them')
@@ -239,18 +238,16 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Gro
     failed, undecided = ([sentence for outcome, sentence in findings if outcome == wanted]
                          for wanted in (VIOLATES, UNDECIDED))
     verdict = 'fail' if failed else 'undecided' if undecided else 'pass'
-    detectable = fit.misalignment.smallest_detectable
-    even_chance = detectable * EVEN_CHANCE_SIGMAS / DETECTION_SIGMAS
-    found = (f'with 95 % only from {mm(detectable)} on '
-             f'({fit.misalignment.weakest_direction}), and the tolerance is '
-             f'{mm(settings.tolerance)}')
-    if not failed and even_chance > settings.tolerance:
+    error = fit.misalignment
+    found = (f'an error of the calibration of {mm(error.even_chance)} (RMS over the points) would '
+             f'be found in half of the cases, one of {mm(error.smallest_detectable)} with 95 % '
+             f'({error.weakest_direction}), and the tolerance is {mm(settings.tolerance)}')
+    if not failed and error.even_chance > settings.tolerance:
         verdict = 'insensitive'
-        undecided.insert(0, (
-            f'this decides nothing: an error of the calibration would show {found}'
-            f'{remedy(even_chance, settings.tolerance)}'))
-    elif verdict == 'pass' and detectable > settings.tolerance:
-        undecided.append(f'an error of the calibration would show {found}')
+        undecided.insert(0, (f'this decides nothing: {found}'
+                             f'{remedy(error.even_chance, settings.tolerance)}'))
+    elif verdict == 'pass' and error.smallest_detectable > settings.tolerance:
+        undecided.append(found)
     return verdict, (*failed, *undecided, *_notes(
         fit, other_size and OTHER_SIZE not in undecided, results))
 

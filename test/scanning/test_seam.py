@@ -207,8 +207,8 @@ def away_from(truth, T):
 
 def test_centre_line_and_approach_of_a_preform_are_the_true_ones():
     truth = preform()
-    seam = find_seam(truth.points)
-    frames = tool_frames(seam, 5e-3, -truth.normals.mean(axis=0))
+    seam = find_seam(truth.points, towards=-truth.normals.mean(axis=0))
+    frames = tool_frames(seam, 5e-3)
     away, angle = away_from(truth, frames.T_base_tool)
     assert seam.kind == 'lap' and seam.sections.noise == pytest.approx(1e-4, rel=0.1)
     assert away.max() < 1e-4 and angle < 1.0
@@ -235,6 +235,8 @@ def test_joints_as_a_sensor_sees_them(name):
     assert frames.measures[:, 2].max() < 10 * seam.sections.noise
     if name == 'vee 6, root 2':
         assert seam.line == 'root'
+        told = sentences(seam, frames)[-1]
+        assert 'seams of another kind (butt, 39.2 mm long at x y z = ' in told
         assert frames.measures[:, 0] == pytest.approx(2e-3, abs=1.5e-4)
 
 
@@ -262,8 +264,9 @@ def test_the_sigma_of_a_cubic_path_knows_how_far_it_is_from_the_sections():
 
 def test_frames_are_rotations_at_the_pitch_and_lean_as_asked():
     truth = preform()
-    seam, towards = find_seam(truth.points), -truth.normals.mean(axis=0)
-    frames = tool_frames(seam, 3e-3, towards, 0.2, -0.1)
+    towards = -truth.normals.mean(axis=0)
+    seam = find_seam(truth.points, towards=towards)
+    frames = tool_frames(seam, 3e-3, 0.2, -0.1)
     R = frames.T_base_tool[:, :3, :3]
     np.testing.assert_allclose(R @ R.swapaxes(1, 2), np.tile(np.eye(3), (len(R), 1, 1)),
                                atol=1e-14)
@@ -272,10 +275,11 @@ def test_frames_are_rotations_at_the_pitch_and_lean_as_asked():
     steps = np.linalg.norm(np.diff(frames.T_base_tool[:, :3, 3], axis=0), axis=1)[:-1]
     np.testing.assert_allclose(steps, 3e-3, rtol=1e-3)  # chords of a weakly bent curve
     for way in (towards, -towards):
-        assert (tool_frames(seam, 0.02, way).T_base_tool[:, :3, 1] @ way > 0.8).all()
-    plain = tool_frames(seam, 0.02, towards).T_base_tool
+        turned = tool_frames(replace(seam, towards=way), 0.02)
+        assert (turned.T_base_tool[:, :3, 1] @ way > 0.8).all()
+    plain = tool_frames(seam, 0.02).T_base_tool
     for angle, axis in (('travel', 2), ('work', 0)):
-        leant = tool_frames(seam, 0.02, towards, **{angle: 0.3}).T_base_tool
+        leant = tool_frames(seam, 0.02, **{angle: 0.3}).T_base_tool
         cosine = (plain[:, :3, 1] * leant[:, :3, 1]).sum(axis=1)
         np.testing.assert_allclose(np.arccos(cosine), 0.3, atol=1e-9)
         np.testing.assert_allclose((plain[:, :3, axis] * leant[:, :3, 1]).sum(axis=1), 0,
@@ -283,10 +287,10 @@ def test_frames_are_rotations_at_the_pitch_and_lean_as_asked():
 
 
 @pytest.mark.parametrize(('shape', 'words'), [
-    (STAIRS, '2 seams .*--box'),
-    (butt(3, 5, missing=12.0), '2 seams .*, 1[0-9].* mm apart.* scan again'),
-    (butt(14, 5), '2 seams .*, 14 mm apart.* larger --widest'), *long_run(
-        (vee(6, 1.5, noise=0.15), r'sheets beside the seam are 0\.\d+ mm thick.* less noise'),
+    (STAIRS, '2 lap seams .*--box'),
+    (butt(3, 5, missing=12.0), '2 butt seams .*, 1[0-9].* mm apart.* scan again'),
+    (butt(14, 5), '2 lap seams .*, 14 mm apart.* larger --widest'), *long_run(
+        (vee(6, 1.5, noise=0.15), r'sheets beside the v seam are 0\.\d+ mm thick.* less noise'),
         (lap(0.3), r'no seam.* noise is 0\.03\d* mm, .* for a corner'))])
 def test_why_there_is_no_single_seam_is_named(shape, words):
     truth = scanned(replace(shape, length=40.0), np.random.default_rng(0))
@@ -346,10 +350,12 @@ def test_clouds_of_other_things_are_refused():
         ragged - ragged.mean(axis=0), full_matrices=False)[2][0]
     uneven = ragged[np.sin(along / 2e-3) + 0.01 * np.arange(len(along)) % 1 < 0.8]
     for points, words in (
-            (ring, 'closed'), (plane, 'no seam'), (plane[np.hypot(*flat.T) > 4e-3], 'no seam'),
+            (ring, 'a lap seam is .*closed'), (plane, 'no seam'),
+            (plane[np.hypot(*flat.T) > 4e-3], 'no seam'),
             (rng.normal(size=(3000, 3)), 'no seam'), (np.zeros((1000, 3)), 'fewer than 500'),
             (joint_of('tee 12').points, 'no seam.* tilted'), (uneven, 'seam'),
-            (joint_of('butt 3, backing 5, spatter', 1).points, '2 seams')):  # parted by spatter
+            # parted by spatter
+            (joint_of('butt 3, backing 5, spatter', 1).points, '2 butt seams')):
         with pytest.raises(DataError, match=words):
             find_seam(points)
 

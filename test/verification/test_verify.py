@@ -11,18 +11,21 @@ from types import SimpleNamespace
 
 from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig, with_values
-from handeye_ros.data import Arc, FaceLine, Reject
+from handeye_ros.data import Arc, FaceLine, Reject, ROTATION_LAG
 from handeye_ros.errors import DataError, InputError, looked_up
 from handeye_ros.output import yaml_text
+from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate.robot import pose_error
 from handeye_ros.simulate.scenario import PlateTarget, SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.verification.fit import DETECTION_SIGMAS, EVEN_CHANCE_SIGMAS
 from handeye_ros.verification.result_file import plain_values, protocol, sentence
 from handeye_ros.verification.routines import ROUTINES
-from handeye_ros.verification.stations import stations_of
+from handeye_ros.verification.stations import stations_of, stations_of_passes
 from handeye_ros.verification.verify import verify_stations
 from handeye_ros.words import mm
+from moving_scan import calibration as scan_calibration
+from moving_scan import moving, plane_profiles
 import numpy as np
 import pytest
 from verifications import assess, bench, measure
@@ -193,14 +196,17 @@ def test_what_could_not_have_shown_is_no_pass():
     spread = with_poses(alike, {k: [*2.5e-3 * k * along, 0, 0, 0] for k in range(8)})
     assert assess('plane', spread, calibration, tolerance=1e-2).verdict in ('insensitive', 'fail')
     few = assess('plane', *measure('plane', count=5))
-    assert few.verdict == 'insensitive' and 'would show with 95 % only from' in few.reasons[0]
+    assert few.verdict == 'insensitive' and 'this decides nothing' in few.reasons[0]
     artefact, calibration = measure('step', count=12)
     detectable = assess('step', artefact, calibration).fit.misalignment.smallest_detectable
     certain, likely, coarse = (assess('step', artefact, calibration, tolerance=k * detectable)
                                for k in (2.0, 0.8, 0.5))
     assert (certain.verdict, likely.verdict, coarse.verdict) == ('pass', 'pass', 'insensitive')
-    assert 'would show with 95 % only from' in likely.reasons[0] and not certain.reasons
     even = EVEN_CHANCE_SIGMAS / DETECTION_SIGMAS / 0.5
+    for told in likely, coarse:
+        assert (f'{mm(0.5 * even * detectable)} (RMS over the points) would be found in half of '
+                f'the cases, one of {mm(detectable)} with 95 %') in told.reasons[0]
+    assert not certain.reasons
     more = math.ceil(sum(stop.used for stop in coarse.per_group) * even ** 2)
     assert f'record about {more} stops like these' in coarse.reasons[0]
     artefact, calibration = measure('ball_bar')  # a tolerance below the uncertainty is no pass
@@ -299,7 +305,7 @@ def test_the_smooth_error_of_the_robot_is_part_of_the_uncertainty():
             inside[stated] += [abs(q.deviation) < 1.96 * np.hypot(q.std, q.std_by_calibration)
                                for q in verification.quantities if q.deviation is not None]
             if stated and verification.verdict == 'insensitive':
-                assert 'smooth error of the robot' in verification.reasons[0]
+                assert 'smooth error of the robot (0.15 mm) stays' in verification.reasons[0]
     assert np.mean(inside[size]) > 0.85 > 0.5 > np.mean(inside[0.0])
     assert {*verdicts[size]} <= {'pass', 'undecided', 'insensitive'}
     assert 'fail' in verdicts[0.0]
@@ -340,6 +346,7 @@ def test_what_cannot_be_verified_is_refused():
             assess(name, artefact, calibration)
     for name, lengths, bags, words in (('step', (0.1,), 1, 'needs 2 recordings, and got 1'),
                                        ('step', (0.1,) * 4, 4, '5 or 6 recordings, and got 4'),
+                                       ('step', (0.025,), 6, 'got 6 for 1 length: verify.lengths'),
                                        ('cube', (), 1, 'no routine "cube"'),
                                        ('ball_bar', (), 2, r'1 length \(.*, and got 0')):
         with pytest.raises(InputError, match=words):
@@ -348,7 +355,8 @@ def test_what_cannot_be_verified_is_refused():
 
 def teeth(artefact, calibration, lengths=()):
     config = of_lengths(*(lengths or artefact.lengths))
-    return verify_stations(ROUTINES['tooth'], bench.scanned(artefact, config), calibration)
+    return verify_stations(ROUTINES['tooth'], bench.scanned(artefact, calibration, config),
+                           calibration)
 
 
 @pytest.mark.parametrize('lengths', [(0.0155, 0.005), *(
@@ -360,11 +368,21 @@ def test_teeth_of_another_gauge_never_pass(lengths):
         assert 'not the gauge' in str(refusal)
 
 
+def test_a_pass_has_the_poses_of_a_scan_where_rotations_are_reported_late():
+    poses = [replace(p, quaternion=q.quaternion)
+             for p, q in zip(moving(200)[4:], moving(200)[:-4], strict=True)]
+    late = replace(scan_calibration(), target={ROTATION_LAG: 0.020})
+    one_pass = plane_profiles(200)[30:180], trajectory_of(poses, 0.5)
+    stations = stations_of_passes([one_pass], late, Config())
+    points = stations.problem.points_in_base(late.T_flange_sensor)
+    np.testing.assert_allclose(points[:, 2], 0.1, atol=1e-7)
+
+
 @pytest.mark.thorough
 def test_passes_that_contradict_the_others_are_told():
     artefact, calibration = measure('tooth', 1)
     config = of_lengths(*artefact.lengths)
-    stations = bench.scanned(artefact, config)
+    stations = bench.scanned(artefact, calibration, config)
     move = np.where(stations.recording_of_pose == 1, 6e-4, 0.0)[:, None] * [1, 1, 1, 0, 0, 0]
     contradicting = replace(stations, problem=replace(
         stations.problem, poses=se3.perturb(stations.problem.poses, move)))
