@@ -10,9 +10,9 @@ From a message to ~/samples:
 2. The thread `worker` takes it from there (`evaluate_next`), has it evaluated in another process,
    writes it to the disk (SessionFiles in bags/session_files.py) and adds it to the session: what
    is not stored is not used.
-3. After each such piece of work the worker calls `publish_changes`, which is
-   `HandeyeNode._publish_changes` (node.py, then outputs.py) and publishes ~/samples. When no stop
-   waits, it begins the review in another process (solver.py).
+3. After each such piece of work, and before a service answers, the worker calls
+   `publish_changes`, which is `HandeyeNode._publish_changes` (node.py, then outputs.py) and
+   publishes ~/samples. When no stop waits, it begins the review in another process (solver.py).
 
 Threads:
 - only `streams` calls add_profile, add_poses and add_joints;
@@ -104,8 +104,7 @@ class LiveSession:
         """
         Start without samples; raises InputError for a method or target that it cannot have.
 
-        pool: where long computations run; publish_changes: called by the worker after each piece
-        of work.
+        pool: where long computations run; publish_changes: see Worker.
         """
         self.folders, self.pool, self.lock = folders, pool, Lock()
         self.message_counts = new_counts()

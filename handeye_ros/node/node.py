@@ -143,7 +143,8 @@ class HandeyeNode(Node):
         adds to the request.
         """
         try:
-            reply = self.live.worker.call(partial(self._trigger_functions[name], *values))
+            reply = self.live.worker.call(partial(self._trigger_functions[name], *values),
+                                          then_publish=True)
             message, success = reply.result() if isinstance(reply, Future) else reply, True
         except Exception as error:  # noqa: BLE001 - the node, and what it holds, must go on
             message, success = sentence_and_log(name, error), False
@@ -181,7 +182,7 @@ class HandeyeNode(Node):
 
         def go_on() -> str:  # with the settings at the worker's turn
             return live.open_session(stored, replace(live.config, samples=stored.config.samples))
-        return live.worker.call(go_on)
+        return live.worker.call(go_on, then_publish=True)
 
     # parameters
 
