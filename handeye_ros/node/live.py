@@ -511,7 +511,8 @@ class LiveSession:
         """
         Apply changed settings, already checked by the node (`_apply_settings`, node.py).
 
-        They are stored first, and refused (InputError) if that fails. Then, as they differ:
+        They are stored first, and refused (InputError) if that fails. name and output_dir hold for
+        results at once, for samples from the next session on. Then, as they differ:
         - other topics: a session without messages begins, which goes on with its numbers;
         - time_offset: stops from before end with the old one;
         - verify.routine: a verification ends without a result;

@@ -44,8 +44,6 @@ CURRENT_PERIOD = 0.2  # s between two messages on ~/current
 REQUEST_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 # others wait for the stops that these evaluate first, but not for what they compute
 SLOW_SERVICES = ('compute_calibration', 'verify_result')
-READ_ONLY_KEYS = ('robot_base_frame', 'robot_effector_frame', 'session', 'page.port',
-                  'page.address')
 # keys that the node sets itself: for a new session, and by noise.robot_class
 DERIVED_KEYS = ('samples.exclude', 'noise.robot_smooth')
 # beginnings of keys of targets that are solved from files alone: no parameters
@@ -281,7 +279,8 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
         ('number of values:', parameter.length), ('one of', parameter.choices)) if values]
     descriptor = ParameterDescriptor(
         description=parameter.description, dynamic_typing=True,
-        read_only=parameter.key in READ_ONLY_KEYS, additional_constraints='; '.join(constraints))
+        read_only=parameter.key in configuration.AT_START_ONLY,
+        additional_constraints='; '.join(constraints))
     low, high = parameter.minimum, parameter.maximum
     if low is not None and high is not None:  # rqt_reconfigure makes sliders of them
         if isinstance(parameter.default, int):

@@ -115,8 +115,9 @@ class Streams:
     """
     The subscriptions to the topics of a configuration, and the thread that reads their messages.
 
-    Profiles and poses are read as reliably as all of their publishers offer: large clouds do not
-    arrive otherwise. An invalid message is counted and left out.
+    Topics with a key are read as reliably as all of their publishers offer: large clouds do not
+    arrive otherwise. /tf and joint values are read best effort, /tf_static transient local. An
+    invalid message is counted and left out.
     """
 
     def __init__(self, node: Node, receiver: Receiver,
