@@ -24,7 +24,7 @@ import sys
 import traceback
 from typing import Any, NoReturn
 
-from handeye_ros.errors import HandeyeError, InputError
+from handeye_ros.errors import ERROR_MARK, HandeyeError, InputError
 
 EXECUTOR_THREADS = 6  # of the executor: three groups of services, two timers, the parameters
 SHUTDOWN_TIMEOUT = 1.0  # s until what runs is left alone
@@ -100,7 +100,7 @@ def run_for_exit_code(run: Callable[..., None], *args: Any) -> int:
     try:
         run(*args)
     except (HandeyeError, OSError) as error:  # such as a folder that cannot be read
-        print(f'error: {error}', file=sys.stderr)
+        print(f'{ERROR_MARK}{error}', file=sys.stderr)
         return error.exit_code if isinstance(error, HandeyeError) else InputError.exit_code
     except KeyboardInterrupt:
         pass

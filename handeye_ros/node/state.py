@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession
 
 State = dict[str, Any]
+"""The state of a node, as `state_of` returns it; its parts are plain dicts."""
 
 NONE, CURRENT, OUTDATED, WITHDRAWN = 'none', 'current', 'outdated', 'withdrawn'
 NO_ANSWER = {
@@ -97,7 +98,7 @@ class MessageCount:
         """Return the seconds since the last valid item, or since the start."""
         return time.monotonic() - self._received
 
-    def state(self, topic: str, obstacle: str) -> State:
+    def state(self, topic: str, obstacle: str) -> dict[str, Any]:
         """
         Return what has come on a topic; obstacle: why nothing arrives, where it is known.
 
@@ -225,19 +226,19 @@ def with_troubles(state: State, text: str, success: bool, service: str) -> str:
     return '; '.join(troubles if follows else [*troubles, text])
 
 
-def samples_message(state: State) -> State:
+def samples_message(state: State) -> dict[str, Any]:
     """Return the content of ~/samples, as plain values."""
     return {'format': 'handeye_ros/samples/1', 'session': state['session']['path'],
             'mode': state['session']['mode'], 'review': state['review_refusal'],
             **{key: state[key] for key in ('samples', 'worst_first', 'attempt')}}
 
 
-def status_message(state: State) -> State:
+def status_message(state: State) -> dict[str, Any]:
     """Return the content of ~/status, as plain values."""
     return {'format': 'handeye_ros/status/1', **state['calibration']}
 
 
-def _stop_row(stop: Stop, session: Session, agreement: Agreement | None) -> State:
+def _stop_row(stop: Stop, session: Session, agreement: Agreement | None) -> dict[str, Any]:
     """
     Return one stop of the robot.
 
@@ -256,13 +257,13 @@ def _stop_row(stop: Stop, session: Session, agreement: Agreement | None) -> Stat
         **_pose(sample.T_base_flange if sample else None)}
 
 
-def _pose(T: Array | None) -> State:
+def _pose(T: Array | None) -> dict[str, Any]:
     """Return a transform (4, 4), or None, as translation and rotation (quaternion x y z w)."""
     return {'translation': None if T is None else T[:3, 3].tolist(),
             'rotation': None if T is None else se3.quaternion(T).tolist()}
 
 
-def _calibration(solver: LiveSolver, session: Session) -> State:
+def _calibration(solver: LiveSolver, session: Session) -> dict[str, Any]:
     """
     Return the answer and its state.
 
@@ -288,7 +289,7 @@ def _calibration(solver: LiveSolver, session: Session) -> State:
         'used': quality.samples_used, 'rejected': quality.samples_rejected, 'saved': solver.saved}
 
 
-def _guidance(review: Review) -> State:
+def _guidance(review: Review) -> dict[str, Any]:
     """
     Return the guidance.
 
