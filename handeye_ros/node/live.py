@@ -17,9 +17,9 @@ From a message to ~/samples:
 Threads:
 - only `streams` calls add_profile, add_poses and add_joints;
 - `worker` makes all other changes, one after the other;
-- those of the executor of ROS (EXECUTOR_THREADS in main.py: services, timers, parameters) and of
-  the page (page/server.py: WORKER_COUNT for requests, others that collect its events) pass a
-  function to `Worker.call` and wait for its result; what they only show, they read themselves.
+- those of the executor of ROS (EXECUTOR_THREADS in calibrate.py: services, timers, parameters)
+  and of the page (page/server.py: WORKER_COUNT for requests, others that collect its events) pass
+  a function to `Worker.call` and wait for its result; what they only show, they read themselves.
 Processes: two (pool.py), each with a thread that waits for it. They evaluate stops and those of a
 session that is opened, for which the worker waits, and make reviews, answers and verifications,
 for which it does not (`Worker.run_job`). Also the report, for which the page waits

@@ -21,7 +21,7 @@ from handeye_ros import se3  # noqa: E402
 from handeye_ros.arm import arm_of  # noqa: E402
 from handeye_ros.bags.storage import RecordedMessage  # noqa: E402
 from handeye_ros.errors import InputError  # noqa: E402
-from handeye_ros.node.main import ros, run_for_exit_code  # noqa: E402
+from handeye_ros.node.executables import ros, run_for_exit_code  # noqa: E402
 from handeye_ros.results.calibration_file import write_calibration  # noqa: E402
 from handeye_ros.simulate import robot  # noqa: E402
 from moving_scan import (  # noqa: E402

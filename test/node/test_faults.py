@@ -252,7 +252,7 @@ def answer(samples, rejects, config, frame_id='', session=None):
 
 whole, pipeline.answer_samples = pipeline.answer_samples, answer
 if __name__ == '__main__':
-    from handeye_ros.node.main import main
+    from handeye_ros.node.calibrate import main
     sys.exit(main())
 """
 
@@ -357,6 +357,6 @@ Node.{0} = interrupted
     (AT_IMPORT, 'numpy'), (AT_IMPORT, 'std_srvs.srv'), (AT_CALL, 'create_timer')])
 def test_a_signal_while_it_starts_ends_it_cleanly(before: str, what: str, number: int) -> None:
     block = (f'import os, sys\n{before.format(what, number)}\n'
-             'from handeye_ros.node.main import main; sys.exit(main())')
+             'from handeye_ros.node.calibrate import main; sys.exit(main())')
     run = run_python('-c', block)
     assert (run.returncode, 'Traceback' in run.stderr) == (0, False), run.stderr

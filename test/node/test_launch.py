@@ -31,8 +31,6 @@ from handeye_ros.results.calibration_file import write_calibration
 import pytest
 import yaml
 
-EXECUTABLES = {'calibrate': 'main', 'replay': 'replay', 'publish': 'publish', 'scan': 'scan'}
-
 
 def argument(name: str, *, default_value: Any = None, description: str) -> SimpleNamespace:
     return SimpleNamespace(**locals())
@@ -98,7 +96,7 @@ def nodes(launch_file: str, monkeypatch: pytest.MonkeyPatch, **arguments_given: 
 def command(node: Any, folder: Path) -> list[str]:
     """Return the command of a node of this package."""
     assert node.package == 'handeye_ros'
-    words = [sys.executable, '-m', f'handeye_ros.node.{EXECUTABLES[node.executable]}',
+    words = [sys.executable, '-m', f'handeye_ros.node.{node.executable}',
              *node.arguments, '--ros-args', '-r', f'__node:={node.name}']
     if node.namespace:
         words += ['-r', f'__ns:=/{node.namespace.lstrip("/")}']
