@@ -78,7 +78,7 @@ def _with_bag(calibration: Calibration, bag: Path, out: Path) -> Calibration:
 
 def _through_the_node(bag: Path, rate: float, log: Path, options: Sequence[str]) -> None:
     """Start the node, replay the bag, compute and save."""
-    with log.open('wb') as stream, _child('main', ['--ros-args', *options], stream) as node:
+    with log.open('wb') as stream, _child('calibrate', ['--ros-args', *options], stream) as node:
         print(f'the node is running; its log: {log}', flush=True)
         client = Client(node, log)
         client.wait()

@@ -62,15 +62,16 @@ def started(module: str, *arguments: object) -> AbstractContextManager[subproces
 
 
 @pytest.mark.parametrize(('module', 'arguments', 'reason'), [
-    ('main', ['config/plate.yaml'], 'unrecognized arguments: config/plate.yaml'),
+    ('calibrate', ['config/plate.yaml'], 'unrecognized arguments: config/plate.yaml'),
     *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
         ('replay', ['no/such/bag'], 'no/such/bag: no such file or folder'),
-        ('main', ['--ros-args', '-p', 'output_dir:=/proc/x'], 'cannot write /proc/x (output_dir)'),
-        ('main', ['--ros-args', '-p', 'output_dir:=/proc'], 'cannot write /proc (output_dir)'),
+        ('calibrate', ['--ros-args', '-p', 'output_dir:=/proc/x'],
+         'cannot write /proc/x (output_dir)'),
+        ('calibrate', ['--ros-args', '-p', 'output_dir:=/proc'], 'cannot write /proc (output_dir)'),
         ('scan', ['none.yaml'], 'none.yaml cannot be used'),
-        ('main', ['--ros-args', '-p', 'profile_topic:=my profile'], '"my profile" cannot '),
-        ('main', ['--ros-args', '-p', 'target.size:=[1.0, 2]'], 'ROS does not start: '),
-        ('main', ['--ros-args', 'nonsense'], 'ROS does not start: ')))])
+        ('calibrate', ['--ros-args', '-p', 'profile_topic:=my profile'], '"my profile" cannot '),
+        ('calibrate', ['--ros-args', '-p', 'target.size:=[1.0, 2]'], 'ROS does not start: '),
+        ('calibrate', ['--ros-args', 'nonsense'], 'ROS does not start: ')))])
 def test_wrong_arguments_are_refused(module: str, arguments: list[str], reason: str) -> None:
     run = run_module(module, *arguments)
     assert run.returncode == 2 and f'error: {reason}' in run.stderr
