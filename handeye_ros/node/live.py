@@ -56,9 +56,10 @@ from handeye_ros.errors import (
 )
 from handeye_ros.frames import mount_poses
 from handeye_ros.node.folders import OutputFolders
+from handeye_ros.node.message_counts import new_counts
 from handeye_ros.node.pool import Pool, PoolEndedError
 from handeye_ros.node.solver import ANSWER_KEYS, LiveSolver, SAMPLE_KEYS, settings_of
-from handeye_ros.node.state import Attempt, new_counts
+from handeye_ros.node.state import Attempt
 from handeye_ros.node.verification import LiveVerification
 from handeye_ros.node.worker import Worker
 from handeye_ros.results.printed import sample_summary

@@ -17,10 +17,10 @@ from handeye_ros.config import Config, Parameter, RECORD_NAMES, RECORD_PREFIX, R
 from handeye_ros.errors import InputError, sentence_and_log
 from handeye_ros.node.folders import OutputFolders, PARAMETER_SOURCE, settings_and_session
 from handeye_ros.node.live import LiveSession
-from handeye_ros.node.outputs import log_new_warnings, Outputs
+from handeye_ros.node.outputs import Outputs
 from handeye_ros.node.pool import Pool
 from handeye_ros.node.state import State, state_of, troubles_of, with_troubles
-from handeye_ros.node.streams import Streams
+from handeye_ros.node.streams import log_new_warnings, Streams
 from handeye_ros.output import folder_name, write_errors_for
 from handeye_ros.sampling.session import Session
 from handeye_ros.targets import target_for

@@ -21,7 +21,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 from command import PATIENCE, run_python  # noqa: E402, I100
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from handeye_ros.node.state import new_counts  # noqa: E402
+from handeye_ros.node.message_counts import new_counts  # noqa: E402
 from handeye_ros.node.streams import Streams  # noqa: E402
 from rclpy._rclpy_pybind11 import RCLError  # noqa: E402
 from ros_clouds import cloud  # noqa: E402
@@ -290,15 +290,14 @@ def test_other_services_answer_while_it_solves_and_it_ends_cleanly(tmp_path, cli
 
 
 BROKEN = """
-import sys
-from handeye_ros.node import live, main, verification
+from handeye_ros.node import calibrate, live, verification
 
 def broken(*_):
     raise ZeroDivisionError('in a service')
 
 live.sample_summary = verification.looked_up = live.LiveSession.configure = broken
 if __name__ == '__main__':
-    sys.exit(main.main())
+    calibrate.main()
 """
 
 

@@ -15,8 +15,8 @@ from handeye_ros.bags.recording import read_bag
 from handeye_ros.config import Config
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node import live as lives
+from handeye_ros.node.message_counts import MessageCount
 from handeye_ros.node.state import (
-    MessageCount,
     sample_count,
     samples_message,
     state_of,
