@@ -43,7 +43,7 @@ setup(
     entry_points={
         'console_scripts': [
             'handeye = handeye_ros.cli:main',
-            'calibrate = handeye_ros.node.main:main',
+            'calibrate = handeye_ros.node.calibrate:main',
             'corrected_pose = handeye_ros.node.corrected_pose:main',
             'publish = handeye_ros.node.publish:main',
             'replay = handeye_ros.node.replay:main',

@@ -249,7 +249,7 @@ def kill_node(parent: Path, rng: random.Random, tally: Tally) -> float:
     """Let a node work for a while and kill it; return s to restore."""
     given = SETTINGS | {'output_dir': str(parent)}
     words = [word for key, value in given.items() for word in ('-p', f'{key}:={value}')]
-    process = subprocess.Popen([sys.executable, '-m', 'handeye_ros.node.main', '--ros-args',
+    process = subprocess.Popen([sys.executable, '-m', 'handeye_ros.node.calibrate', '--ros-args',
                                 *words, '--log-level', 'fatal'])
     operator = Operator(process, rng, tally)
     worker = threading.Thread(target=operator.work)

@@ -156,7 +156,7 @@ def cloud_of(centre: Array, rng: np.random.Generator) -> bytes:
 def listener(kind: str, folder: str) -> Iterator[tuple[subprocess.Popen[str], Path]]:
     """Run the empty subscriber, or the node; what it prints goes to a file."""
     log = Path(folder) / f'{kind}.log'
-    node = ['-m', 'handeye_ros.node.main', '--ros-args', '-p', 'target.type:=sphere', '-p',
+    node = ['-m', 'handeye_ros.node.calibrate', '--ros-args', '-p', 'target.type:=sphere', '-p',
             'target.radius:=0.04', '-p', f'output_dir:={folder}']
     with log.open('w') as stream:
         process = subprocess.Popen(

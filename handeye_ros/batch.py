@@ -22,7 +22,7 @@ from handeye_ros import __version__
 from handeye_ros.bags.storage import SUFFIXES
 from handeye_ros.config import read_yaml
 from handeye_ros.csv_tables import CsvTable
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.errors import DataError, ERROR_MARK, InputError, WARNING_MARK
 from handeye_ros.output import csv_text, write_atomically
 from handeye_ros.results.templates import rendered
 from handeye_ros.se3 import AXES
@@ -278,13 +278,13 @@ def run(job: Job, out: Path, run_verb: RunVerb) -> JobRow:
             code = run_verb(job.command(unfinished))
     except Exception as error:  # noqa: BLE001 - costs this job alone
         code = CRASH_EXIT_CODE
-        errors.write(f'error: {type(error).__name__}: {error}')
+        errors.write(f'{ERROR_MARK}{type(error).__name__}: {error}')
     write_atomically(unfinished / 'output.txt', printed.getvalue() + errors.getvalue())
     lines = errors.getvalue().splitlines()
-    cause = next((line.partition(': ')[2] for line in lines if line.lower().startswith('error: ')),
-                 '')
+    cause = next((line[len(ERROR_MARK):] for line in lines
+                  if line.lower().startswith(ERROR_MARK)), '')  # typer's are "Error: "
     row = {'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': code,
-           'cause': cause, 'warnings': sum(line.startswith('warning:') for line in lines),
+           'cause': cause, 'warnings': sum(line.startswith(WARNING_MARK) for line in lines),
            'seconds': round(time.perf_counter() - start, 3), **_figures_in(unfinished)}
     write_atomically(unfinished / JOB_FILE,
                      json.dumps({'fingerprint': fingerprint, 'row': row}, indent=1))

@@ -195,7 +195,7 @@ def _park(pairs: PosePairs) -> Array:
     return pairs.closed_form()
 
 
-ESTIMATORS_BUT_OWN: dict[str, tuple[Estimator, ...]] = {
+OTHER_ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
     'plate': (
         Estimator('plane, the face lines alone', partial(_by_own_method, 'plane')),
         Estimator('Chen 2023, nine parameters', lambda given: chen2023.solve_nine(*_edges(given))),
@@ -213,9 +213,9 @@ ESTIMATORS_BUT_OWN: dict[str, tuple[Estimator, ...]] = {
         Estimator('CN105021139A', lambda given: park1994.solve_motions(
             *wang2015.motions(given.robot, given.seen)))),
 }
-ESTIMATORS_OWN_FIRST = {
+ESTIMATORS = {
     name: (Estimator(name, partial(_by_own_method, name) if name in TARGETS else _from_files),
-           *ESTIMATORS_BUT_OWN.get(name, ())) for name in {**TARGETS, **ESTIMATORS_BUT_OWN}}
+           *OTHER_ESTIMATORS.get(name, ())) for name in {**TARGETS, **OTHER_ESTIMATORS}}
 """The estimators of each target, its own method first."""
 
 
@@ -281,7 +281,11 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
 
 def compare_files(given: TableProblem, T_true: Array | None = None, folds: int = FOLD_COUNT
                   ) -> Comparison:
-    """Return the rows of all estimators for values read from files; see `compare`."""
+    """
+    Return the rows of all estimators for values read from files; see `compare`.
+
+    Raises InputError for a target with one estimator alone, DataError where there is no answer.
+    """
     if not isinstance(given, PairedRows):
         raise InputError(f'for target.type {given.name} there is one estimator alone: use '
                          '"handeye solve"')
@@ -304,7 +308,7 @@ def _comparison(target: str, data: ComparedData, own: Array | DataError, started
     own: X (4, 4) of the own method, the sensor plane in the mount, or why it is no answer;
     started: when that method began (s); count: number of all samples.
     """
-    own_method, *others = ESTIMATORS_OWN_FIRST[target]
+    own_method, *others = ESTIMATORS[target]
 
     def row(estimator: Estimator, outcome: Array | Exception, start: float) -> EstimatorResult:
         """Return the result of an estimator: outcome is X (4, 4) or why there is none."""

@@ -36,6 +36,9 @@ NOT_SET = math.nan  # default of a number that changes an answer by its full siz
 # Accuracy classes of robots: 1 sigma of the smooth error of each axis (m), half of the largest
 # error in data sheets.
 ROBOT_CLASSES = {'calibrated': 5e-5, 'standard': 1.5e-4, 'unknown': 3e-4}
+# a running node refuses to change these
+AT_START_ONLY = ('robot_base_frame', 'robot_effector_frame', 'session', 'page.port',
+                 'page.address')
 SIGNED_AXES = ('x', 'y', 'z', '-x', '-y', '-z')
 # FORMATS of results/exports.py says how each is written; test_exports.py compares the two.
 SAVE_FORMATS = ('yaml', 'urdf', 'launch', 'easy_handeye2', 'matrix', 'json', 'kuka',

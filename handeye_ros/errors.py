@@ -19,6 +19,7 @@ import traceback
 from typing import Any, TypeVar
 
 T = TypeVar('T')
+ERROR_MARK, WARNING_MARK = 'error: ', 'warning: '  # how lines on stderr begin
 INSTALL_TF2 = ('install ros-jazzy-tf2-msgs and source the setup.bash of ROS or, where ROS comes '
                'from PyPI, run make tf2_msgs in the folder of this package')
 

@@ -9,6 +9,7 @@ ros2 launch handeye_ros calibrate.launch.py --show-args
 from handeye_ros.errors import InputError
 from handeye_ros.node.launching import (
     declared,
+    file_given,
     given,
     is_true,
     KEYS,
@@ -55,10 +56,11 @@ def nodes(context: LaunchContext) -> list[Node]:
              namespace=namespace, remappings=remappings(context),
              # a file that says what the time is must not be overruled by a default
              parameters=[{'use_sim_time': is_true(context, 'use_sim_time')},
-                         given(context, 'config'), *([set_here] if set_here else [])]),
+                         file_given(context, 'config'), *([set_here] if set_here else [])]),
         *replayed(context)]
     if is_true(context, 'rviz'):
         found.append(Node(package='rviz2', executable='rviz2', name='rviz2',
-                          namespace=namespace, arguments=['-d', given(context, 'rviz_layout')],
+                          namespace=namespace,
+                          arguments=['-d', file_given(context, 'rviz_layout')],
                           remappings=[(topic, topic.lstrip('/')) for topic in SHOWN]))
     return found

@@ -30,6 +30,7 @@ from handeye_ros.batch import (
     write_table,
 )
 from handeye_ros.cli import command
+from handeye_ros.cli.common import warn
 from handeye_ros.config import parameters
 from handeye_ros.errors import InputError
 from handeye_ros.results.calibration_file import write_calibration
@@ -57,7 +58,8 @@ def pretended(arguments: list[str]) -> int:
     if text == 'refuse':
         print('error: no target was seen within 3.1 mm', file=sys.stderr)
         return 3
-    sensor, x = text.split()
+    sensor, x, *warnings = text.split(maxsplit=2)
+    warn(*warnings)
     T = np.eye(4)
     T[0, 3] = float(x)
     write_calibration(replace(CALIBRATION, child_frame=sensor, T_flange_sensor=T),
@@ -67,8 +69,8 @@ def pretended(arguments: list[str]) -> int:
 
 def test_each_job_costs_itself_and_is_computed_once(tmp_path):
     texts = {f'good{k}': f'laser {k}e-3' for k in range(6)}
-    texts |= {'killing': 'kill', 'crashing': 'crash', 'refused': 'refuse',
-              'misused': 'misuse', 'doubtful': 'doubt'}
+    texts |= {'killing': 'kill', 'crashing': 'crash', 'refused': 'refuse', 'misused': 'misuse',
+              'doubtful': 'doubt', 'warned': 'laser 0.0 the poses are rare'}
     for name, text in texts.items():
         (tmp_path / f'{name}.mcap').write_text(text)
     out, jobs = tmp_path / 'out', jobs_of([str(tmp_path)], 'solve')
@@ -80,6 +82,7 @@ def test_each_job_costs_itself_and_is_computed_once(tmp_path):
     assert rows['crashing']['cause'] == 'ZeroDivisionError: a fault'
     assert 'worker' in rows['killing']['cause'].lower()
     assert rows['misused']['cause'] == 'No such option: --x'
+    assert rows['warned']['warnings'] == 1 and rows['good5']['warnings'] == 0
     assert rows['good5']['x'] == 5e-3 and rows['good5']['qw'] == 1.0
     assert rows['good5']['std_x'] == CALIBRATION.covariance[0, 0] ** 0.5
     assert rows['good5']['residual_rms'] == CALIBRATION.quality.residual_rms

@@ -9,7 +9,7 @@ import re
 from cells import Cell, cell, exact_cell, settings_of
 from command import assert_refused, handeye, ROOT
 from handeye_ros import pipeline, se3
-from handeye_ros.compare import compare, Comparison, EstimatorResult, ESTIMATORS_OWN_FIRST
+from handeye_ros.compare import compare, Comparison, EstimatorResult, ESTIMATORS
 from handeye_ros.frames import T_sensor_plane
 from handeye_ros.results.truth import errors_against
 from handeye_ros.simulate import SCENARIOS
@@ -31,9 +31,9 @@ def compared(cell: Cell, **values: object) -> Comparison:
 def only(monkeypatch):
     """Return a function that leaves only some of a target's estimators."""
     def leave(target: str, *names: str) -> None:
-        chosen = tuple(e for e in ESTIMATORS_OWN_FIRST[target] if e.name in names)
+        chosen = tuple(e for e in ESTIMATORS[target] if e.name in names)
         assert len(chosen) == len(names)
-        monkeypatch.setitem(ESTIMATORS_OWN_FIRST, target, chosen)
+        monkeypatch.setitem(ESTIMATORS, target, chosen)
     return leave
 
 
@@ -118,7 +118,7 @@ def test_the_verb_shows_writes_and_refuses(tmp_path) -> None:
     run = handeye('compare', ROOT / 'bags' / 'sphere', *arguments, cwd=tmp_path)
     assert (run.returncode, run.stderr) == (0, '')
     rows = yaml.safe_load((tmp_path / 'c.yaml').read_text())['estimators']
-    assert [row['name'] for row in rows] == [e.name for e in ESTIMATORS_OWN_FIRST['sphere']]
+    assert [row['name'] for row in rows] == [e.name for e in ESTIMATORS['sphere']]
     assert 0 < rows[0]['error_mapped_points'] < 2e-4
     for row in rows:
         shown, = re.findall(rf'\n {row["name"]} +(-?[\d. ]+)\n', run.stdout.split('residual')[1])

@@ -24,7 +24,7 @@ from handeye_ros import config as configuration
 from handeye_ros.bags.storage import Reader
 from handeye_ros.data import Calibration
 from handeye_ros.errors import DataError, InputError, UnwritableError
-from handeye_ros.node.main import ros, run_for_exit_code
+from handeye_ros.node.executables import ros, run_for_exit_code
 from handeye_ros.output import write_atomically
 from handeye_ros.results import calibration_file, exports, printed, report
 from handeye_ros.results.file_values import input_provenance
@@ -78,7 +78,7 @@ def _with_bag(calibration: Calibration, bag: Path, out: Path) -> Calibration:
 
 def _through_the_node(bag: Path, rate: float, log: Path, options: Sequence[str]) -> None:
     """Start the node, replay the bag, compute and save."""
-    with log.open('wb') as stream, _child('main', ['--ros-args', *options], stream) as node:
+    with log.open('wb') as stream, _child('calibrate', ['--ros-args', *options], stream) as node:
         print(f'the node is running; its log: {log}', flush=True)
         client = Client(node, log)
         client.wait()

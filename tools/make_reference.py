@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from handeye_ros.config import Parameter, parameters
+from handeye_ros.config import AT_START_ONLY, Parameter, parameters
 
 PAGE = Path(__file__).parents[1] / 'docs' / 'reference.md'
 HEAD = """\
@@ -39,6 +39,7 @@ def _rows(found: list[Parameter]) -> Iterator[str]:
         shown = 'none' if parameter.default != parameter.default else 'empty' if (
             parameter.default in ('', ())) else f'`{_yaml(parameter.default)}`'
         description = parameter.description.removesuffix(f' In {parameter.unit}.')
+        description += ' At start only.' * (parameter.key in AT_START_ONLY)
         yield f'| `{parameter.key}` | {shown} | {_values(parameter)} | {description} |\n'
 
 

@@ -1,9 +1,11 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The command `handeye`. Verbs of answers are in solve.py, of what is done with one in measure.py.
+The command `handeye`.
 
-A verb reads its arguments, calls what computes, and prints or writes what that returns.
+Verbs of answers are in solve.py, of what is done with one in measure.py, of recordings in
+recordings.py. A verb reads its arguments, calls what computes, and prints or writes what that
+returns.
 """
 import atexit
 import gc

@@ -17,7 +17,7 @@ import sys
 from typing import Annotated, Any, Optional, TYPE_CHECKING
 
 from handeye_ros import __version__
-from handeye_ros.errors import BadValueError, HandeyeError, InputError
+from handeye_ros.errors import BadValueError, ERROR_MARK, HandeyeError, InputError, WARNING_MARK
 import typer
 from typer.core import TyperGroup
 
@@ -186,7 +186,7 @@ def stream_recording(bag: Path, settings: 'Config', calibration: 'Calibration'
 def warn(*warnings: str) -> None:
     """Print warnings, but empty ones."""
     for warning in filter(None, warnings):
-        typer.echo(f'warning: {warning}', err=True)
+        typer.echo(f'{WARNING_MARK}{warning}', err=True)
 
 
 @contextmanager
@@ -241,13 +241,13 @@ class Verbs(TyperGroup):
         try:
             return super().invoke(ctx)
         except HandeyeError as error:
-            typer.echo(f'error: {" ".join(str(error).split())}', err=True)
+            typer.echo(f'{ERROR_MARK}{" ".join(str(error).split())}', err=True)
             raise typer.Exit(error.exit_code) from None
         except BrokenPipeError:  # who reads the output has ended
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             raise typer.Exit(BROKEN_PIPE_EXIT_CODE) from None
         except OSError as error:  # such as a full disk behind stdout
-            typer.echo(f'error: {error}', err=True)
+            typer.echo(f'{ERROR_MARK}{error}', err=True)
             raise typer.Exit(InputError.exit_code) from None
         except KeyboardInterrupt:
             raise typer.Exit(INTERRUPTED_EXIT_CODE) from None

@@ -105,7 +105,7 @@ def calibrate(
     configuration(config, assignments)  # so that a mistake is reported at once
     if find_spec('rclpy') is None:
         raise NoRosError('calibrate', 'rclpy')
-    command = [sys.executable, '-m', 'handeye_ros.node.main', '--ros-args']
+    command = [sys.executable, '-m', 'handeye_ros.node.calibrate', '--ros-args']
     command += ['--params-file', str(config)] if config else []
     for text in (*assignments, *(['session=last'] if resume else [])):
         key, value = assignment(text)

@@ -18,8 +18,8 @@ from geometry_msgs.msg import PoseStamped
 from handeye_ros.arm import read_urdf
 from handeye_ros.bags.poses import OtherJointsError, pose_from_joints
 from handeye_ros.errors import INSTALL_TF2, UnusableMessageError
-from handeye_ros.node.main import non_ros_arguments, run_for_exit_code, spin
-from handeye_ros.node.outputs import pose_stamped, transform_stamped
+from handeye_ros.node.executables import non_ros_arguments, run_for_exit_code, spin
+from handeye_ros.node.ros_messages import pose_stamped, transform_stamped
 from handeye_ros.node.streams import BEST_EFFORT_QOS, TFMessage, WARNING_PERIOD
 from handeye_ros.results.kinematics_file import read_arm
 from rclpy.node import Node

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 from handeye_ros.errors import InputError
 from launch import LaunchContext
@@ -45,6 +46,14 @@ def values_given(context: LaunchContext, keys: Mapping[str, str]) -> dict[str, s
 def given(context: LaunchContext, name: str) -> str:
     """Return the value of an argument."""
     return str(LaunchConfiguration(name).perform(context))
+
+
+def file_given(context: LaunchContext, name: str) -> str:
+    """Return the absolute path of a file of an argument; raises InputError if it is missing."""
+    path = Path(given(context, name)).absolute()
+    if not path.is_file():  # launch_ros would go on without it
+        raise InputError(f'{name} is "{given(context, name)}", and there is no such file')
+    return str(path)
 
 
 def is_true(context: LaunchContext, name: str) -> bool:

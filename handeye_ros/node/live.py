@@ -10,16 +10,16 @@ From a message to ~/samples:
 2. The thread `worker` takes it from there (`evaluate_next`), has it evaluated in another process,
    writes it to the disk (SessionFiles in bags/session_files.py) and adds it to the session: what
    is not stored is not used.
-3. After each such piece of work the worker calls `publish_changes`, which is
-   `HandeyeNode._publish_changes` (node.py, then outputs.py) and publishes ~/samples. When no stop
-   waits, it begins the review in another process (solver.py).
+3. After each such piece of work, and before a service answers, the worker calls
+   `publish_changes`, which is `HandeyeNode._publish_changes` (node.py, then outputs.py) and
+   publishes ~/samples. When no stop waits, it begins the review in another process (solver.py).
 
 Threads:
 - only `streams` calls add_profile, add_poses and add_joints;
 - `worker` makes all other changes, one after the other;
-- those of the executor of ROS (EXECUTOR_THREADS in main.py: services, timers, parameters) and of
-  the page (page/server.py: WORKER_COUNT for requests, others that collect its events) pass a
-  function to `Worker.call` and wait for its result; what they only show, they read themselves.
+- those of the executor of ROS (EXECUTOR_THREADS in calibrate.py: services, timers, parameters)
+  and of the page (page/server.py: WORKER_COUNT for requests, others that collect its events) pass
+  a function to `Worker.call` and wait for its result; what they only show, they read themselves.
 Processes: two (pool.py), each with a thread that waits for it. They evaluate stops and those of a
 session that is opened, for which the worker waits, and make reviews, answers and verifications,
 for which it does not (`Worker.run_job`). Also the report, for which the page waits
@@ -56,9 +56,10 @@ from handeye_ros.errors import (
 )
 from handeye_ros.frames import mount_poses
 from handeye_ros.node.folders import OutputFolders
+from handeye_ros.node.message_counts import new_counts
 from handeye_ros.node.pool import Pool, PoolEndedError
 from handeye_ros.node.solver import ANSWER_KEYS, LiveSolver, SAMPLE_KEYS, settings_of
-from handeye_ros.node.state import Attempt, new_counts
+from handeye_ros.node.state import Attempt
 from handeye_ros.node.verification import LiveVerification
 from handeye_ros.node.worker import Worker
 from handeye_ros.results.printed import sample_summary
@@ -104,8 +105,7 @@ class LiveSession:
         """
         Start without samples; raises InputError for a method or target that it cannot have.
 
-        pool: where long computations run; publish_changes: called by the worker after each piece
-        of work.
+        pool: where long computations run; publish_changes: see Worker.
         """
         self.folders, self.pool, self.lock = folders, pool, Lock()
         self.message_counts = new_counts()
@@ -512,7 +512,8 @@ class LiveSession:
         """
         Apply changed settings, already checked by the node (`_apply_settings`, node.py).
 
-        They are stored first, and refused (InputError) if that fails. Then, as they differ:
+        They are stored first, and refused (InputError) if that fails. name and output_dir hold for
+        results at once, for samples from the next session on. Then, as they differ:
         - other topics: a session without messages begins, which goes on with its numbers;
         - time_offset: stops from before end with the old one;
         - verify.routine: a verification ends without a result;

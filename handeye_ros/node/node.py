@@ -17,10 +17,10 @@ from handeye_ros.config import Config, Parameter, RECORD_NAMES, RECORD_PREFIX, R
 from handeye_ros.errors import InputError, sentence_and_log
 from handeye_ros.node.folders import OutputFolders, PARAMETER_SOURCE, settings_and_session
 from handeye_ros.node.live import LiveSession
-from handeye_ros.node.outputs import log_new_warnings, Outputs
+from handeye_ros.node.outputs import Outputs
 from handeye_ros.node.pool import Pool
 from handeye_ros.node.state import State, state_of, troubles_of, with_troubles
-from handeye_ros.node.streams import Streams
+from handeye_ros.node.streams import log_new_warnings, Streams
 from handeye_ros.output import folder_name, write_errors_for
 from handeye_ros.sampling.session import Session
 from handeye_ros.targets import target_for
@@ -44,8 +44,6 @@ CURRENT_PERIOD = 0.2  # s between two messages on ~/current
 REQUEST_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 # others wait for the stops that these evaluate first, but not for what they compute
 SLOW_SERVICES = ('compute_calibration', 'verify_result')
-READ_ONLY_KEYS = ('robot_base_frame', 'robot_effector_frame', 'session', 'page.port',
-                  'page.address')
 # keys that the node sets itself: for a new session, and by noise.robot_class
 DERIVED_KEYS = ('samples.exclude', 'noise.robot_smooth')
 # beginnings of keys of targets that are solved from files alone: no parameters
@@ -143,7 +141,8 @@ class HandeyeNode(Node):
         adds to the request.
         """
         try:
-            reply = self.live.worker.call(partial(self._trigger_functions[name], *values))
+            reply = self.live.worker.call(partial(self._trigger_functions[name], *values),
+                                          then_publish=True)
             message, success = reply.result() if isinstance(reply, Future) else reply, True
         except Exception as error:  # noqa: BLE001 - the node, and what it holds, must go on
             message, success = sentence_and_log(name, error), False
@@ -181,7 +180,7 @@ class HandeyeNode(Node):
 
         def go_on() -> str:  # with the settings at the worker's turn
             return live.open_session(stored, replace(live.config, samples=stored.config.samples))
-        return live.worker.call(go_on)
+        return live.worker.call(go_on, then_publish=True)
 
     # parameters
 
@@ -280,7 +279,8 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
         ('number of values:', parameter.length), ('one of', parameter.choices)) if values]
     descriptor = ParameterDescriptor(
         description=parameter.description, dynamic_typing=True,
-        read_only=parameter.key in READ_ONLY_KEYS, additional_constraints='; '.join(constraints))
+        read_only=parameter.key in configuration.AT_START_ONLY,
+        additional_constraints='; '.join(constraints))
     low, high = parameter.minimum, parameter.maximum
     if low is not None and high is not None:  # rqt_reconfigure makes sliders of them
         if isinstance(parameter.default, int):

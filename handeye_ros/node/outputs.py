@@ -1,9 +1,8 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""What goes out: the publishers of the node, and the messages that all executables send."""
+"""What the node publishes: its publishers, and the markers of its session."""
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 import json
@@ -11,21 +10,21 @@ import threading
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import (
-    Point,
-    Pose,
-    PoseStamped,
-    Quaternion,
-    Transform,
-    TransformStamped,
-    Vector3,
-)
+from geometry_msgs.msg import Point, PoseStamped, TransformStamped, Vector3
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, has_return, StopSnapshot
 from handeye_ros.errors import INSTALL_TF2
 from handeye_ros.frames import mount_poses, target_frame
 from handeye_ros.node.live import LiveSession
+from handeye_ros.node.ros_messages import (
+    cloud,
+    header_of,
+    LATCHED_QOS,
+    pose_stamped,
+    transform_of,
+    xyz_message,
+)
 from handeye_ros.node.state import (
     Attempt,
     CURRENT,
@@ -47,18 +46,14 @@ from handeye_ros.results.scene import (
     sensor_points,
 )
 from handeye_ros.sampling.stops import Stop
-from handeye_ros.words import count_of, without_numbers
+from handeye_ros.words import count_of
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.time import Time
-from sensor_msgs.msg import PointCloud2, PointField
-from std_msgs.msg import ColorRGBA, Header, String
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-LATCHED_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # An executor that waits for the events of a publisher ends when this is destroyed.
 NO_CALLBACKS = PublisherEventCallbacks(use_default_callbacks=False)
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -162,7 +157,7 @@ class Outputs:
     def publish_diagnostics(self, state: State) -> None:
         """Publish the state on /diagnostics."""
         name = self._node.get_fully_qualified_name().lstrip('/')
-        self._diagnostics.publish(DiagnosticArray(header=_header(self._now(), ''), status=[
+        self._diagnostics.publish(DiagnosticArray(header=header_of(self._now(), ''), status=[
             DiagnosticStatus(
                 name=f'{name}: {part}', hardware_id=state['name'], level=level, message=message,
                 values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
@@ -196,62 +191,6 @@ def _statuses(state: State) -> Iterator[tuple[str, bytes, str, dict[str, object]
     status = state['calibration']
     level = {CURRENT: OK, NONE: OK, WITHDRAWN: ERROR}.get(status['state'], WARN)
     yield 'calibration', level, status['text'], {'state': status['state']}
-
-
-def log_new_warnings(node: Node, sentences: Iterable[str], logged: set[str]) -> set[str]:
-    """Log sentences that are new but for their numbers; return all without them, as `logged`."""
-    warnings = {without_numbers(sentence): sentence for sentence in sentences if sentence}
-    for kind in warnings.keys() - logged:
-        node.get_logger().warning(warnings[kind])
-    return set(warnings)
-
-
-# messages
-
-
-def transform_of(calibration: Calibration, stamp: int) -> TransformStamped:
-    """Return the message of T_flange_sensor, the sensor in the parent frame; stamp: ns."""
-    T = calibration.T_flange_sensor
-    return transform_stamped(T[:3, 3], se3.quaternion(T), calibration.parent_frame,
-                             calibration.child_frame, stamp)
-
-
-def transform_stamped(translation: Iterable[float], rotation: Iterable[float], parent: str,
-                      child: str, stamp: int) -> TransformStamped:
-    """
-    Return the message of T_parent_child, which maps points of the child frame to the parent.
-
-    translation: x, y, z (m); rotation: the quaternion x, y, z, w; stamp: ns.
-    """
-    T = Transform(translation=_xyz_message(Vector3, translation),
-                  rotation=_xyz_message(Quaternion, rotation))
-    return TransformStamped(header=_header(stamp, parent), child_frame_id=child, transform=T)
-
-
-def pose_stamped(translation: Iterable[float], rotation: Iterable[float], frame_id: str,
-                 stamp: int) -> PoseStamped:
-    """Return a pose (x y z in m, quaternion x y z w) in a frame; stamp: ns."""
-    return PoseStamped(header=_header(stamp, frame_id), pose=Pose(
-        position=_xyz_message(Point, translation), orientation=_xyz_message(Quaternion, rotation)))
-
-
-def _header(stamp: int, frame_id: str) -> Header:
-    """Return the header of a message; stamp: ns."""
-    return Header(stamp=Time(nanoseconds=stamp).to_msg(), frame_id=frame_id)
-
-
-def cloud(points: NDArray[Any], frame_id: str, stamp: int) -> PointCloud2:
-    """
-    Return the message of points in a frame.
-
-    points: structured array (n,), whose fields are float32, such as x, y and z (m); stamp: ns.
-    """
-    return PointCloud2(
-        header=_header(stamp, frame_id), height=1, width=len(points),
-        point_step=points.itemsize, row_step=points.nbytes, is_dense=True,
-        fields=[PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
-                for k, name in enumerate(points.dtype.names or ())],
-        data=array('B', points.tobytes()))
 
 
 def session_markers(stops: Iterable[Stop], calibration: Calibration | None, config: Config
@@ -294,9 +233,9 @@ def _markers(parts: Iterable[Mapping[str, Any]], config: Config) -> MarkerArray:
     markers = [Marker(action=Marker.DELETEALL)]
     for part in parts:
         red, green, blue = (int(part['color'][k:k + 2], 16) / 255 for k in (1, 3, 5))
-        points = [_xyz_message(Point, point) for point in part.get('line', part.get('points'))]
+        points = [xyz_message(Point, point) for point in part.get('line', part.get('points'))]
         marker = Marker(ns=part['name'], color=ColorRGBA(r=red, g=green, b=blue, a=1.0),
-                        scale=_xyz_message(Vector3, 3 * [METRES_PER_WIDTH * part['width']]))
+                        scale=xyz_message(Vector3, 3 * [METRES_PER_WIDTH * part['width']]))
         if 'text' in part:
             marker.type, marker.text = Marker.TEXT_VIEW_FACING, part['text']
             marker.pose.position, = points
@@ -307,8 +246,3 @@ def _markers(parts: Iterable[Mapping[str, Any]], config: Config) -> MarkerArray:
     for number, marker in enumerate(markers):
         marker.header.frame_id, marker.id = target_frame(config), number
     return MarkerArray(markers=markers)
-
-
-def _xyz_message(message_type: Any, values: Iterable[float]) -> Any:
-    """Return a message with the fields x, y, z (and w)."""
-    return message_type(**dict(zip('xyzw', map(float, values))))  # noqa: B905 - three or four

@@ -11,8 +11,8 @@ import sys
 
 from handeye_ros.data import Calibration
 from handeye_ros.errors import InputError, NoRosError
-from handeye_ros.node.main import non_ros_arguments, run_for_exit_code, spin
-from handeye_ros.node.outputs import LATCHED_QOS, transform_of
+from handeye_ros.node.executables import non_ros_arguments, run_for_exit_code, spin
+from handeye_ros.node.ros_messages import LATCHED_QOS, transform_of
 from handeye_ros.node.streams import TFMessage
 from handeye_ros.results.calibration_file import read_calibration
 from rclpy.node import Node

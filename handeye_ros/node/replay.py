@@ -13,7 +13,7 @@ import time
 
 from handeye_ros.bags.storage import Reader, RecordedMessage
 from handeye_ros.errors import InputError
-from handeye_ros.node.main import non_ros_arguments, ros, run_for_exit_code
+from handeye_ros.node.executables import non_ros_arguments, ros, run_for_exit_code
 from handeye_ros.node.streams import STATIC_TF_QOS
 from rclpy.duration import Duration
 from rclpy.node import Node

@@ -25,10 +25,10 @@ from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Profile, RawProfile, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.frames import frame_mismatch_warning
-from handeye_ros.node.main import non_ros_arguments, run_for_exit_code, spin
-from handeye_ros.node.outputs import cloud, log_new_warnings
-from handeye_ros.node.state import new_counts
-from handeye_ros.node.streams import Streams, WARNING_PERIOD
+from handeye_ros.node.executables import non_ros_arguments, run_for_exit_code, spin
+from handeye_ros.node.message_counts import new_counts
+from handeye_ros.node.ros_messages import cloud
+from handeye_ros.node.streams import log_new_warnings, Streams, WARNING_PERIOD
 from handeye_ros.results.calibration_file import config_to_measure, read_calibration
 from handeye_ros.sampling.stream import REORDER_TIME
 from handeye_ros.sampling.trajectory import trajectory_of

@@ -9,17 +9,15 @@ agree and use the same sentences. SI units. docs/contract.md documents the field
 """
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from itertools import takewhile
-import time
 from types import MappingProxyType
 from typing import Any, TYPE_CHECKING
 
 from handeye_ros import se3
 from handeye_ros.config import MAX_TIME_OFFSET
 from handeye_ros.data import Agreement, Array
+from handeye_ros.node.message_counts import MessageCount
 from handeye_ros.node.solver import LiveSolver, Review, summary
 from handeye_ros.output import folder_name
 from handeye_ros.results.printed import sample_summary
@@ -36,16 +34,12 @@ if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession
 
 State = dict[str, Any]
+"""What `state_of` returns; its parts (profiles, poses, motion, session, ...) are plain dicts."""
 
 NONE, CURRENT, OUTDATED, WITHDRAWN = 'none', 'current', 'outdated', 'withdrawn'
 NO_ANSWER = {
     'parent': '', 'child': '', 'translation': None, 'rotation': None, 'rpy': None, 'std': None,
     'residual_rms': None, 'holdout_rms': None, 'used': 0, 'rejected': 0, 'saved': ''}
-SILENCE_TIME = 2.0  # s without a message until it is reported
-BAD_IN_A_ROW = 3  # consecutive invalid messages until they are reported,
-BAD_SHARE = 0.01  # or such a share of the last RECENT, or of the messages lost in transit
-RECENT = 1000
-VALID, MALFORMED, LOST = 'valid', 'malformed', 'lost'  # what a message was
 FRESH_TIME = 1.0  # s: the clocks are compared if the last messages of both kinds are not older
 MAX_CLOCK_DIFFERENCE = 5.0  # s, that a slow network or a queue explains
 
@@ -56,81 +50,6 @@ class Attempt:
 
     text: str
     stop: Stop = NO_STOP
-
-
-class MessageCount:
-    """
-    Counts valid items of one kind (profile, pose), and its malformed and lost messages.
-
-    A message may hold several items, as rows: the shares that `state` compares are then too small.
-    reason: of the last malformed message; stamp: of the last valid item (ns), 0 before.
-    """
-
-    def __init__(self, kind: str) -> None:
-        """Start without messages."""
-        self.kind, self.count, self.malformed, self.lost = kind, 0, 0, 0
-        self.reason, self.stamp = '', 0
-        self._recent, self._received = deque[str](maxlen=RECENT), time.monotonic()
-
-    def add(self, stamp: int) -> None:
-        """Count a valid item; stamp: as it is used, with time_offset, or of its receipt (ns)."""
-        self.count, self.stamp, self._received = self.count + 1, stamp, time.monotonic()
-        self._recent.append(VALID)
-
-    def add_malformed(self, reason: str) -> None:
-        """Count an invalid message."""
-        self.malformed, self.reason = self.malformed + 1, reason
-        self._recent.append(MALFORMED)
-
-    def add_lost(self, number: int) -> None:
-        """Count messages that were lost on their way."""
-        self.lost += number
-        self._recent.extend([LOST] * min(number, RECENT))
-
-    def forget_malformed(self) -> None:
-        """Forget the invalid messages, as they were read with other settings."""
-        self.malformed, self.reason = 0, ''
-        self._recent.clear()
-
-    @property
-    def silence(self) -> float:
-        """Return the seconds since the last valid item, or since the start."""
-        return time.monotonic() - self._received
-
-    def state(self, topic: str, obstacle: str) -> State:
-        """
-        Return what has come on a topic; obstacle: why nothing arrives, where it is known.
-
-        count: number of valid items; malformed, lost: of invalid messages, and of those lost on
-        their way; reason: of the last invalid one; age: seconds since the last valid item, or
-        since the start; flows: whether they come; trouble: that many of the last, or all of them,
-        are invalid or lost, or none arrive; or ''.
-        """
-        kind, count, recent = self.kind, self.count, [*self._recent]
-        sentences, age, total = [], self.silence, len(recent)
-        in_a_row = len([*takewhile(MALFORMED.__eq__, reversed(recent))])
-        malformed, lost = recent.count(MALFORMED), recent.count(LOST)
-        if in_a_row >= BAD_IN_A_ROW or (
-                malformed >= max(BAD_IN_A_ROW, BAD_SHARE * (total - lost))):
-            which = (f'the last {in_a_row}' if in_a_row >= BAD_IN_A_ROW else
-                     f'{malformed} of the last {total}')
-            sentences.append(f'{which} {kind}s cannot be used; the last reason: {self.reason}')
-        if lost > BAD_SHARE * total:
-            sentences.append(f'{lost} of the last {total} {kind}s were lost on their way: let the '
-                             'driver publish them reliably, with a queue for as many as come at '
-                             'once, or fewer or smaller ones')
-        if not sentences and age >= SILENCE_TIME:
-            sentences.append(f'{"no more" if count else "no"} {kind}s on {topic} for {age:.0f} s'
-                             + (f' ({obstacle})' if obstacle else ''))
-        return {'kind': kind, 'topic': topic, 'count': count, 'malformed': self.malformed,
-                'reason': self.reason, 'lost': self.lost, 'age': age,
-                'flows': count > 0 and age < SILENCE_TIME,
-                'trouble': '; '.join(sentences)}
-
-
-def new_counts() -> dict[str, MessageCount]:
-    """Return counts of profiles and poses, by kind (profile, pose)."""
-    return {kind: MessageCount(kind) for kind in ('profile', 'pose')}
 
 
 def _clock_trouble(profiles: MessageCount, poses: MessageCount, time_offset: float) -> str:
@@ -225,19 +144,19 @@ def with_troubles(state: State, text: str, success: bool, service: str) -> str:
     return '; '.join(troubles if follows else [*troubles, text])
 
 
-def samples_message(state: State) -> State:
+def samples_message(state: State) -> dict[str, Any]:
     """Return the content of ~/samples, as plain values."""
     return {'format': 'handeye_ros/samples/1', 'session': state['session']['path'],
             'mode': state['session']['mode'], 'review': state['review_refusal'],
             **{key: state[key] for key in ('samples', 'worst_first', 'attempt')}}
 
 
-def status_message(state: State) -> State:
+def status_message(state: State) -> dict[str, Any]:
     """Return the content of ~/status, as plain values."""
     return {'format': 'handeye_ros/status/1', **state['calibration']}
 
 
-def _stop_row(stop: Stop, session: Session, agreement: Agreement | None) -> State:
+def _stop_row(stop: Stop, session: Session, agreement: Agreement | None) -> dict[str, Any]:
     """
     Return one stop of the robot.
 
@@ -256,13 +175,13 @@ def _stop_row(stop: Stop, session: Session, agreement: Agreement | None) -> Stat
         **_pose(sample.T_base_flange if sample else None)}
 
 
-def _pose(T: Array | None) -> State:
+def _pose(T: Array | None) -> dict[str, Any]:
     """Return a transform (4, 4), or None, as translation and rotation (quaternion x y z w)."""
     return {'translation': None if T is None else T[:3, 3].tolist(),
             'rotation': None if T is None else se3.quaternion(T).tolist()}
 
 
-def _calibration(solver: LiveSolver, session: Session) -> State:
+def _calibration(solver: LiveSolver, session: Session) -> dict[str, Any]:
     """
     Return the answer and its state.
 
@@ -288,7 +207,7 @@ def _calibration(solver: LiveSolver, session: Session) -> State:
         'used': quality.samples_used, 'rejected': quality.samples_rejected, 'saved': solver.saved}
 
 
-def _guidance(review: Review) -> State:
+def _guidance(review: Review) -> dict[str, Any]:
     """
     Return the guidance.
 

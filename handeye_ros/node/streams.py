@@ -24,7 +24,8 @@ from handeye_ros.bags.transforms import FlangeFollower
 from handeye_ros.config import Config
 from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import InputError, INSTALL_TF2, sentence_and_log
-from handeye_ros.node.state import MessageCount, new_counts
+from handeye_ros.node.message_counts import MessageCount, new_counts
+from handeye_ros.words import without_numbers
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -115,8 +116,9 @@ class Streams:
     """
     The subscriptions to the topics of a configuration, and the thread that reads their messages.
 
-    Profiles and poses are read as reliably as all of their publishers offer: large clouds do not
-    arrive otherwise. An invalid message is counted and dropped.
+    Topics with a key are read as reliably as all of their publishers offer: large clouds do not
+    arrive otherwise. /tf and joint values are read best effort, /tf_static transient local. An
+    invalid message is counted and dropped.
     """
 
     def __init__(self, node: Node, receiver: Receiver,
@@ -337,3 +339,11 @@ class Streams:
                       if message_type in types and not name.endswith(OWN_TOPICS)
                       and any(info.topic_type == message_type
                               for info in node.get_publishers_info_by_topic(name)))
+
+
+def log_new_warnings(node: Node, sentences: Iterable[str], logged: set[str]) -> set[str]:
+    """Log sentences that are new but for their numbers; return all without them, as `logged`."""
+    warnings = {without_numbers(sentence): sentence for sentence in sentences if sentence}
+    for kind in warnings.keys() - logged:
+        node.get_logger().warning(warnings[kind])
+    return set(warnings)

@@ -28,7 +28,8 @@ class Worker:
         Start no thread yet.
 
         pool: where long computations run; do_due_work: does one piece of what is due, and calls
-        `schedule` for the next; publish_changes: called after each piece of work.
+        `schedule` for the next; publish_changes: called after each piece of it, also if it failed,
+        after what `call` says, and after a long computation.
         """
         self.running_jobs: list[str] = []
         self.trouble = ''
@@ -41,10 +42,18 @@ class Worker:
         self._is_started = True
         self.schedule()
 
-    def call(self, function: Callable[[], Result]) -> Result:
-        """Return the result of a function that the worker calls, or raise its exception."""
+    def call(self, function: Callable[[], Result], then_publish: bool = False) -> Result:
+        """
+        Return the result of a function that the worker calls, or raise its exception.
+
+        then_publish: whether its changes are published before; else the work that is due next
+        publishes them, after a stop that waits.
+        """
         try:
-            return self._thread.submit(function).result()
+            called = self._thread.submit(function)
+            if then_publish:
+                self._thread.submit(self._publish).result()
+            return called.result()
         finally:
             self.schedule()
 
@@ -63,10 +72,16 @@ class Worker:
         """Call a function and publish the changes; a failure is a trouble until one succeeds."""
         try:
             function(*args)
-            self._publish_changes()
             self.trouble = ''
         except Exception as error:  # noqa: BLE001 - the thread must go on
             self.trouble = sentence_and_log('the work on the samples', error)
+        self._publish()
+
+    def _publish(self) -> None:
+        try:
+            self._publish_changes()
+        except Exception as error:  # noqa: BLE001 - the thread must go on
+            self.trouble = sentence_and_log('publishing', error)
 
     def run_job(self, name: str, accept: Callable[[Any], Result],
                 function: Callable[..., Any], *args: Any) -> Future[Result]:

@@ -85,8 +85,8 @@ def page_source(node: HandeyeNode) -> PageSource:
     """
     Return content and actions of the page for a node.
 
-    The page shows live and state() of the node, and streams.topics_of for the choices; its buttons
-    use call_service, set_values and open_session.
+    Of the node they use live, of which a process makes the report, state(), streams.topics_of for
+    the choices, call_service, set_values and open_session.
     """
     actions: dict[str, Action] = {
         **{name: partial(lambda name, _: node.call_service(name), name) for name in PAGE_SERVICES},
@@ -129,6 +129,7 @@ def _setup(node: HandeyeNode) -> dict[str, Any]:
     """
     Return the settings with their choices, and the names of the sessions by last use.
 
+    settings: key, label, value, description and choices of each, empty where any will do;
     previous: of a session that has just begun, the number of samples in the session before;
     nominal_keys: by routine, the keys that it asks for.
     """
@@ -232,9 +233,10 @@ def _scene(live: LiveSession, samples: Mapping[int, Sample], snapshot: StopSnaps
     Return poses (rows of T (3, 4)) in the frame of the fixed target, and the target.
 
     known: whether the poses are of the sensor, or of the flange while the sensor's is unknown;
-    live, next: the pose of now and the proposed one; round: whether the target is a ball; view:
-    outline of the field of view in the sensor plane; aim: the motion to the next pose; move: the
-    advice while the sensor's pose is unknown; edges, outline: polylines (n, 3) of the target;
+    now, next: the pose of now and the proposed one; samples: number and pose (T) of each; round:
+    whether the target is a ball; range_sign: as in profile.range_sign; view: outline of the field
+    of view in the sensor plane; aim: the motion to the next pose; move: the advice while the
+    sensor's pose is unknown, each None without; edges, outline: polylines (n, 3) of the target;
     spots: (n, 3) points of it, one of each station; ball: its centre and radius, or None. Metres,
     in the frame that the target is fixed in.
     """
@@ -252,7 +254,7 @@ def _scene(live: LiveSession, samples: Mapping[int, Sample], snapshot: StopSnaps
     return {
         'known': solution is not None, 'range_sign': config.profile.range_sign,
         'round': Arc in target_for(config).required_features,
-        'view': rounded(extremes(np.concatenate(view))), 'live': as_rows(pose),
+        'view': rounded(extremes(np.concatenate(view))), 'now': as_rows(pose),
         'samples': [{'number': number, 'T': as_rows(sample.T_base_flange)}
                     for number, sample in samples.items()],
         'next': as_rows(next_pose),

@@ -21,7 +21,7 @@ from handeye_ros import se3  # noqa: E402
 from handeye_ros.arm import arm_of  # noqa: E402
 from handeye_ros.bags.storage import RecordedMessage  # noqa: E402
 from handeye_ros.errors import InputError  # noqa: E402
-from handeye_ros.node.main import ros, run_for_exit_code  # noqa: E402
+from handeye_ros.node.executables import ros, run_for_exit_code  # noqa: E402
 from handeye_ros.results.calibration_file import write_calibration  # noqa: E402
 from handeye_ros.simulate import robot  # noqa: E402
 from moving_scan import (  # noqa: E402
@@ -62,15 +62,17 @@ def started(module: str, *arguments: object) -> AbstractContextManager[subproces
 
 
 @pytest.mark.parametrize(('module', 'arguments', 'reason'), [
-    ('main', ['config/plate.yaml'], 'unrecognized arguments: config/plate.yaml'),
+    ('calibrate', ['config/plate.yaml'], 'unrecognized arguments: config/plate.yaml'),
     *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
         ('replay', ['no/such/bag'], 'no/such/bag: no such file or folder'),
-        ('main', ['--ros-args', '-p', 'output_dir:=/proc/x'], 'cannot write /proc/x (output_dir)'),
-        ('main', ['--ros-args', '-p', 'output_dir:=/proc'], 'cannot write /proc (output_dir)'),
+        ('calibrate', ['--ros-args', '-p', 'output_dir:=/proc/x'],
+         'cannot write /proc/x (output_dir)'),
+        ('calibrate', ['--ros-args', '-p', 'output_dir:=/proc'],
+         'cannot write /proc (output_dir)'),
         ('scan', ['none.yaml'], 'none.yaml cannot be used'),
-        ('main', ['--ros-args', '-p', 'profile_topic:=my profile'], '"my profile" cannot '),
-        ('main', ['--ros-args', '-p', 'target.size:=[1.0, 2]'], 'ROS does not start: '),
-        ('main', ['--ros-args', 'nonsense'], 'ROS does not start: ')))])
+        ('calibrate', ['--ros-args', '-p', 'profile_topic:=my profile'], '"my profile" cannot '),
+        ('calibrate', ['--ros-args', '-p', 'target.size:=[1.0, 2]'], 'ROS does not start: '),
+        ('calibrate', ['--ros-args', 'nonsense'], 'ROS does not start: ')))])
 def test_wrong_arguments_are_refused(module: str, arguments: list[str], reason: str) -> None:
     run = run_module(module, *arguments)
     assert run.returncode == 2 and f'error: {reason}' in run.stderr

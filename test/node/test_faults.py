@@ -21,7 +21,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 from command import PATIENCE, run_python  # noqa: E402, I100
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from handeye_ros.node.state import new_counts  # noqa: E402
+from handeye_ros.node.message_counts import new_counts  # noqa: E402
 from handeye_ros.node.streams import Streams  # noqa: E402
 from rclpy._rclpy_pybind11 import RCLError  # noqa: E402
 from ros_clouds import cloud  # noqa: E402
@@ -252,7 +252,7 @@ def answer(samples, rejects, config, frame_id='', session=None):
 
 whole, pipeline.answer_samples = pipeline.answer_samples, answer
 if __name__ == '__main__':
-    from handeye_ros.node.main import main
+    from handeye_ros.node.calibrate import main
     sys.exit(main())
 """
 
@@ -290,15 +290,14 @@ def test_other_services_answer_while_it_solves_and_it_ends_cleanly(tmp_path, cli
 
 
 BROKEN = """
-import sys
-from handeye_ros.node import live, main, verification
+from handeye_ros.node import calibrate, live, verification
 
 def broken(*_):
     raise ZeroDivisionError('in a service')
 
 live.sample_summary = verification.looked_up = live.LiveSession.configure = broken
 if __name__ == '__main__':
-    sys.exit(main.main())
+    calibrate.main()
 """
 
 
@@ -357,6 +356,6 @@ Node.{0} = interrupted
     (AT_IMPORT, 'numpy'), (AT_IMPORT, 'std_srvs.srv'), (AT_CALL, 'create_timer')])
 def test_a_signal_while_it_starts_ends_it_cleanly(before: str, what: str, number: int) -> None:
     block = (f'import os, sys\n{before.format(what, number)}\n'
-             'from handeye_ros.node.main import main; sys.exit(main())')
+             'from handeye_ros.node.calibrate import main; sys.exit(main())')
     run = run_python('-c', block)
     assert (run.returncode, 'Traceback' in run.stderr) == (0, False), run.stderr

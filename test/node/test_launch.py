@@ -9,7 +9,8 @@ OpaqueFunction(function=); LaunchConfiguration(name).perform(context);
 PathJoinSubstitution(parts) and FindPackageShare(package) as default values; Node(package=,
 executable=, name=, namespace=, output=, arguments=, parameters=, remappings=). A node's command
 is put together in the order of launch_ros/actions/node.py: arguments, then behind --ros-args
-name, namespace, parameter files (a dict becomes one, for all nodes) and remappings.
+name, namespace, parameter files (a dict becomes one, for all nodes; a file that is missing is
+left out, with a warning) and remappings.
 """
 from __future__ import annotations
 
@@ -29,8 +30,6 @@ from handeye_ros.errors import InputError
 from handeye_ros.results.calibration_file import write_calibration
 import pytest
 import yaml
-
-EXECUTABLES = {'calibrate': 'main', 'replay': 'replay', 'publish': 'publish', 'scan': 'scan'}
 
 
 def argument(name: str, *, default_value: Any = None, description: str) -> SimpleNamespace:
@@ -97,7 +96,7 @@ def nodes(launch_file: str, monkeypatch: pytest.MonkeyPatch, **arguments_given: 
 def command(node: Any, folder: Path) -> list[str]:
     """Return the command of a node of this package."""
     assert node.package == 'handeye_ros'
-    words = [sys.executable, '-m', f'handeye_ros.node.{EXECUTABLES[node.executable]}',
+    words = [sys.executable, '-m', f'handeye_ros.node.{node.executable}',
              *node.arguments, '--ros-args', '-r', f'__node:={node.name}']
     if node.namespace:
         words += ['-r', f'__ns:=/{node.namespace.lstrip("/")}']
@@ -106,7 +105,8 @@ def command(node: Any, folder: Path) -> list[str]:
         if isinstance(parameters, dict):
             file = folder / f'launch_params_{node.name}_{number}.yaml'
             file.write_text(yaml.safe_dump({'/**': {'ros__parameters': parameters}}))
-        words += ['--params-file', str(file)]
+        if Path(file).is_file():
+            words += ['--params-file', str(file)]
     for before, after in node.remappings:
         words += ['-r', f'{before}:={after}']
     return words
@@ -137,6 +137,30 @@ def test_other_words_are_refused(name: str, value: str, expected: str,
                                  monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match=f'{name} is "{value}", {expected}'):
         nodes('calibrate', monkeypatch, **{name: value})
+
+
+@pytest.mark.parametrize('name', ['config', 'rviz_layout'])
+def test_a_file_that_is_missing_is_refused(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match=f'{name} is "cell_4.yml", and there is no such file'):
+        nodes('calibrate', monkeypatch, rviz='true', **{name: 'cell_4.yml'})
+
+
+def test_a_file_may_be_relative(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'cell.yaml').write_text((ROOT / 'config' / 'line.yaml').read_text())
+    (node,) = nodes('calibrate', monkeypatch, config='cell.yaml')
+    monkeypatch.chdir('/')  # the node may start elsewhere
+    words = command(node, tmp_path)
+    assert str(tmp_path / 'cell.yaml') in words
+
+
+@pytest.mark.ros
+def test_launch_itself_ends_without_the_file(tmp_path: Path) -> None:
+    pytest.importorskip('ros2launch', reason='needs ros2 launch')
+    found = subprocess.run(
+        ['ros2', 'launch', str(ROOT / 'launch' / 'calibrate.launch.py'), 'config:=cell_4.yml'],
+        cwd=tmp_path, text=True, timeout=60, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    assert found.returncode and 'config is "cell_4.yml", and there is no such' in found.stdout
 
 
 @pytest.mark.thorough

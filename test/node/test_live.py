@@ -15,15 +15,27 @@ from handeye_ros.bags.recording import read_bag
 from handeye_ros.config import Config
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node import live as lives
+from handeye_ros.node.message_counts import MessageCount
 from handeye_ros.node.state import (
-    MessageCount,
     sample_count,
     samples_message,
     state_of,
     status_message,
 )
+from handeye_ros.node.worker import Worker
 from handeye_ros.simulate import SCENARIOS, simulate
-from live_sessions import changed, computed, fed, feed, feed_one, later, new, SPHERE, update
+from live_sessions import (
+    changed,
+    computed,
+    fed,
+    feed,
+    feed_one,
+    Inline,
+    later,
+    new,
+    SPHERE,
+    update,
+)
 import numpy as np
 import pytest
 
@@ -73,6 +85,23 @@ def test_each_stop_that_waits_for_an_answer_is_told() -> None:
         feed_one(live, item)
     computed(live)
     assert {stop.number for stop in live.session_copy().stops} <= stop_numbers
+
+
+def test_changes_are_published_before_an_answer_and_after_a_failure(
+        capfd: pytest.CaptureFixture[str]) -> None:
+    def fail() -> None:
+        raise ValueError('the work')
+
+    published: list[str] = []
+    worker = Worker(Inline(), fail, lambda: published.append(worker.trouble))
+    assert worker.call(lambda: 3, then_publish=True) == 3 and published == ['']
+    with pytest.raises(ValueError):
+        worker.call(fail, then_publish=True)
+    assert published == ['', '']
+    worker.start()
+    worker.call(lambda: None)  # the work that is due has been done
+    assert len(published) == 3 and "ValueError('the work')" in published[-1]
+    assert 'Traceback' in capfd.readouterr().err
 
 
 def test_what_the_streams_dropped_is_told_with_the_answer() -> None:

@@ -160,7 +160,7 @@ def transforms_of(pose):
 
 def test_without_tf2_msgs_poses_from_tf_are_refused(tmp_path: Path) -> None:
     block = ('import sys; sys.modules["tf2_msgs"] = None; '
-             'from handeye_ros.node.main import main; sys.exit(main())')
+             'from handeye_ros.node.calibrate import main; sys.exit(main())')
     run = run_python('-c', block, '--ros-args', '-p', 'pose_source:=tf', timeout=PATIENCE)
     assert run.returncode == 2
     assert 'pose_source is tf, but tf2_msgs is not installed' in run.stderr

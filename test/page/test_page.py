@@ -267,7 +267,7 @@ def cleared(browser: Any) -> None:
     count = browser.execute_script(f'return {LINES}')
     click(browser, '#clear')
     browser.find_element('id', 'yes').click()
-    wait(browser, "document.getElementById('question').textContent.startsWith('Really?')",
+    wait(browser, "document.getElementById('question').textContent.includes('stay on the')",
          'the second question')
     browser.find_element('id', 'no').click()
     assert browser.execute_script(f'return {LINES}') == count

@@ -44,7 +44,7 @@ def running_node(tmp_path: Path, *arguments: str, program: Path | None = None
 
     program: a changed node, to run in its place.
     """
-    command = [sys.executable, *([program] if program else ['-m', 'handeye_ros.node.main']),
+    command = [sys.executable, *([program] if program else ['-m', 'handeye_ros.node.calibrate']),
                '--ros-args', '-p', f'output_dir:={tmp_path}', *arguments]
     with ((tmp_path / 'node.log').open('w') as log,
           running(command, cwd=ROOT, stdout=log, stderr=log, text=True) as process):

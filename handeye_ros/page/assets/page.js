@@ -282,8 +282,9 @@ function showAnswer(c, rows) {
 
 async function clearAll() {
   const count = latest ? taken(latest).length : 0;
-  if (await sure(`Clear all samples (${count}), and begin a new session?`) &&
-      await sure(`Really? All samples (${count}) and the answer will be gone.`)) {
+  if (await sure(`Clear all samples (${count})?`) &&
+      await sure(`Begin a new session? All samples (${count}) stay on the disk; "Go on with it" ` +
+        'brings them back. The calibration is withdrawn.')) {
     await ask('clear_samples', {}, $('clear'));
     readSetup();
   }

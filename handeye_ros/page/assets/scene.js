@@ -42,7 +42,7 @@ export function drawScene(canvas, scene, samples, profile, words) {
   if (!scene.known && (scene.move || !scene.samples.length)) return drawMove(made, scene);
   const points = [...scene.samples.map(s => column(s.T, 3)), ...scene.edges.flat(),
     ...scene.outline.flat(), ...scene.spots];
-  if (scene.known && scene.live) points.push(...reachOf(scene.live, scene));
+  if (scene.known && scene.now) points.push(...reachOf(scene.now, scene));
   if (scene.known && scene.next) points.push(...reachOf(scene.next, scene));
   const drawing = new Drawing(pen, camera(points, width, height), width, height);
   if (scene.ball) drawing.ball(...scene.ball, 'good');
@@ -59,13 +59,13 @@ export function drawScene(canvas, scene, samples, profile, words) {
   if (scene.known && scene.next) {
     drawSensor(drawing, scene.next, scene, 'aim', true);
     drawing.words(column(scene.next, 3), words, 'aim', 'bold');
-    if (scene.live) drawing.line([column(scene.live, 3), column(scene.next, 3)], 'aim', 3, [7, 6]);
+    if (scene.now) drawing.line([column(scene.now, 3), column(scene.next, 3)], 'aim', 3, [7, 6]);
   }
-  if (scene.known && scene.live) {
-    drawSensor(drawing, scene.live, scene, 'text');
+  if (scene.known && scene.now) {
+    drawSensor(drawing, scene.now, scene, 'text');
     const seen = ((profile || {}).points || []).filter((p, i) => i % 3 === 0);
-    drawing.line(seen.map(([x, z]) => at(scene.live, [x, 0, z])), 'bad', 2);
-    drawing.words(column(scene.live, 3), 'now', 'text', 'bold');
+    drawing.line(seen.map(([x, z]) => at(scene.now, [x, 0, z])), 'bad', 2);
+    drawing.words(column(scene.now, 3), 'now', 'text', 'bold');
   }
   const ahead = scene.range_sign * 0.02;
   for (const { number, T } of scene.samples) {

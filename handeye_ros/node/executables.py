@@ -1,20 +1,12 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Runs the node handeye: `ros2 run handeye_ros calibrate`.
+How all executables of the node start and end: arguments, signals, exit codes.
 
-It takes samples of the target as the robot moves, and computes and saves the calibration on
-request. All settings are ROS parameters and follow --ros-args:
-
-  calibrate --ros-args --params-file config/plate.yaml -p session:=last
-
-`ros2 param list /handeye` and `ros2 param describe /handeye KEY` explain them while it runs.
+Slow imports are inside the functions, so that Ctrl-C ends an executable cleanly from the start.
 """
-# How all executables start and end is here too: arguments, signals, exit codes. Slow imports are
-# inside the functions, so that Ctrl-C ends an executable cleanly from the start.
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import takewhile
@@ -22,39 +14,17 @@ import os
 import signal
 import sys
 import traceback
-from typing import Any, NoReturn
+from typing import Any
 
-from handeye_ros.errors import HandeyeError, InputError
+from handeye_ros.errors import ERROR_MARK, HandeyeError, InputError
 
-EXECUTOR_THREADS = 6  # of the executor: three groups of services, two timers, the parameters
 SHUTDOWN_TIMEOUT = 1.0  # s until what runs is left alone
 SPIN_TIMEOUT = 0.2  # s until a signal is seen
-SWITCH_INTERVAL = 1e-3  # s until Python switches threads: one service call takes a dozen switches
 
 
 def non_ros_arguments() -> list[str]:
     """Return the arguments of the executable, which come before those for ROS."""
     return list(takewhile(lambda word: word != '--ros-args', sys.argv[1:]))
-
-
-def main() -> NoReturn:
-    """Run the executable `calibrate`, and end the process with its exit code."""
-    # an exception in the import of an extension module would be lost
-    _set_signal_handler(lambda *_: os._exit(0))
-    # small matrices: more threads would slow down the streams
-    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-    argparse.ArgumentParser(
-        'calibrate', 'calibrate [-h] [--ros-args -p KEY:=VALUE --params-file FILE ...]', __doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(non_ros_arguments())
-    sys.setswitchinterval(SWITCH_INTERVAL)
-    from handeye_ros.node.node import HandeyeNode
-    # it publishes nothing more while it ends, and what computes ends with it
-    code = run_for_exit_code(spin, HandeyeNode, EXECUTOR_THREADS,
-                             lambda node: node.outputs.close())
-    sys.stderr.flush()
-    # Python waits for all threads, of which one may wait for a solve; what was acknowledged is on
-    # the disk
-    os._exit(code)
 
 
 def spin(make: Callable[[], Any], threads: int = 1,
@@ -89,7 +59,7 @@ def spin(make: Callable[[], Any], threads: int = 1,
                     # the node that calibrates, and what it holds, must go on
                     node.get_logger().error(traceback.format_exc())
         except KeyboardInterrupt:
-            _set_signal_handler(lambda *_: os._exit(0))  # who asks again waits no longer
+            set_signal_handler(lambda *_: os._exit(0))  # who asks again waits no longer
             stop(node)
             runner.shutdown(SHUTDOWN_TIMEOUT)
             node.destroy_node()
@@ -100,7 +70,7 @@ def run_for_exit_code(run: Callable[..., None], *args: Any) -> int:
     try:
         run(*args)
     except (HandeyeError, OSError) as error:  # such as a folder that cannot be read
-        print(f'error: {error}', file=sys.stderr)
+        print(f'{ERROR_MARK}{error}', file=sys.stderr)
         return error.exit_code if isinstance(error, HandeyeError) else InputError.exit_code
     except KeyboardInterrupt:
         pass
@@ -120,7 +90,7 @@ def ros() -> Iterator[None]:
     if not any(os.environ.get(name) for name in ('ROS_LOG_DIR', 'ROS_HOME', 'HOME')):
         raise InputError('ROS does not start: it has no place for its logs, as none of '
                          'ROS_LOG_DIR, ROS_HOME and HOME is set; set one of them')
-    _set_signal_handler(signal.default_int_handler)
+    set_signal_handler(signal.default_int_handler)
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except UnknownROSArgsError as error:
@@ -135,11 +105,7 @@ def ros() -> Iterator[None]:
         rclpy.try_shutdown()
 
 
-def _set_signal_handler(handler: Callable[[int, Any], Any]) -> None:
+def set_signal_handler(handler: Callable[[int, Any], Any]) -> None:
     """Set the handler of Ctrl-C and SIGTERM."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, handler)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
