@@ -50,9 +50,9 @@ def given(context: LaunchContext, name: str) -> str:
 
 def file_given(context: LaunchContext, name: str) -> str:
     """Return the absolute path of a file of an argument; raises InputError if it is missing."""
-    path = Path(given(context, name)).absolute()
+    path = Path(given(context, name)).expanduser().absolute()
     if not path.is_file():  # launch_ros would go on without it
-        raise InputError(f'{name} is "{given(context, name)}", and there is no such file')
+        raise InputError(f'{name} is "{given(context, name)}", and there is no file {path}')
     return str(path)
 
 

@@ -146,9 +146,11 @@ def select_model(fit: ArmFit, stop_count: int, limit: float) -> ArmSelection:
     covariance, smooth = arm_covariance(of_all_kinds, chosen.fit)
     # by how much its left-out stops are further off than even the richest model predicts
     covariance *= models[-1].variance_ratio
-    arm = replace(chosen.fit.arm, covariance=covariance[6:, 6:], configurations=fit.q)
+    arm = replace(chosen.fit.arm, covariance=covariance[6:, 6:],
+                  configurations=fit.q[chosen.fit.used])
     return ArmSelection(tuple(models), chosen, arm, covariance[:6, :6],
-                        _undetermined(chosen.fit), smooth, tuple(_notes(models, chosen)))
+                        _undetermined(chosen.fit), smooth,
+                        tuple(_notes(models, chosen, stop_count)))
 
 
 def _regions(q: Array, most: int = MAX_REGIONS) -> Indices:
@@ -206,11 +208,12 @@ def _require_same_robot(arm: Arm) -> None:
                 'the error of any real arm: the URDF is of another robot, or of a variant of it')
 
 
-def _notes(models: Sequence[ValidatedFit], chosen: ValidatedFit) -> Iterator[str]:
+def _notes(models: Sequence[ValidatedFit], chosen: ValidatedFit, stop_count: int
+           ) -> Iterator[str]:
     """Yield a sentence for contradicting stops, and for a richer model that is not used."""
     richest = models[-1]
-    if dropped := int((~richest.fit.used).sum()):
-        yield f'{dropped} of {len(richest.fit.used)} stops contradict the others and are not used'
+    if dropped := stop_count - int(richest.fit.used.sum()):
+        yield f'{dropped} of {stop_count} stops contradict the others and are not used'
     if chosen is not richest:
         rich, simple = (' and '.join(model.fit.arm.estimated_kinds) for model in (richest, chosen))
         yield (f'the model with {rich} predicts left-out stops no better than '

@@ -17,6 +17,7 @@ from handeye_ros.bags.recording import read_bag
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem
+from handeye_ros.frames import mount_poses
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.results.kinematics_file import read_arm
 from handeye_ros.robot.from_recordings import arm_samples_of, ArmSamples, solve_samples
@@ -140,8 +141,11 @@ def test_a_wrong_row_is_dropped_and_several_points_are_distinguished():
     points[30:] = se3.apply(se3.inverse(T[30:]), second[None])[:, 0]
     is_first, data = np.arange(40) < 30, replace(cell.data, points=points)
     both = [bench.selected(data, is_first), bench.selected(data, ~is_first)]
-    fit = select_from_points(both, cell.arm.with_errors_of(()), 1e-3).chosen.fit
+    selection = select_from_points(both, cell.arm.with_errors_of(()), 1e-3)
+    fit = selection.chosen.fit
     assert np.flatnonzero(~fit.used).tolist() == [7, 20]
+    assert np.array_equal(selection.arm.configurations, cell.data.q[fit.used])
+    assert '2 of 40 stops contradict the others' in ' '.join(selection.notes)
     first, other = fit.targets
     np.testing.assert_allclose(other - first, [0.02, 0.01, 0.0], atol=2e-4)
 
@@ -319,6 +323,19 @@ def test_two_recordings_give_one_answer(recorded):
     assert from_two.selection.chosen.left_out_rms < 6e-5
     assert from_two.calibration.quality.samples_used == len(source.samples)
     assert squared_error(from_two.calibration, from_one.calibration) < 6
+
+
+@pytest.mark.thorough
+def test_a_stop_of_a_recording_that_contradicts_the_others_is_told(recorded):
+    arm, session, recording, config = recorded
+    source = arm_samples_of(session, recording, arm, config)
+    q = source.q.copy()
+    q[4] += 0.1
+    poses = mount_poses(arm.forward(q), source.problem.config)
+    answer = solve_samples([replace(source, q=q, problem=replace(
+        source.problem, poses=poses))], arm)
+    assert '1 of 30 stops contradict the others' in ' '.join(answer.warnings)
+    assert len(answer.selection.arm.configurations) == 29
 
 
 def test_stops_without_joint_values_are_counted(recorded):
