@@ -55,6 +55,7 @@ import scipy.linalg
 from scipy.special import chdtri, chndtrinc
 
 SIGNIFICANCE = 0.01  # level of the tests of a calibration error
+INCONSISTENT_P = 1e-3  # level of the test that the points agree
 # an error of so many sigma is found with 95 %: p_chance, the test of its 6 unknowns together, then
 # is at most SIGNIFICANCE (noncentral chi2)
 DETECTION_SIGMAS = math.sqrt(chndtrinc(chdtri(6, SIGNIFICANCE), 6, 0.05))
@@ -298,11 +299,14 @@ def _misalignment(A: Array, b: Array, conditions: int, linear: Linearisation) ->
     _, _, square_without = regularised_least_squares(A[:, 6:], b, information[6:])
     degrees_of_freedom = max(conditions - 6, 1)
     factor = max(square / degrees_of_freedom, 1.0)
-    covariance *= factor
+    p_explained = float(chi2_sf(square, degrees_of_freedom))
+    # what chance does not explain, as a wrong nominal value, is no noise that hides an error
+    noise_factor = factor if p_explained > INCONSISTENT_P else 1.0
     weakest, size, direction = _weakest(
-        covariance, linear.lever, mount_frame(linear.problem.config))
+        noise_factor * covariance, linear.lever, mount_frame(linear.problem.config))
+    covariance *= factor
     return Misalignment(
-        twist, float(chi2_sf(square, degrees_of_freedom)),
+        twist, p_explained,
         float(chi2_sf((square_without - square) / factor, 6)),
         *largest_displacement(linear.lever, twist, covariance), weakest, size, direction)
 

@@ -32,6 +32,7 @@ from handeye_ros.verification.fit import (
     COVERAGE_FACTOR,
     EVEN_CHANCE_SIGMAS,
     fit_shape,
+    INCONSISTENT_P,
     Quantity,
     refit_shape,
     ShapeFit,
@@ -44,7 +45,6 @@ from handeye_ros.verification.stations import stations_of
 from handeye_ros.words import count_of, mm
 import numpy as np
 
-INCONSISTENT_P = 1e-3  # level of the test that the points agree
 UNEXPLAINED_P = 1e-6  # below this p no error of the calibration explains the points
 OTHER_SIZE = ('the points fit the shape, and no error of the calibration explains these '
               'deviations: check the nominal values (verify.radius, verify.lengths)')
@@ -246,10 +246,10 @@ def _decide(fit: ShapeFit, quantities: Sequence[Quantity], results: Sequence[Gro
         verdict = 'insensitive'
         undecided.insert(0, (f'this decides nothing: {found}'
                              f'{remedy(error.even_chance, settings.tolerance)}'))
-    elif verdict == 'pass' and error.smallest_detectable > settings.tolerance:
-        undecided.append(found)
-    return verdict, (*failed, *undecided, *_notes(
-        fit, other_size and OTHER_SIZE not in undecided, results))
+    notes = [*_notes(fit, other_size and OTHER_SIZE not in undecided, results)]
+    if verdict == 'pass' and error.smallest_detectable > settings.tolerance:
+        notes.append(found)
+    return verdict, (*failed, *undecided, *notes)
 
 
 def decision(deviation: float, margin: float, tolerance: float) -> str:

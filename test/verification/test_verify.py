@@ -158,6 +158,14 @@ def test_the_result_tells_by_how_much_a_calibration_is_wrong(name):
             content)
 
 
+@pytest.mark.parametrize(('seed', 'verdict'), [(0, 'pass'), (1, 'undecided')])
+def test_a_nominal_value_that_is_off_hides_no_error(seed, verdict):
+    artefact, calibration = measure('sphere', seed)
+    verification = assess('sphere', artefact, calibration, radius=bench.RADIUS + 2e-4)
+    assert verification.verdict == verdict
+    assert not re.search('decides nothing|half of the cases', ' '.join(verification.reasons))
+
+
 def test_a_ball_of_another_size_does_not_blame_the_calibration():
     artefact, calibration = measure('ball_bar')
     verification = assess('ball_bar', artefact, calibration, radius=bench.RADIUS + 4e-4)
