@@ -65,6 +65,7 @@ from handeye_ros.simulate.scenes import Placements, tilts
 from handeye_ros.simulate.scenes import SCENES as TARGET_SCENES
 from handeye_ros.simulate.sensor import lift
 from handeye_ros.verification.check import CalibratedCell, Check, check
+from handeye_ros.verification.fit import SIGNIFICANCE
 from handeye_ros.verification.routines import Routine, ROUTINES
 from handeye_ros.verification.station_set import StationSet
 from handeye_ros.verification.stations import stations_of, stations_of_passes
@@ -341,7 +342,7 @@ def shown(name: str, seed: int, scenes: dict = SCENES) -> bool:
             se3.perturb(made.T_flange_sensor, error.weakest), C),), aim, error.smallest_detectable)
     except DataError:  # no small error explains the points
         return True
-    return any('calibration of' in reason for reason in off.reasons)
+    return off.fit.misalignment.p_chance <= SIGNIFICANCE
 
 
 def aim_of(name: str, scenes: dict) -> float:

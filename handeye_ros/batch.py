@@ -50,7 +50,7 @@ CRASH_EXIT_CODE = 70  # exit code of a job that ended in an error of the program
 RESULT_FIGURES = (
     ('residual_rms', 'residual RMS [mm]', 1e3), ('holdout_rms', 'left-out RMS [mm]', 1e3),
     ('rms', 'RMS [mm]', 1e3), ('points_off', 'points off [mm]', 1e3),
-    ('smallest_error', 'smallest error found with 95 % [mm]', 1e3), ('seconds', 'time [s]', 1.0))
+    ('smallest_error', 'smallest error that shows [mm]', 1e3), ('seconds', 'time [s]', 1.0))
 LOCAL_DASK = {  # settings of Dask on this machine
     # a worker is given one job at a time, so that a job that ends it takes no other along
     'distributed.scheduler.worker-saturation': 1.0,

@@ -230,7 +230,8 @@ def _messages(event: str, config: Config, stop: Stop, joints: Sequence[tuple[int
                  for joint in joints]
     settings = {'config': flatten(replace(config, session=''))}
     outcome = {'event': event, 'number': stop.number, 'began': stop.stamp,
-               'taken': stop.sample is not None, 'refused': stop.final_reason}
+               'taken': stop.sample is not None, 'refused': stop.final_reason,
+               'untimed': stop.untimed}
     end = stop.end if stop.poses else time.time_ns()
     for topic, content in ((CONFIGURATION_TOPIC, settings), (OUTCOME_TOPIC, outcome)):
         text = json.dumps({'format': FORMAT, **content})
@@ -336,7 +337,8 @@ def _event_of(file: Path) -> tuple[str, Config, Stop]:
                     if key in known_keys or key.startswith(RECORD_PREFIX)}
         stamp, refusal = int(outcome['began']), str(outcome['refused'])
         stop = Stop(stamp, load_messages=partial(load_stop, file, stamp),
-                    number=int(outcome['number']),
+                    # not in files of older versions
+                    untimed=bool(outcome.get('untimed')), number=int(outcome['number']),
                     result=NOT_EVALUATED if outcome['taken'] else
                     Reject(stamp, refusal, final=bool(refusal)))
         return str(outcome['event']), with_values(Config(), settings, str(file)), stop

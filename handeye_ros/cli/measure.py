@@ -32,7 +32,6 @@ from handeye_ros.cli.common import (
 )
 from handeye_ros.errors import BadValueError, InputError, looked_up
 from handeye_ros.scanning import DEFAULT_TOWARDS, DEFAULT_WIDEST
-from handeye_ros.words import mm
 import typer
 
 if TYPE_CHECKING:
@@ -237,7 +236,7 @@ def seam(
         metavar='X X Y Y Z Z', help='Use the points between these values; -inf, inf: no limit.')
     ] = 3 * NO_LIMITS,
     widest: Annotated[str, length_option(
-        help='Largest distance between the edges of the seam.')] = mm(DEFAULT_WIDEST),
+        help='Largest distance between the edges of the seam.')] = f'{1e3 * DEFAULT_WIDEST:g}mm',
     towards: Annotated[tuple[float, float, float], typer.Option(
         metavar='X Y Z', help='The tool approaches the part this way.')] = DEFAULT_TOWARDS,
     travel: Annotated[float, typer.Option(help='The tool leans along the seam (degrees).')] = 0.0,

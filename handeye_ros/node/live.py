@@ -10,9 +10,10 @@ From a message to ~/samples:
 2. The thread `worker` takes it from there (`evaluate_next`), has it evaluated in another process,
    writes it to the disk (SessionFiles in bags/session_files.py) and adds it to the session: what
    is not stored is not used.
-3. After each such piece of work, and before a service answers, the worker calls
-   `publish_changes`, which is `HandeyeNode._publish_changes` (node.py, then outputs.py) and
-   publishes ~/samples. When no stop waits, it begins the review in another process (solver.py).
+3. After each such piece of work, and before a service answers (~/auto_sample: soon after), the
+   worker calls `publish_changes`, which is `HandeyeNode._publish_changes` (node.py, then
+   outputs.py) and publishes ~/samples. When no stop waits, it begins the review in another process
+   (solver.py).
 
 Threads:
 - only `streams` calls add_profile, add_poses and add_joints;

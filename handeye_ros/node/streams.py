@@ -117,8 +117,8 @@ class Streams:
     The subscriptions to the topics of a configuration, and the thread that reads their messages.
 
     Topics with a key are read as reliably as all of their publishers offer: large clouds do not
-    arrive otherwise. /tf and joint values are read best effort, /tf_static transient local. An
-    invalid message is counted and dropped.
+    arrive otherwise. /tf and joint values that are only stored are read best effort, /tf_static
+    transient local. An invalid message is counted and dropped.
     """
 
     def __init__(self, node: Node, receiver: Receiver,

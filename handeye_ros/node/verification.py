@@ -20,7 +20,7 @@ from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.printed import sample_summary
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.verification.result_file import plain_values, sentence
-from handeye_ros.verification.routines import Routine, ROUTINES
+from handeye_ros.verification.routines import FEW, Routine, ROUTINES
 from handeye_ros.verification.verify import Verification, verify_stops
 
 if TYPE_CHECKING:
@@ -149,7 +149,8 @@ class LiveVerification:
         try:
             config = self.routine.settings(live.config, len(self._recordings))
         except InputError as error:
-            raise InputError(f'{error}: begin each with ~/verify_start') from None
+            hint = ': begin each with ~/verify_start' if error.code == FEW else ''
+            raise InputError(f'{error}{hint}') from None
         file = live.config.verify.calibration or live.solver.saved
         accept = partial(self._accept, self._recordings, file, live.solver.calibration)
         return live.worker.run_job(

@@ -96,7 +96,9 @@ class Worker:
         def finish(job: Future[Any]) -> None:
             self.running_jobs.remove(name)
             try:
-                outcome.set_result(accept(job.result()))
+                result = accept(job.result())
+                self._publish()
+                outcome.set_result(result)
             except Exception as error:
                 outcome.set_exception(error)
                 if not (name and isinstance(error, DataError | InputError)):

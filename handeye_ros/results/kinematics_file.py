@@ -105,6 +105,8 @@ def read_arm(path: Path) -> Arm:
             transform_from(path, 'origin', joint['origin']),
             checked_numbers(path, f'{joint["name"]}.axis', joint['axis'], 3),
             float(joint['lower']), float(joint['upper'])) for joint in stored)
+        if any(math.isnan(limit) for joint in joints for limit in (joint.lower, joint.upper)):
+            raise unusable_file(path, 'a limit of a joint is no number')
         kinds = tuple(kind for kind in KINDS if any(kind in joint for joint in stored))
         values = [value for joint in stored for kind in kinds if kind in joint
                   for value in checked_numbers(path, f'{joint["name"]}.{kind}',

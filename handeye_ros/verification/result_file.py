@@ -33,7 +33,8 @@ FIGURE_ROWS = (('mean distance from the fit', 'mean', 'm'), ('its standard devia
                ('its maximum', 'maximum', 'm'), ('its RMS', 'rms', 'm'),
                ('tolerance of lengths', 'tolerance', 'm'),
                ('tolerance of angles', 'angle_tolerance', 'rad'),
-               ('smallest error found with 95 %, RMS over the points', 'smallest_error', 'm'))
+               ('smallest error found in half of the cases', 'smallest_error', 'm'),
+               ('smallest error found with 95 %', 'smallest_error_95', 'm'))
 # Characteristics of VDI/VDE 2634 parts 2 and 3: meaning, and factor to the error of the quantity
 # (PS is of the diameter). E is the length measurement error of ISO 10360.
 CHARACTERISTICS = {
@@ -56,7 +57,8 @@ def plain_values(verification: Verification, inputs: Iterable[object] = (),
         KEYS.get(name, name): value for name, value in items if name != 'label'})
     fit = values.pop('fit')
     return {'format': FORMAT, 'version': __version__, 'k': COVERAGE_FACTOR, **values,
-            'scatter': fit['scatter'], 'smallest_error': fit['misalignment'].smallest_detectable,
+            'scatter': fit['scatter'], 'smallest_error': fit['misalignment'].even_chance,
+            'smallest_error_95': fit['misalignment'].smallest_detectable,
             'weakest_direction': fit['misalignment'].weakest_direction,
             **{key: fit[key] for key in ('region', 'freedom', 'claim_p')},
             'inputs': list(map(str, inputs)),
@@ -79,11 +81,13 @@ def table_rows(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...
             decided = decision(deviation, U,
                                content['tolerance' if unit == 'm' else 'angle_tolerance'])
         claimed = quantity['claimed'] or None  # none of a scatter
-        figures = (in_mm_or_degrees(figure, unit)
-                   for figure in (value, nominal, deviation, U, claimed))
-        yield quantity['name'], (*figures, decided)
+        texts = (in_mm_or_degrees(figure, unit)
+                 for figure in (value, nominal, deviation, U, claimed))
+        yield quantity['name'], (*texts, decided)
+    figures = {**content, **content['scatter']}
     for name, key, unit in FIGURE_ROWS:
-        yield name, (in_mm_or_degrees({**content, **content['scatter']}[key], unit), *[''] * 5)
+        if key in figures:  # older files have no smallest_error_95
+            yield name, (in_mm_or_degrees(figures[key], unit), *[''] * 5)
 
 
 def table(content: Mapping[str, Any]) -> Table:

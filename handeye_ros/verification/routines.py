@@ -18,6 +18,8 @@ from handeye_ros.verification.tooth_gauge import teeth
 from handeye_ros.words import count_of
 import numpy as np
 
+FEW = 'few'  # code of the refusal of fewer recordings than a routine needs
+
 
 def line(stations: StationSet, X: Array, settings: VerifyConfig) -> Shape:
     """
@@ -206,8 +208,9 @@ class Routine:
                     f' for {count_of(len(config.verify.lengths), "length")}: verify.lengths has '
                     'the heights of each block, repeated each time it is laid'
                     if len(self.recording_counts) > 1 and recordings > possible[-1] else '')
-                raise InputError(f'{self.name} needs {_numbers_text(possible, "recording")}, and '
-                                 f'got {recordings}{heights}')
+                raise InputError(
+                    f'{self.name} needs {_numbers_text(possible, "recording")}, and got '
+                    f'{recordings}{heights}', code='' if recordings > possible[-1] else FEW)
         return config if self.in_passes else with_values(config, {
             'target.type': self.target, 'method': 'auto', 'target.radius': config.verify.radius})
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 
 from handeye_ros import read_bag
 from handeye_ros.bags.messages import profile_count, ProfileReader, profiles_of
+from handeye_ros.bags.session_files import read_session, SessionFiles
 from handeye_ros.bags.storage import CLOUD_TYPE, POSE_TYPE, RecordedMessage
 from handeye_ros.bags.writer import pose_cdr
 from handeye_ros.config import Config, ProfileConfig, SamplingConfig
@@ -104,7 +106,8 @@ def test_a_batch_during_which_the_robot_moved_is_not_used(stamp: str, used: set[
 @pytest.mark.parametrize(('moving', 'words'), [
     (True, 'which a robot that moves needs: set profile.period'),
     (False, 'none lies wholly in the 1.2 s of this stop: set profile.period, or stay longer')])
-def test_where_no_batch_can_be_used_the_reason_says_so(moving: bool, words: str) -> None:
+def test_where_no_batch_can_be_used_the_reason_says_so(
+        moving: bool, words: str, tmp_path: Path) -> None:
     config = Config(sampling=SamplingConfig(mode='moving' if moving else 'still'))
     session, period = Session(config), 50 if moving else 1000
     for i in range(400):  # moves all the time, or stands for 1.2 s between two ways
@@ -117,6 +120,13 @@ def test_where_no_batch_can_be_used_the_reason_says_so(moving: bool, words: str)
     session.evaluate_remaining()
     assert session.stops and not any(stop.profiles for stop in session.stops)
     assert all(reject.reason.endswith(words) for reject in session.rejects), session.rejects
+    files = SessionFiles(lambda config: tmp_path)
+    for stop in session.stops:
+        files.add_stop(stop, config)
+    assert files.path
+    stored = read_session(files.path).session(config)
+    assert [reject.reason for reject in stored.rejects] == [
+        reject.reason for reject in session.rejects]
 
 
 def test_a_bag_of_batches_is_read_row_by_row(good_bag, tmp_path) -> None:

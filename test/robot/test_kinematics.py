@@ -239,6 +239,7 @@ def test_a_former_arm_is_kept_with_its_calibration(from_table, tmp_path):
     (lambda arm: arm['joints'][1]['offset'].update(value=[math.nan]),
      r'joint_2\.offset\[0\] is nan, expected a finite number'),
     (lambda arm: arm['joints'][2].update(axis=[0, math.nan, 1]), r'joint_3\.axis\[1\] is nan'),
+    (lambda arm: arm['joints'][2].update(lower=math.nan), 'a limit of a joint is no number'),
     (lambda arm: arm['covariance'][3].__setitem__(2, math.nan), r'covariance\[\d+\] is nan'),
     (lambda arm: arm['configurations'][4].__setitem__(1, math.inf), r'ions\[25\] is inf')])
 def test_a_damaged_kinematics_file_is_refused(from_table, tmp_path, change, words):
