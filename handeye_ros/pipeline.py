@@ -43,7 +43,6 @@ from handeye_ros.checks.surfaces import OtherSurfaceError
 from handeye_ros.config import Config
 from handeye_ros.data import (
     AnyProfile,
-    BudgetTerm,
     Calibration,
     Profile,
     QUATERNION_TOLERANCE,
@@ -55,7 +54,6 @@ from handeye_ros.data import (
 )
 from handeye_ros.errors import DataError, InputError, require_each, require_type
 from handeye_ros.estimation.arm_errors import with_arm_errors
-from handeye_ros.estimation.budget import budget
 from handeye_ros.estimation.search import refined_solution, robust_solution
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_frame, mount_poses_of
@@ -100,10 +98,6 @@ class Answer:
             assert self.refusal is not None
             raise self.refusal
         return self.solution
-
-    def budget(self) -> list[BudgetTerm]:
-        """Return what each cause adds to the covariance; raises as require_solution."""
-        return budget(self.require_solution())
 
 
 def calibrate(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: Config

@@ -72,12 +72,13 @@ def solve(
     else:
         assert opened.session
         from handeye_ros import pipeline
+        from handeye_ros.estimation.budget import budget as budget_of
         from handeye_ros.frames import T_sensor_plane
         with progress_bar('solving'):
             answer = pipeline.answer_session(opened.session, settings)
         if budget and answer.samples_agree:
-            used = answer.require_solution().used_stations
-            show(printed.budget_table(answer.budget(), len(used)))
+            solution = answer.require_solution()
+            show(printed.budget_table(budget_of(solution), len(solution.used_stations)))
         calibration = answer.require_calibration()
         warnings = calibration.provenance.get('warnings', ())
         warn(*warnings)
