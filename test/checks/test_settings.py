@@ -17,6 +17,7 @@ from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, scenes
 from handeye_ros.simulate.solids import box, Solid
 import numpy as np
 import pytest
+from quick import long_run
 
 
 @lru_cache
@@ -35,13 +36,13 @@ def test_a_stored_stop_is_thinned_as_one_of_a_bag_is() -> None:
 @pytest.mark.parametrize(('name', 'values', 'words'), [
     ('plate', {'target__type': 'wedge', 'profile__range_sign': -1},
      'target.type to plate and profile.range_sign to 1$'),
-    *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
+    *long_run(
         ('sphere', {'target__radius': 0.012}, 'target.radius to 0.040'),
         ('wedge', {'noise__sensor': 5e-7}, 'noise.sensor to 5e-06$'),
         *((name, {'target__type': wrong}, f'target.type to {right}$')
           for name, wrong, right in (
               ('sphere', 'plate', 'sphere'), ('plate', 'sphere', 'plate'),
-              ('plate', 'line', 'plate'), ('wedge', 'sphere', 'wedge')))))])
+              ('plate', 'line', 'plate'), ('wedge', 'sphere', 'wedge'))))])
 def test_wrong_settings_are_named(name: str, values: dict[str, object], words: str) -> None:
     with pytest.raises(DataError, match=f'set {words}'):
         baseline_recording(name).calibrate(**values)

@@ -173,7 +173,7 @@ def test_a_scale_is_no_move_of_a_few_samples() -> None:
 
 
 @pytest.mark.parametrize(('target', 'count', 'seed'), [
-    ('line', 11, 9), pytest.param('plate', 9, 1, marks=pytest.mark.thorough)])
+    ('line', 11, 9), *long_run(('plate', 9, 1))])
 def test_one_wrong_pose_is_no_scale(target: str, count: int, seed: int) -> None:
     """Though a scale would explain that pose by chance."""
     scenario, rng = replace(SCENARIOS[target], stops=(count, 0)), np.random.default_rng(

@@ -18,6 +18,7 @@ from handeye_ros.results.truth import errors_against
 from handeye_ros.simulate import FAULTS, SCENARIOS, simulate_samples
 import numpy as np
 import pytest
+from quick import long_run
 
 
 def moved(sample: Sample, by: Array) -> Sample:
@@ -68,9 +69,9 @@ def to_a_second_plate(cell: Cell, rng: np.random.Generator) -> Array:
 
 @pytest.mark.parametrize(('target', 'seed', 'step', 'share'), [
     ('plate', 13, to_a_second_plate, 0.24),
-    *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
+    *long_run(
         ('plate', 17, to_a_second_plate, 0.24),
-        *((target, seed, aside, 0.28) for target in ('plate', 'sphere') for seed in range(6))))])
+        *((target, seed, aside, 0.28) for target in ('plate', 'sphere') for seed in range(6)))])
 def test_a_cluster_that_agrees_on_something_wrong_is_left_out(
         target: str, seed: int, step: Callable[..., Array], share: float) -> None:
     simulated_cell, rng = cell(target, seed), np.random.default_rng(seed)

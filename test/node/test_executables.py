@@ -13,6 +13,7 @@ import subprocess
 import sys
 
 import pytest
+from quick import long_run
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 from command import PATIENCE, PLATE, ROOT, run_python, running  # noqa: E402, I100
@@ -63,7 +64,7 @@ def started(module: str, *arguments: object) -> AbstractContextManager[subproces
 
 @pytest.mark.parametrize(('module', 'arguments', 'reason'), [
     ('calibrate', ['config/plate.yaml'], 'unrecognized arguments: config/plate.yaml'),
-    *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
+    *long_run(
         ('replay', ['no/such/bag'], 'no/such/bag: no such file or folder'),
         ('calibrate', ['--ros-args', '-p', 'output_dir:=/proc/x'],
          'cannot write /proc/x (output_dir)'),
@@ -72,7 +73,7 @@ def started(module: str, *arguments: object) -> AbstractContextManager[subproces
         ('scan', ['none.yaml'], 'none.yaml cannot be used'),
         ('calibrate', ['--ros-args', '-p', 'profile_topic:=my profile'], '"my profile" cannot '),
         ('calibrate', ['--ros-args', '-p', 'target.size:=[1.0, 2]'], 'ROS does not start: '),
-        ('calibrate', ['--ros-args', 'nonsense'], 'ROS does not start: ')))])
+        ('calibrate', ['--ros-args', 'nonsense'], 'ROS does not start: '))])
 def test_wrong_arguments_are_refused(module: str, arguments: list[str], reason: str) -> None:
     run = run_module(module, *arguments)
     assert run.returncode == 2 and f'error: {reason}' in run.stderr

@@ -38,6 +38,7 @@ from live_sessions import (
 )
 import numpy as np
 import pytest
+from quick import long_run
 
 
 def documented(topic: str, key: str = '') -> set[str]:
@@ -186,8 +187,8 @@ def test_settings_that_change_as_a_stop_ends_lose_no_profiles() -> None:
 
 
 @pytest.mark.parametrize(('before', 'lost'), [
-    (4.8, 4), (-0.02, 0), *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
-        (-4.8, 4), (0.02, 0)))])
+    (4.8, 4), (-0.02, 0), *long_run(
+        (-4.8, 4), (0.02, 0))])
 def test_a_time_offset_set_during_a_stop_holds_for_it_too(before: float, lost: int) -> None:
     live = new(set_to(SPHERE.config, time_offset=before))
     began = fed().session_copy().stops[3].stamp
@@ -238,7 +239,7 @@ def test_two_frames_before_the_first_sample_tell_of_no_sample() -> None:
 
 
 @pytest.mark.parametrize('kind', [
-    'profile', pytest.param('pose', marks=pytest.mark.thorough)])
+    'profile', *long_run('pose')])
 def test_another_frame_after_the_samples_is_told_and_they_are_computed(kind: str) -> None:
     live, items = fed(), SPHERE.messages
     count, before = sample_count(state_of(live)), computed(live)

@@ -13,6 +13,7 @@ from handeye_ros.simulate import SCENARIOS
 from handeye_ros.simulate.scenario import PlateTarget
 import numpy as np
 import pytest
+from quick import long_run
 
 LINE = SCENARIOS['line']
 
@@ -102,7 +103,7 @@ def corner_samples(seed, only_open, count=24):
     return replace(line_cell, samples=tuple(samples))
 
 
-@pytest.mark.parametrize('only_open', [1, pytest.param(5, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize('only_open', [1, *long_run(5)])
 def test_a_corner_is_not_taken_for_the_reach_of_the_sensor(only_open: int) -> None:
     for seed in range(5):
         corner_cell = corner_samples(seed, only_open)

@@ -175,8 +175,8 @@ def test_faces_seen_at_grazing_incidence_are_no_change(calibrated):
 
 @pytest.mark.parametrize('fault', [
     'distorted 0.02 mm', 'wavy 10 um',
-    *(pytest.param(fault, marks=pytest.mark.thorough) for fault in (
-        'plane, distorted 0.02 mm', 'wedge, line bent by 0.15 mm', 'bevelled 0.5 mm'))])
+    *long_run(
+        'plane, distorted 0.02 mm', 'wedge, line bent by 0.15 mm', 'bevelled 0.5 mm')])
 def test_faults_that_the_cell_had_before_are_no_change(fault):
     assert bench.verdict_of_halves(FAULTS[fault], 1) == 'unchanged'
 

@@ -20,6 +20,7 @@ from handeye_ros.verification.stations import stations_of
 from handeye_ros.verification.verify import verify_stations
 import numpy as np
 import pytest
+from quick import long_run
 from scipy.stats import chi2
 from typer.testing import CliRunner
 from verifications import bench, bench_calibration
@@ -128,7 +129,7 @@ def swept(target, *given, **values):
 
 
 @pytest.mark.parametrize('target', [
-    'sphere', pytest.param('line', marks=pytest.mark.thorough)])
+    'sphere', *long_run('line')])
 def test_a_sweep_is_measured_at_the_time_offset_of_the_calibration(target):
     result = swept(target, 0.020, 0.9, -0.020)
     assert result.verdict == 'pass' and result.fit.scatter.rms < 1e-4
