@@ -7,9 +7,10 @@ from dataclasses import replace
 import json
 from pathlib import Path
 import re
+from threading import Event
 
 from cells import set_to, settings_of
-from command import ROOT
+from command import PATIENCE, ROOT
 from handeye_ros import pipeline
 from handeye_ros.bags.recording import read_bag
 from handeye_ros.config import Config
@@ -103,6 +104,21 @@ def test_changes_are_published_before_an_answer_and_after_a_failure(
     worker.call(lambda: None)  # the work that is due has been done
     assert len(published) == 3 and "ValueError('the work')" in published[-1]
     assert 'Traceback' in capfd.readouterr().err
+
+
+def test_a_long_computation_is_published_before_its_answer() -> None:
+    order, asked = list[str](), Event()
+    worker = Worker(Inline(), lambda: None, lambda: order.append('published'))
+
+    def accept(result: int) -> int:
+        assert asked.wait(PATIENCE)
+        return result
+    answer = worker.run_job('a computation', accept, lambda: 3)
+    answer.add_done_callback(lambda _: order.append('answered'))
+    asked.set()
+    assert answer.result(PATIENCE) == 3
+    worker.call(lambda: None)  # what called back has ended
+    assert order[:2] == ['published', 'answered']
 
 
 def test_what_the_streams_dropped_is_told_with_the_answer() -> None:
